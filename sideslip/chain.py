@@ -103,6 +103,20 @@ def fly_scenario(
     return ChainFlight(folder / "flight.mcap", ground, files.truth, summary, backfill_agreed, lines, sequencer)
 
 
+def fly_onboard(scenario: "Scenario", folder: Path, *, seed: int | None = None) -> Path:
+    """Fly one scenario of the CDFP through the real logger alone, with nobody at the ground; the flight's file."""
+    from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
+    from groundstation.calibration.recording import calibrate_recording
+    from groundstation.flight import write_flight
+
+    calibration = NOMINAL_DIRECTORY / "cdfp"
+    with prepare_flight(scenario, folder, seed=seed, config_file=CONFIG_FILE, calibration=calibration) as flight:
+        flight.run()
+    write_flight(calibrate_recording(folder / "onboard", salvage=True), folder / "flight.mcap")
+    return folder / "flight.mcap"
+
+
 def _received_flight(
     folder: Path, receiver: "Receiver", station: "Station", origin: str
 ) -> tuple[Path | None, list[str]]:

@@ -288,7 +288,6 @@ def motion_figure(flights: Sequence[ReconstructedFlight], number: int, marked: S
             axes[0][column].set_title(literal(flight.name), loc="left")
             axes[-1][column].set_xlabel("time [s]")
         axes[0][0].legend(ncols=2, **ABOVE)
-        figure.align_ylabels()
     caption = f"Measured and reconstructed motion, {' and '.join(f.name for f in flights)} (Figure 7 of the paper)."
     points = sum(2 * f.time.size * len(names) for f in flights)
     return picture(figure, f"figure7_{number + 1}", caption, points)

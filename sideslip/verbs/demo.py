@@ -13,7 +13,7 @@ import click
 from daq.utilities.durable import whole, write_text
 from daq.utilities.errors import UserError
 from daq.utilities.outputs import tried_folder
-from sideslip.chain import ChainFlight, fly_scenario
+from sideslip.chain import ChainFlight, fly_onboard, fly_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -134,10 +134,10 @@ def _estimates(flights: list[Path], out: Path) -> None:
     _run("match", out / "model.toml", *flights, "--free", "CY_0,Cl_0,Cn_0", *proof)
 
 
-def _gap(flown: "Sequence[Future[ChainFlight]]", out: Path) -> str:
+def _gap(flown: "Sequence[Future[Path]]", out: Path) -> str:
     """The gap workflow in a process of its own, as soon as its flights have landed, the last one held out; what it prints."""
     report = out / "report"
-    *train, holdout = [_named_copy(f.result().onboard, out, f"hidden_{i}") for i, f in enumerate(flown)]
+    *train, holdout = [_named_copy(f.result(), out, f"hidden_{i}") for i, f in enumerate(flown)]
     text = [
         str(word)
         for word in ("gap", *train, "--holdout", holdout, "--json", report / "gap.json", "--report", report / "gap")
@@ -151,7 +151,7 @@ def _gap(flown: "Sequence[Future[ChainFlight]]", out: Path) -> str:
     return f"$ sideslip {' '.join(text)}\n\n{done.stdout.rstrip()}"
 
 
-def _take_off(out: Path, workers: ProcessPoolExecutor) -> "tuple[list[Future[ChainFlight]], list[Future[ChainFlight]]]":
+def _take_off(out: Path, workers: ProcessPoolExecutor) -> "tuple[list[Future[ChainFlight]], list[Future[Path]]]":
     """The four flights, and those of an aircraft with one hidden effect, the held out one last."""
     from firmware_sim.runs.campaign import CampaignFlights
     from firmware_sim.world.scenario import load_scenario
@@ -161,7 +161,7 @@ def _take_off(out: Path, workers: ProcessPoolExecutor) -> "tuple[list[Future[Cha
         workers.submit(fly_scenario, load_scenario(name).altered(radio=DEMO_RADIO), out / name) for name in DEMO_FLIGHTS
     ]
     hidden = [
-        workers.submit(fly_scenario, scenario, out / f"hidden_{number}", seed=seed, backfill=False)
+        workers.submit(fly_onboard, scenario, out / f"hidden_{number}", seed=seed)
         for number, (scenario, seed) in enumerate(hidden_flights.scenarios())
     ]
     return plain, hidden

@@ -27,11 +27,15 @@ SET_S = 8.0
 
 
 class CompanionInStep:
-    """Identification on board in the simulation's own time: the process would be as late as this computer is slow."""
+    """Identification on board in the simulation's own time, half a second of scans at once: the process would be as late as this
+    computer is slow."""
+
+    TOGETHER = 10
 
     def __init__(self, calibration: Path) -> None:
         self._calibration = calibration
         self._known: Mapping[str, tuple[float, float]] | None = None
+        self._waiting = 0
 
     def start(self, details: Mapping[str, str]) -> None:
         aircraft = live_aircraft("cdfp")
@@ -42,6 +46,10 @@ class CompanionInStep:
     def scans(self, scans: Iterable[Scan]) -> None:
         for scan in scans:
             self._alignment.add(encode_scan(scan))
+            self._waiting += 1
+        if self._waiting < self.TOGETHER:
+            return
+        self._waiting = 0
         state = self._live.step()
         if state is not None:
             self._known = answer_of(state).values

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from estimation.gap.answer.shape import Happened, HeldInstrument, LaggedTerm, ShapeCurve, SwingingTerm
@@ -30,14 +31,14 @@ def hidden(line: str, variable: str, of: Any, memory: float = 0.0) -> truth.Hidd
 
 FUNCTIONS: Mapping[str, truth.Hidden] = {
     "Cl even in beta": hidden("Cl", "beta", lambda x: 0.3 * x**2),
-    "Cn bump in beta": hidden("Cn", "beta", lambda x: 0.0015 * np.exp(-(((x - 3 * D) / (1.5 * D)) ** 2))),
-    "CY dead band in beta": hidden("CY", "beta", lambda x: -0.25 * np.sign(x) * np.maximum(np.abs(x) - 3 * D, 0.0)),
+    "Cn bump in beta": hidden("Cn", "beta", lambda x: 0.0015 * ca.exp(-(((x - 3 * D) / (1.5 * D)) ** 2))),
+    "CY dead band in beta": hidden("CY", "beta", lambda x: -0.25 * ca.sign(x) * ca.fmax(ca.fabs(x) - 3 * D, 0.0)),
     "Cn even in p": hidden("Cn", "p_hat", lambda x: 0.3 * x**2),
-    "Cn one-sided in p": hidden("Cn", "p_hat", lambda x: 0.03 * np.maximum(x, 0.0)),
-    "Cl absolute r": hidden("Cl", "r_hat", lambda x: 0.06 * np.abs(x)),
-    "Cn absolute aileron": hidden("Cn", "delta_a", lambda x: 0.006 * np.abs(x)),
+    "Cn one-sided in p": hidden("Cn", "p_hat", lambda x: 0.03 * ca.fmax(x, 0.0)),
+    "Cl absolute r": hidden("Cl", "r_hat", lambda x: 0.06 * ca.fabs(x)),
+    "Cn absolute aileron": hidden("Cn", "delta_a", lambda x: 0.006 * ca.fabs(x)),
     "Cl even in rudder": hidden("Cl", "delta_r", lambda x: 0.6 * x**2),
-    "CY bent in rudder": hidden("CY", "delta_r", lambda x: 0.03 * np.tanh(x / (1.0 * D))),
+    "CY bent in rudder": hidden("CY", "delta_r", lambda x: 0.03 * ca.tanh(x / (1.0 * D))),
     "Cl even in aileron": hidden("Cl", "delta_a", lambda x: 0.25 * x**2),
 }
 MEMORY: Mapping[str, truth.Hidden] = {

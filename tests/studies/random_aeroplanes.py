@@ -8,6 +8,7 @@ are drawn; the pilot flies doublets and 3-2-1-1 of aileron and rudder with a wea
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -163,14 +164,85 @@ def _commands(
     return u
 
 
+def _step_of(craft: Aeroplane, s: Situation, d: Mapping[str, Array]) -> ca.Function:
+    """A Runge-Kutta step of all flights, traced once: states (9, flights), surfaces (3, flights) before and after it, wind at its
+    begin and in it, to states after it and what is observed at its begin (6, flights)."""
+    Ixx, Iyy, Izz, Ixz = craft.inertia
+    Ixz = Ixz + s.Ixz_share * Ixx
+    S, b, c, m = craft.area, craft.span, craft.chord, craft.mass
+    thrust = _level(craft)[2]
+    of_flight = {name: ca.DM(values).T for name, values in d.items()}
+
+    def rates(x: ca.SX, surface: ca.SX, wind: ca.SX) -> tuple[ca.SX, ca.SX]:
+        u, v, w, p, q, r, phi, theta, _ = ca.vertsplit(x)
+        va = v - wind
+        V = ca.sqrt(u**2 + va**2 + w**2)
+        al, be = ca.atan2(w, u), ca.asin(va / V)
+        qd = 0.5 * 1.2 * V**2
+        ph, qh, rh = p * b / (2 * V), q * c / (2 * V), r * b / (2 * V)
+        da, dr, de = ca.vertsplit(surface)
+        CY = (
+            of_flight["CY_beta"] * be
+            + of_flight["CY_p"] * ph
+            + of_flight["CY_r"] * rh
+            + of_flight["CY_da"] * da
+            + of_flight["CY_dr"] * dr
+        )
+        Cl = (
+            of_flight["Cl_beta"] * be
+            + of_flight["Cl_p"] * ph
+            + of_flight["Cl_r"] * rh
+            + of_flight["Cl_da"] * da
+            + of_flight["Cl_dr"] * dr
+        )
+        Cn = (
+            of_flight["Cn_beta"] * be
+            + of_flight["Cn_p"] * ph
+            + of_flight["Cn_r"] * rh
+            + of_flight["Cn_da"] * da
+            + of_flight["Cn_dr"] * dr
+        )
+        Lift = of_flight["CL_0"] + of_flight["CL_alpha"] * al + of_flight["CL_q"] * qh + of_flight["CL_de"] * de
+        Drag = of_flight["CD_0"] + of_flight["CD_k"] * Lift**2
+        Cm = of_flight["Cm_0"] + of_flight["Cm_alpha"] * al + of_flight["Cm_q"] * qh + of_flight["Cm_de"] * de
+        fx = (qd * S * (Lift * ca.sin(al) - Drag * ca.cos(al)) + thrust) / m
+        fy = qd * S * CY / m
+        fz = qd * S * (-Lift * ca.cos(al) - Drag * ca.sin(al)) / m
+        L, M, N = qd * S * b * Cl, qd * S * c * Cm, qd * S * b * Cn
+        hx = L + Ixz * p * q - (Izz - Iyy) * q * r
+        hz = N - Ixz * q * r - (Iyy - Ixx) * p * q
+        det = Ixx * Izz - Ixz**2
+        dx = ca.vertcat(
+            fx - G * ca.sin(theta) - q * w + r * v,
+            fy + G * ca.cos(theta) * ca.sin(phi) - r * u + p * w,
+            fz + G * ca.cos(theta) * ca.cos(phi) - p * v + q * u,
+            (Izz * hx + Ixz * hz) / det,
+            (M + (Izz - Ixx) * p * r - Ixz * (p**2 - r**2)) / Iyy,
+            (Ixx * hz + Ixz * hx) / det,
+            p + ca.tan(theta) * (q * ca.sin(phi) + r * ca.cos(phi)),
+            q * ca.cos(phi) - r * ca.sin(phi),
+            (q * ca.sin(phi) + r * ca.cos(phi)) / ca.cos(theta),
+        )
+        return dx, ca.vertcat(fx, fy, fz, al, be, V)
+
+    flights = len(d["CY_beta"])
+    x, before, after = (ca.SX.sym(n, rows, flights) for n, rows in (("x", 9), ("before", 3), ("after", 3)))
+    first, wind = ca.SX.sym("first", 1, flights), ca.SX.sym("wind", 1, flights)
+    middle = 0.5 * (before + after)
+    k1 = rates(x, before, wind)[0]
+    k2 = rates(x + 0.5 * STEP * k1, middle, wind)[0]
+    k3 = rates(x + 0.5 * STEP * k2, middle, wind)[0]
+    k4 = rates(x + STEP * k3, after, wind)[0]
+    made = [x + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4), rates(x, before, first)[1]]
+    return ca.Function("step", [x, before, after, first, wind], made)
+
+
 def _integrated(
     craft: Aeroplane, s: Situation, d: Mapping[str, Array], command: Array, rng: np.random.Generator, steps: int
 ) -> dict[str, Array]:
     flights = len(command)
-    Ixx, Iyy, Izz, Ixz = craft.inertia
-    Ixz = Ixz + s.Ixz_share * Ixx
-    S, b, c, m = craft.area, craft.span, craft.chord, craft.mass
-    alpha, trim_e, thrust = _level(craft)
+    b = craft.span
+    alpha, trim_e, _ = _level(craft)
     x = np.zeros((flights, 9))  # u v w p q r phi theta psi
     x[:, 0], x[:, 2], x[:, 7] = craft.speed * np.cos(alpha), craft.speed * np.sin(alpha), alpha
     surface = np.zeros((flights, 3))
@@ -182,76 +254,35 @@ def _integrated(
     for n in names:
         keep[n] = np.zeros((flights, steps))
 
-    def rates(x: Array, surface: Array, wind: Array) -> tuple[Array, Array]:
-        u, v, w, p, q, r, phi, theta, _ = x.T
-        va = v - wind
-        V = np.sqrt(u**2 + va**2 + w**2)
-        al, be = np.arctan2(w, u), np.arcsin(va / V)
-        qd = 0.5 * 1.2 * V**2
-        ph, qh, rh = p * b / (2 * V), q * c / (2 * V), r * b / (2 * V)
-        da, dr, de = surface.T
-        CY = d["CY_beta"] * be + d["CY_p"] * ph + d["CY_r"] * rh + d["CY_da"] * da + d["CY_dr"] * dr
-        Cl = d["Cl_beta"] * be + d["Cl_p"] * ph + d["Cl_r"] * rh + d["Cl_da"] * da + d["Cl_dr"] * dr
-        Cn = d["Cn_beta"] * be + d["Cn_p"] * ph + d["Cn_r"] * rh + d["Cn_da"] * da + d["Cn_dr"] * dr
-        Lift = d["CL_0"] + d["CL_alpha"] * al + d["CL_q"] * qh + d["CL_de"] * de
-        Drag = d["CD_0"] + d["CD_k"] * Lift**2
-        Cm = d["Cm_0"] + d["Cm_alpha"] * al + d["Cm_q"] * qh + d["Cm_de"] * de
-        fx = (qd * S * (Lift * np.sin(al) - Drag * np.cos(al)) + thrust) / m
-        fy = qd * S * CY / m
-        fz = qd * S * (-Lift * np.cos(al) - Drag * np.sin(al)) / m
-        L, M, N = qd * S * b * Cl, qd * S * c * Cm, qd * S * b * Cn
-        hx = L + Ixz * p * q - (Izz - Iyy) * q * r
-        hz = N - Ixz * q * r - (Iyy - Ixx) * p * q
-        det = Ixx * Izz - Ixz**2
-        dx = np.stack([
-            fx - G * np.sin(theta) - q * w + r * v,
-            fy + G * np.cos(theta) * np.sin(phi) - r * u + p * w,
-            fz + G * np.cos(theta) * np.cos(phi) - p * v + q * u,
-            (Izz * hx + Ixz * hz) / det,
-            (M + (Izz - Ixx) * p * r - Ixz * (p**2 - r**2)) / Iyy,
-            (Ixx * hz + Ixz * hx) / det,
-            p + np.tan(theta) * (q * np.sin(phi) + r * np.cos(phi)),
-            q * np.cos(phi) - r * np.sin(phi),
-            (q * np.sin(phi) + r * np.cos(phi)) / np.cos(theta),
-        ], axis=1)  # fmt: skip
-        return dx, np.stack([fx, fy, fz, al, be, V], axis=1)
-
+    step, run = _step_of(craft, s, d).buffer()
+    given = [np.zeros((flights, rows)) for rows in (9, 3, 3, 1, 1)]
+    made = [np.zeros((flights, rows)) for rows in (9, 6)]
+    for i, there in enumerate(given):
+        step.set_arg(i, memoryview(there))
+    for i, there in enumerate(made):
+        step.set_res(i, memoryview(there))
     vane = np.zeros(flights)
     for k in range(steps):
-        _, out = rates(x, surface, wind)
-        if s.vane_lag > 0.0:
-            vane = vane + STEP / s.vane_lag * (out[:, 4] - vane) if k else out[:, 4].copy()
-        shown = vane if s.vane_lag > 0.0 else out[:, 4]
-        for n, value in zip(
-            names,
-            (
-                *out[:, :3].T,
-                *x[:, 3:9].T,
-                out[:, 3],
-                s.vane_scale * shown,
-                out[:, 5],
-                surface[:, 2],
-                surface[:, 0],
-                surface[:, 1],
-            ),
-            strict=True,
-        ):
-            keep[n][:, k] = value
         level = 0.12 * x[:, 6] + 0.03 * x[:, 3] * b / craft.speed
         wanted = np.stack([
             command[:, 0, k] + level,
             command[:, 1, k],
             trim_e + command[:, 2, k] + (0.5 * (x[:, 7] - alpha) + 0.1 * x[:, 4]) * (0.1 if s.pitch else 1.0),
         ], axis=1)  # fmt: skip
-        before = surface
+        before, first = surface, wind
         surface = surface + (1 - np.exp(-STEP / s.servo)) * (wanted - surface)
-        middle = 0.5 * (before + surface)
         wind = wind * (1 - STEP / tau) + kick * rng.standard_normal(flights) if s.gust else wind
-        k1 = rates(x, before, wind)[0]
-        k2 = rates(x + 0.5 * STEP * k1, middle, wind)[0]
-        k3 = rates(x + 0.5 * STEP * k2, middle, wind)[0]
-        k4 = rates(x + STEP * k3, surface, wind)[0]
-        x = x + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        for there, values in zip(given, (x, before, surface, first[:, None], wind[:, None]), strict=True):
+            there[:] = values
+        run()
+        out = made[1]
+        if s.vane_lag > 0.0:
+            vane = vane + STEP / s.vane_lag * (out[:, 4] - vane) if k else out[:, 4].copy()
+        shown = vane if s.vane_lag > 0.0 else out[:, 4]
+        seen = (*out[:, :3].T, *x[:, 3:9].T, out[:, 3], s.vane_scale * shown, out[:, 5], *before[:, [2, 0, 1]].T)
+        for n, value in zip(names, seen, strict=True):
+            keep[n][:, k] = value
+        x = made[0].copy()
     for name, late in (("delta_a", s.aileron_late), ("delta_r", s.rudder_late)):
         shift = round(late / STEP)  # the motion follows the record by `late`: the record runs ahead of it
         if shift:

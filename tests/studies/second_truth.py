@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,12 +74,12 @@ LOCAL: tuple[str, ...] = ("gyro_drift", "vane_slip", "short_burst")
 class Hidden:
     """A part of one coefficient that no catalogue holds.
 
-    of: from beta, p_hat, q_hat, r_hat, alpha, delta_a, delta_e, delta_r and V, each (flights,), to the part (flights,).
+    of: from beta, p_hat, q_hat, r_hat, alpha, delta_a, delta_e, delta_r and V, expressions of casadi, to the part.
     memory: seconds by which it follows, 0 where at once.
     """
 
     line: str
-    of: Callable[[Mapping[str, Array]], Array]
+    of: Callable[[Mapping[str, Any]], Any]
     memory: float = 0.0
 
 
@@ -161,8 +162,7 @@ def fly(requests: Sequence[Request]) -> list[dict[str, Array]]:
     gust = np.stack([_gust(r, g, steps) for r, g in zip(requests, rngs, strict=True)], axis=-1)  # (3, steps, n)
     e["Ixz"] = inertia["Ixz"] + e["Ixz_error"]
     centred = np.array([r.centred for r in requests])
-    hidden = {r.hidden: np.array([o.hidden is r.hidden for o in requests]) for r in requests if r.hidden is not None}
-    history = _integrate(d, inertia, speed, u, gust, e, x_, centred, hidden, steps, n)
+    history = _integrate(d, inertia, speed, u, gust, e, x_, centred, [r.hidden for r in requests], steps, n)
     return [
         _measure(
             {k: v[:, i] for k, v in history.items()},
@@ -201,15 +201,146 @@ def _trim(d: Mapping[str, Array], V: Array) -> tuple[Array, Array, Array]:
     return alpha, de, T
 
 
+OBSERVED = ("ax", "ay", "az", "alpha", "beta", "V", "pdot", "rdot", "qdot")
+STATES = "u v w p q r phi theta psi h eta X fin fin_dot pend pend_dot slosh slosh_dot hidden".split()
+
+
+def _motion(d: Mapping[str, float], inertia: Mapping[str, float], e: Mapping[str, float], x_: Mapping[str, float],
+            hidden: Hidden | None, x: Sequence[Any], act: Sequence[Any],
+            g: Sequence[Any]) -> tuple[list[Any], list[Any]]:  # fmt: skip
+    """Rates of one flight's states and what is observed, as expressions; act: surfaces and thrust, g: gust speeds."""
+    uu, vv, ww, p, q, r, phi, th, psi, _h, eta, X, fin, find, pen, pend, slosh, sloshd, follower = x
+    da, dr, de, T = act
+    Ixx, Iyy, Izz, Ixz = inertia["Ixx"], inertia["Iyy"], inertia["Izz"], e["Ixz"]
+    stalls = e["stall_separation"] > 0
+    sp, cp, st, ct = ca.sin(phi), ca.cos(phi), ca.sin(th), ca.cos(th)
+    hdot = uu * st - vv * sp * ct - ww * cp * ct
+    va, wa, ua = vv - g[0], ww - g[1], uu - g[2]
+    V = ca.sqrt(ua**2 + va**2 + wa**2)
+    al, be = ca.atan2(wa, ua), ca.asin(va / V)
+    qd = 0.5 * RHO * V**2
+    ph, qh, rh = p * SPAN / (2 * V), q * CHORD / (2 * V), r * SPAN / (2 * V)
+    soft = 1 - e["surface_compliance"] * qd / 200.0
+    da_, dr_ = da * soft, dr * soft
+    over, wash = al - pitch.LEVEL, T / (qd * pitch.DISC)
+    slip = 1 + e["slipstream_rudder"] * T / (qd * AREA)
+    b_mom = eta if e["indicial_lag"] > 0 else be
+    ben = be + fin
+    CL = d["CL_0"] + d["CL_alpha"] * al * (((1 + ca.sqrt(X)) / 2) ** 2 if stalls else 1.0)
+    CL = CL + d["CL_q"] * qh + d["CL_de"] * de
+    CL = CL + pitch.lift(d, e, over, al, be, da_, de, qd, wash)
+    CD = d["CD_0"] + d["CD_k"] * CL**2
+    CD = CD + pitch.drag(e, CL, al, be, da_, de, qh)
+    CY = (
+        d["CY_0"]
+        + d["CY_beta"] * be
+        + d["CY_p"] * ph
+        + d["CY_r"] * rh
+        + d["CY_dr"] * slip * dr_
+        + e["CY_da"] * da_
+        + e["CY_beta3"] * be**3
+    )
+    Cl = (d["Cl_0"] + d["Cl_beta"] * b_mom + d["Cl_p"] * ph * (0.4 + 0.6 * X) + d["Cl_r"] * rh + d["Cl_da"] * da_
+          + d["Cl_dr"] * slip * dr_ + e["Cl_alpha_beta"] * al * be + e["Cl_da_de"] * da_ * de
+          + e["Cl_beta3"] * be**3 + e["Cl_da3"] * da_**3 + e["Cl_p_abs_p"] * ph * ca.fabs(ph)
+          + pitch.rolling(e, over, da_, ph))  # fmt: skip
+    Cn = (d["Cn_0"] + d["Cn_beta"] * b_mom + d["Cn_p"] * ph + d["Cn_r"] * rh + d["Cn_dr"] * slip * dr_
+          + e["Cn_da"] * da_ + e["Cn_alpha_beta"] * al * be + e["Cn_beta3"] * be**3 + e["Cn_dr3"] * dr_**3
+          + 0.6 * d["Cn_beta"] * (ben - be) + pitch.yawing(e, over, da_, dr_, ph))  # fmt: skip
+    Cm = d["Cm_0"] + d["Cm_alpha"] * al + d["Cm_q"] * qh + d["Cm_de"] * de
+    Cm = Cm + pitch.pitching(d, e, over, be, da_, de, qd, wash)
+    signals = {"beta": be, "p_hat": ph, "q_hat": qh, "r_hat": rh, "alpha": al, "V": V,
+               "delta_a": da, "delta_e": de, "delta_r": dr}  # fmt: skip
+    parts: dict[str, Any] = {"CL": CL, "CD": CD, "CY": CY, "Cl": Cl, "Cm": Cm, "Cn": Cn}
+    hidden_dot: Any = 0.0
+    if hidden is not None:
+        part = hidden.of(signals)
+        if hidden.memory:
+            hidden_dot, part = (part - follower) / hidden.memory, follower
+        parts[hidden.line] = parts[hidden.line] + part
+    CL, CD, CY, Cl, Cm, Cn = parts.values()
+    CX, CZ = CL * ca.sin(al) - CD * ca.cos(al), -CL * ca.cos(al) - CD * ca.sin(al)
+    up = e["thrust_tilt"]
+    ax, ay, az = (
+        (qd * AREA * CX + T * ca.cos(up)) / MASS,
+        qd * AREA * CY / MASS,
+        (qd * AREA * CZ - T * ca.sin(up)) / MASS,
+    )
+    if e["CL_alphadot"]:  # lift from the rate that it changes itself: passes until it stands
+        still_x, still_z, polar = ax, az, d["CD_k"]
+        for _ in range(4):
+            back = ww * (r * vv - q * ww - G * st + ax) - uu * (q * uu - p * vv + G * ct * cp + az)
+            more = e["CL_alphadot"] * (-back / (uu**2 + ww**2)) * CHORD / (2 * V)
+            drags = polar * ((CL + more) ** 2 - CL**2)  # all lift pays for itself
+            ax = still_x + qd * AREA / MASS * (more * ca.sin(al) - drags * ca.cos(al))
+            az = still_z - qd * AREA / MASS * (more * ca.cos(al) + drags * ca.sin(al))
+    # a steady wind that grows with height: the airframe drifts through it, felt as an air-mass acceleration
+    shear = e["wind_shear"] * hdot  # rate of change of the east wind met while climbing
+    bx, by = -shear * ca.sin(psi) * ct, -shear * ca.cos(psi) * cp
+    udot = r * vv - q * ww - G * st + ax + bx
+    vdot = p * ww - r * uu + G * ct * sp + ay + by
+    wdot = q * uu - p * vv + G * ct * cp + az
+    bdot_ = (vdot - 0.0) / V  # small angles are enough for an added damping term
+    bdh = bdot_ * SPAN / (2 * V)
+    Cl = Cl + e["Cl_betadot"] * bdh
+    Cn = Cn + e["Cn_betadot"] * bdh
+    L = qd * AREA * SPAN * Cl - e["lateral_cg"] * MASS * az + e["motor_torque"] * T * (-1)
+    N = qd * AREA * SPAN * Cn + e["prop_gyroscopic"] * q - e["p_factor"] * T * al + e["lateral_cg"] * MASS * ax
+    aldot = (wdot * uu - udot * ww) / (uu**2 + ww**2)
+    Cm = Cm + e["Cm_alphadot"] * aldot * CHORD / (2 * V)
+    M = qd * AREA * CHORD * Cm - e["prop_gyroscopic"] * r + e["thrust_z"] * T - x_["pitch_slosh"] * 0.25 * slosh
+    L = L - x_["pendulum"] * 0.35 * pen
+    roll = L + Ixz * p * q - (Izz - Iyy) * q * r
+    yaw = N - Ixz * q * r - (Iyy - Ixx) * p * q
+    det = Ixx * Izz - Ixz**2
+    pdot, rdot = (Izz * roll + Ixz * yaw) / det, (Ixx * yaw + Ixz * roll) / det
+    qdot = (M + (Izz - Ixx) * p * r - Ixz * (p**2 - r**2)) / Iyy
+    phidot, thdot = p + ca.tan(th) * (q * sp + r * cp), q * cp - r * sp
+    psidot = (q * sp + r * cp) / ct
+    etadot = (be - eta) / max(e["indicial_lag"], 0.02)
+    Xdot = (0.5 * (1 - ca.tanh(25 * (al - e["stall_separation"]))) - X) / 0.15 if stalls else 0.0
+    flexible, swings, sloshes = x_["flexible_fin"], x_["pendulum"] > 0, x_["pitch_slosh"] > 0
+    findd = (14.0**2) * (-flexible * 1.2 * (be + dr) - fin) - 3.0 * find if flexible > 0 else 0.0
+    pendd = -(6.0**2) * pen - 0.8 * pend + 6.0 * ay + 1.5 * pdot if swings else 0.0
+    sloshdd = -(9.0**2) * slosh - 0.8 * sloshd + 6.0 * (ax - 1.0) + 1.5 * qdot if sloshes else 0.0
+    rates = [udot, vdot, wdot, pdot, qdot, rdot, phidot, thdot, psidot, hdot, etadot, Xdot, find, findd,
+             pend, pendd, sloshd, sloshdd, hidden_dot]  # fmt: skip
+    return rates, [ax, ay, az, al, be, V, pdot, rdot, qdot]
+
+
+def _step_of(d: Mapping[str, Array], inertia: Mapping[str, Array], e: Mapping[str, Array], x_: Mapping[str, Array],
+             hidden: Sequence[Hidden | None]) -> ca.Function:  # fmt: skip
+    """One Runge-Kutta step of all flights: states (19, n), surfaces and thrust (4, n), gusts (3, n) to states and observed.
+
+    Traced once, so that what a flight does not have costs nothing in its 6000 steps.
+    """
+    n, dt = len(hidden), 1 / RATE
+    x, act, g = ca.SX.sym("x", len(STATES), n), ca.SX.sym("act", 4, n), ca.SX.sym("g", 3, n)
+    after, observed = [], []
+    for i, part in enumerate(hidden):
+        own = [{k: float(v[i]) for k, v in values.items()} for values in (d, inertia, e, x_)]
+        a, b = ca.vertsplit(act[:, i]), ca.vertsplit(g[:, i])
+
+        def rates(at: ca.SX, own: list[dict[str, float]] = own, part: Hidden | None = part, a: list[ca.SX] = a,
+                  b: list[ca.SX] = b) -> tuple[ca.SX, ca.SX]:  # fmt: skip
+            rate, seen = _motion(*own, part, ca.vertsplit(at), a, b)
+            return ca.vertcat(*rate), ca.vertcat(*seen)
+
+        k1, seen = rates(x[:, i])
+        k2, _ = rates(x[:, i] + dt / 2 * k1)
+        k3, _ = rates(x[:, i] + dt / 2 * k2)
+        k4, _ = rates(x[:, i] + dt * k3)
+        after.append(x[:, i] + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+        observed.append(seen)
+    return ca.Function("step", [x, act, g], [ca.horzcat(*after), ca.horzcat(*observed)])
+
+
 def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, u: Array, gust: Array,
                e: Mapping[str, Array], x_: Mapping[str, Array], centred: NDArray[np.bool_],
-               hidden: Mapping[Hidden, NDArray[np.bool_]], steps: int, n: int) -> dict[str, Array]:  # fmt: skip
-    Ixx, Iyy, Izz, Ixz = inertia["Ixx"], inertia["Iyy"], inertia["Izz"], e["Ixz"]
-    det = Ixx * Izz - Ixz**2
+               hidden: Sequence[Hidden | None], steps: int, n: int) -> dict[str, Array]:  # fmt: skip
     a0, de0, T0 = _trim(d, V0)
-    x = np.zeros((19, n))  # u v w p q r phi theta psi h eta X fin fin_dot pend pend_dot slosh slosh_dot hidden
+    x = np.zeros((len(STATES), n))
     x[0], x[2], x[7], x[9] = V0 * np.cos(a0), V0 * np.sin(a0), a0, 60.0
-    lag_tau = np.maximum(e["indicial_lag"], 0.02)
     x[11] = 1.0
     servo = np.stack([np.zeros(n), np.zeros(n), de0])  # da dr de at the potentiometer
     post = servo[:2].copy()  # surface after any lag
@@ -222,106 +353,13 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
     keep = "ax ay az p q r phi theta psi alpha beta V delta_e delta_a delta_r thrust altitude pdot rdot qdot".split()
     out = {k: np.zeros((steps, n)) for k in keep}
     dt = 1 / RATE
-
-    def rhs(x: Array, da: Array, dr: Array, de: Array, T: Array, g: Array) -> tuple[Array, dict[str, Array]]:
-        uu, vv, ww, p, q, r, phi, th, psi, _h, eta, X, fin, find, pen, pend, slosh, sloshd, _hidden = x
-        sp, cp, st, ct = np.sin(phi), np.cos(phi), np.sin(th), np.cos(th)
-        hdot = uu * st - vv * sp * ct - ww * cp * ct
-        va, wa, ua = vv - g[0], ww - g[1], uu - g[2]
-        # a steady wind that grows with height: the airframe drifts through it, felt as an air-mass acceleration
-        V = np.sqrt(ua**2 + va**2 + wa**2)
-        al, be = np.arctan2(wa, ua), np.arcsin(va / V)
-        qd = 0.5 * RHO * V**2
-        ph, qh, rh = p * SPAN / (2 * V), q * CHORD / (2 * V), r * SPAN / (2 * V)
-        soft = 1 - e["surface_compliance"] * qd / 200.0
-        da_, dr_ = da * soft, dr * soft
-        over, wash = al - pitch.LEVEL, T / (qd * pitch.DISC)
-        slip = 1 + e["slipstream_rudder"] * T / (qd * AREA)
-        b_mom = np.where(e["indicial_lag"] > 0, eta, be)
-        ben = be + fin
-        CL = d["CL_0"] + d["CL_alpha"] * al * np.where(e["stall_separation"] > 0, ((1 + np.sqrt(X)) / 2) ** 2, 1.0)
-        CL = CL + d["CL_q"] * qh + d["CL_de"] * de
-        CL = CL + pitch.lift(d, e, over, al, be, da_, de, qd, wash)
-        CD = d["CD_0"] + d["CD_k"] * CL**2
-        CD = CD + pitch.drag(e, CL, al, be, da_, de, qh)
-        CY = (
-            d["CY_0"]
-            + d["CY_beta"] * be
-            + d["CY_p"] * ph
-            + d["CY_r"] * rh
-            + d["CY_dr"] * slip * dr_
-            + e["CY_da"] * da_
-            + e["CY_beta3"] * be**3
-        )
-        Cl = (d["Cl_0"] + d["Cl_beta"] * b_mom + d["Cl_p"] * ph * (0.4 + 0.6 * X) + d["Cl_r"] * rh + d["Cl_da"] * da_
-              + d["Cl_dr"] * slip * dr_ + e["Cl_alpha_beta"] * al * be + e["Cl_da_de"] * da_ * de
-              + e["Cl_beta3"] * be**3 + e["Cl_da3"] * da_**3 + e["Cl_p_abs_p"] * ph * np.abs(ph)
-              + pitch.rolling(e, over, da_, ph))  # fmt: skip
-        Cn = (d["Cn_0"] + d["Cn_beta"] * b_mom + d["Cn_p"] * ph + d["Cn_r"] * rh + d["Cn_dr"] * slip * dr_
-              + e["Cn_da"] * da_ + e["Cn_alpha_beta"] * al * be + e["Cn_beta3"] * be**3 + e["Cn_dr3"] * dr_**3
-              + 0.6 * d["Cn_beta"] * (ben - be) + pitch.yawing(e, over, da_, dr_, ph))  # fmt: skip
-        Cm = d["Cm_0"] + d["Cm_alpha"] * al + d["Cm_q"] * qh + d["Cm_de"] * de
-        Cm = Cm + pitch.pitching(d, e, over, be, da_, de, qd, wash)
-        signals = {"beta": be, "p_hat": ph, "q_hat": qh, "r_hat": rh, "alpha": al, "V": V,
-                   "delta_a": da, "delta_e": de, "delta_r": dr}  # fmt: skip
-        parts = dict.fromkeys(("CL", "CD", "CY", "Cl", "Cm", "Cn"), np.zeros(n))
-        hidden_dot = np.zeros(n)
-        for one, flights in hidden.items():
-            part = one.of(signals)
-            if one.memory:
-                hidden_dot = np.where(flights, (part - x[18]) / one.memory, hidden_dot)
-                part = x[18]
-            parts[one.line] = parts[one.line] + np.where(flights, part, 0.0)
-        CL, CD, CY, Cl, Cm, Cn = (c + m for c, m in zip((CL, CD, CY, Cl, Cm, Cn), parts.values(), strict=True))
-        CX, CZ = CL * np.sin(al) - CD * np.cos(al), -CL * np.cos(al) - CD * np.sin(al)
-        up = e["thrust_tilt"]
-        ax, ay, az = (
-            (qd * AREA * CX + T * np.cos(up)) / MASS,
-            qd * AREA * CY / MASS,
-            (qd * AREA * CZ - T * np.sin(up)) / MASS,
-        )
-        if (e["CL_alphadot"] != 0).any():  # lift from the rate that it changes itself: passes until it stands
-            still_x, still_z, polar = ax, az, np.where(e["CL_alphadot"] != 0, d["CD_k"], 0.0)
-            for _ in range(4):
-                back = ww * (r * vv - q * ww - G * st + ax) - uu * (q * uu - p * vv + G * ct * cp + az)
-                more = e["CL_alphadot"] * (-back / (uu**2 + ww**2)) * CHORD / (2 * V)
-                drags = polar * ((CL + more) ** 2 - CL**2)  # all lift pays for itself
-                ax = still_x + qd * AREA / MASS * (more * np.sin(al) - drags * np.cos(al))
-                az = still_z - qd * AREA / MASS * (more * np.cos(al) + drags * np.sin(al))
-        shear = e["wind_shear"] * hdot  # rate of change of the east wind met while climbing
-        bx, by = -shear * np.sin(psi) * ct, -shear * np.cos(psi) * cp
-        udot = r * vv - q * ww - G * st + ax + bx
-        vdot = p * ww - r * uu + G * ct * sp + ay + by
-        wdot = q * uu - p * vv + G * ct * cp + az
-        bdot_ = (vdot - 0.0) / V  # small angles are enough for an added damping term
-        bdh = bdot_ * SPAN / (2 * V)
-        Cl = Cl + e["Cl_betadot"] * bdh
-        Cn = Cn + e["Cn_betadot"] * bdh
-        L = qd * AREA * SPAN * Cl - e["lateral_cg"] * MASS * az + e["motor_torque"] * T * (-1)
-        N = qd * AREA * SPAN * Cn + e["prop_gyroscopic"] * q - e["p_factor"] * T * al + e["lateral_cg"] * MASS * ax
-        aldot = (wdot * uu - udot * ww) / (uu**2 + ww**2)
-        Cm = Cm + e["Cm_alphadot"] * aldot * CHORD / (2 * V)
-        M = qd * AREA * CHORD * Cm - e["prop_gyroscopic"] * r + e["thrust_z"] * T - x_["pitch_slosh"] * 0.25 * slosh
-        L = L - x_["pendulum"] * 0.35 * pen
-        roll = L + Ixz * p * q - (Izz - Iyy) * q * r
-        yaw = N - Ixz * q * r - (Iyy - Ixx) * p * q
-        pdot, rdot = (Izz * roll + Ixz * yaw) / det, (Ixx * yaw + Ixz * roll) / det
-        qdot = (M + (Izz - Ixx) * p * r - Ixz * (p**2 - r**2)) / Iyy
-        phidot, thdot = p + np.tan(th) * (q * sp + r * cp), q * cp - r * sp
-        psidot = (q * sp + r * cp) / ct
-        etadot = (be - eta) / lag_tau
-        astar = np.where(e["stall_separation"] > 0, e["stall_separation"], 1.0)
-        Xdot = np.where(e["stall_separation"] > 0, (0.5 * (1 - np.tanh(25 * (al - astar))) - X) / 0.15, 0.0)
-        findd = np.where(
-            x_["flexible_fin"] > 0, (14.0**2) * (-x_["flexible_fin"] * 1.2 * (be + dr) - fin) - 3.0 * find, 0
-        )
-        pendd = np.where(x_["pendulum"] > 0, -(6.0**2) * pen - 0.8 * pend + 6.0 * ay + 1.5 * pdot, 0.0)
-        sloshdd = np.where(x_["pitch_slosh"] > 0, -(9.0**2) * slosh - 0.8 * sloshd + 6.0 * (ax - 1.0) + 1.5 * qdot, 0.0)
-        rate = np.stack([udot, vdot, wdot, pdot, qdot, rdot, phidot, thdot, psidot, hdot, etadot, Xdot, find, findd,
-                         pend, pendd, sloshd, sloshdd, hidden_dot])  # fmt: skip
-        return rate, {"ax": ax, "ay": ay, "az": az, "alpha": al, "beta": be, "V": V, "pdot": pdot, "rdot": rdot,
-                      "qdot": qdot}  # fmt: skip
-
+    step, run = _step_of(d, inertia, e, x_, hidden).buffer()
+    given = [np.zeros((n, rows)) for rows in (len(STATES), 4, 3)]
+    made = [np.zeros((n, rows)) for rows in (len(STATES), len(OBSERVED))]
+    for i, there in enumerate(given):
+        step.set_arg(i, memoryview(there))
+    for i, there in enumerate(made):
+        step.set_res(i, memoryview(there))
     for k in range(steps):
         phi, p, th, q, _r = x[6], x[3], x[7], x[4], x[5]
         pilot += dt / 0.25 * (np.stack([0.10 * phi + 0.02 * p, 0.05 * (th - a0) + 0.02 * q]) - pilot)
@@ -347,19 +385,18 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
         g[1] += x_["vertical_burst"] * V0 * 1.5 * DEG * (burst * np.sin(np.pi * (k / RATE - 14.0) / 3.0))
         short = (k > 14.0 * RATE) & (k < 14.8 * RATE)
         g[0] += x_["short_burst"] * V0 * 2.5 * DEG * (short * np.sin(np.pi * (k / RATE - 14.0) / 0.8))
-        args = (act[0], act[1], elevator.step(k, servo[2]), pull * (1 + e["thrust_scale"]), g)
-        k1, obs = rhs(x, *args)
-        for name in ("ax", "ay", "az", "alpha", "beta", "V", "pdot", "rdot", "qdot"):
-            out[name][k] = obs[name]
+        surfaces = (act[0], act[1], elevator.step(k, servo[2]), pull * (1 + e["thrust_scale"]))
+        for there, values in zip(given, (x, surfaces, g), strict=True):
+            there.T[:] = values
+        run()
+        for name, row in zip(OBSERVED, made[1].T, strict=True):
+            out[name][k] = row
         for name, i in (("p", 3), ("q", 4), ("r", 5), ("phi", 6), ("theta", 7), ("psi", 8), ("altitude", 9)):
             out[name][k] = x[i]
         before = line[:, max(k - 1, 0)]
         out["delta_a"][k], out["delta_r"][k] = np.where(centred, 0.5 * (servo[:2] + before), servo[:2])
         out["delta_e"][k], out["thrust"][k] = servo[2], thrust
-        k2, _ = rhs(x + dt / 2 * k1, *args)
-        k3, _ = rhs(x + dt / 2 * k2, *args)
-        k4, _ = rhs(x + dt * k3, *args)
-        x = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        x = made[0].T.copy()
     return out
 
 

@@ -1,10 +1,11 @@
 """The pitching plane of the second truth: hidden effects of lift, drag, thrust, elevator, their instruments, across planes.
 
 Physics with sizes, written from the textbook and sharing no code with `firmware_sim` or `estimation`. Angles of attack count
-from level flight at 16.5 m/s. `second_truth` flies it: all values are arrays over flights.
+from level flight at 16.5 m/s. `second_truth` flies it: coefficients are expressions of one flight, all else arrays over flights.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,8 +61,8 @@ class Elevator:
         return np.where(dead > 0, np.sign(moved) * np.maximum(np.abs(moved) - dead, 0.0), moved)
 
 
-def lift(d: Mapping[str, Array], e: Mapping[str, Array], over: Array, al: Array, be: Array, da: Array, de: Array, qd: Array,
-         wash: Array) -> Array:  # fmt: skip
+def lift(d: Mapping[str, float], e: Mapping[str, float], over: Any, al: Any, be: Any, da: Any, de: Any, qd: Any,
+         wash: Any) -> Any:  # fmt: skip
     """Lift beyond the linear one. over: angle of attack above LEVEL; wash: T/(q A) of the propeller's disc."""
     wing = d["CL_alpha"] * al
     made = e["CL_alpha2"] * over**2 + e["CL_alpha3"] * over**3 + e["CL_de3"] * de**3
@@ -70,13 +71,13 @@ def lift(d: Mapping[str, Array], e: Mapping[str, Array], over: Array, al: Array,
     return made + d["CL_de"] * de * _elevator_gain(e, qd, wash)
 
 
-def _elevator_gain(e: Mapping[str, Array], qd: Array, wash: Array) -> Array:
-    return np.asarray(e["propwash_elevator"] * wash - e["elevator_compliance"] * (qd / 200.0 - 1.0))
+def _elevator_gain(e: Mapping[str, float], qd: Any, wash: Any) -> Any:
+    return e["propwash_elevator"] * wash - e["elevator_compliance"] * (qd / 200.0 - 1.0)
 
 
-def drag(e: Mapping[str, Array], CL: Array, al: Array, be: Array, da: Array, de: Array, qh: Array) -> Array:
+def drag(e: Mapping[str, float], CL: Any, al: Any, be: Any, da: Any, de: Any, qh: Any) -> Any:
     """Drag beyond the parabolic polar."""
-    return np.asarray(
+    return (
         e["CD_CL"] * CL
         + e["CD_alpha4"] * al**4
         + e["CD_de2"] * de**2
@@ -87,20 +88,20 @@ def drag(e: Mapping[str, Array], CL: Array, al: Array, be: Array, da: Array, de:
 
 
 def pitching(
-    d: Mapping[str, Array], e: Mapping[str, Array], over: Array, be: Array, da: Array, de: Array, qd: Array, wash: Array
-) -> Array:
+    d: Mapping[str, float], e: Mapping[str, float], over: Any, be: Any, da: Any, de: Any, qd: Any, wash: Any
+) -> Any:
     """Pitching moment coefficient beyond the linear one, without its part from the rate of angle of attack."""
     made = e["Cm_alpha2"] * over**2 + e["Cm_alpha3"] * over**3 + e["Cm_de3"] * de**3 + e["Cm_alpha_de"] * over * de
     made = made + e["Cm_beta2"] * be**2 + e["Cm_da2"] * da**2
-    return np.asarray(made + d["Cm_de"] * de * _elevator_gain(e, qd, wash))
+    return made + d["Cm_de"] * de * _elevator_gain(e, qd, wash)
 
 
-def rolling(e: Mapping[str, Array], over: Array, da: Array, ph: Array) -> Array:
-    return np.asarray(over * (e["Cl_alpha_da"] * da + e["Cl_alpha_p"] * ph))
+def rolling(e: Mapping[str, float], over: Any, da: Any, ph: Any) -> Any:
+    return over * (e["Cl_alpha_da"] * da + e["Cl_alpha_p"] * ph)
 
 
-def yawing(e: Mapping[str, Array], over: Array, da: Array, dr: Array, ph: Array) -> Array:
-    return np.asarray(over * (e["Cn_alpha_da"] * da + e["Cn_alpha_dr"] * dr + e["Cn_alpha_p"] * ph))
+def yawing(e: Mapping[str, float], over: Any, da: Any, dr: Any, ph: Any) -> Any:
+    return over * (e["Cn_alpha_da"] * da + e["Cn_alpha_dr"] * dr + e["Cn_alpha_p"] * ph)
 
 
 def schedule(

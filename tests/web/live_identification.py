@@ -25,7 +25,7 @@ from groundstation.viewer.blueprint import blueprint, fitted
 from groundstation.viewer.scene import Scene
 from sideslip.live_aircraft import live_aircraft
 from tests.support.paths import ROOT
-from tests.web.screenshot import take
+from tests.web.screenshot import after, take
 
 FLIGHT = ROOT / "recordings" / "cdfp_ld4_raw.mcap"
 
@@ -75,7 +75,7 @@ def main() -> None:
         recorded(rrd)
         page = WebPage(rrd, free_port())
         try:
-            take(page.url, target, size=(1280, 800), at=0.79, apart_s=10.0)
+            take(page.url, target, size=(1280, 800), at=0.79, drawn=after(10.0))
         finally:
             page.close()
     print(target)

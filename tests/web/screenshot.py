@@ -7,6 +7,7 @@ import os
 import shutil
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,6 @@ ARGUMENTS = (
 )
 TIME_LINE_UP = 15  # pixels from the lower edge of the page to the time line
 TIME_LINE = (0.24, 0.82)  # where it begins and ends, as shares of the page's width
-SETTLING_MS = 6000  # the layout comes behind the first data of a recording, on a busy machine by seconds
 COLOURFUL = 1500  # saturated pixels that make a page count as drawn
 
 
@@ -56,19 +56,26 @@ def saturated(png: Path) -> int:
     return int(((rgb.max(axis=2) - rgb.min(axis=2)) > 60).sum())
 
 
+def colourful(png: Path) -> bool:
+    """Whether a picture of the viewer has something drawn."""
+    return saturated(png) > COLOURFUL
+
+
 def take(
     url: str,
     target: Path,
     *,
+    drawn: Callable[[Path], bool] = colourful,
     times: int = 1,
     apart_s: float = 5.0,
     wait_s: float = 75.0,
     size: tuple[int, int] = (960, 540),
     at: float | None = None,
 ) -> list[Path]:
-    """Open a page, wait until something is drawn, and take `times` pictures `apart_s` apart.
+    """Open a page, wait until a picture of it is as `drawn` says, and take `times` pictures `apart_s` apart.
 
-    at: before that, click on the time line so far to its right (share of the page's width).
+    at: as soon as something is drawn, click on the time line so far to its right (share of the page's width). The layout comes
+    behind the first data of a recording, on a busy machine by seconds: what waits for letters says so in `drawn`.
     """
     from playwright.sync_api import sync_playwright
 
@@ -79,15 +86,18 @@ def take(
         page.route("**/*", lambda route: route.continue_() if "//127.0.0.1" in route.request.url else route.abort())
         page.goto(url, wait_until="commit")
         deadline = time.monotonic() + wait_s
-        while time.monotonic() < deadline:
-            page.wait_for_timeout(1500)
-            page.screenshot(path=str(target))
-            if saturated(target) > COLOURFUL:
-                break
-        page.wait_for_timeout(SETTLING_MS)
+
+        def wait_until(right: Callable[[Path], bool]) -> None:
+            while time.monotonic() < deadline:
+                page.wait_for_timeout(1000)
+                page.screenshot(path=str(target))
+                if right(target):
+                    break
+
         if at is not None:
+            wait_until(colourful)
             page.mouse.click(at * size[0], size[1] - TIME_LINE_UP)
-            page.wait_for_timeout(1000 * apart_s)
+        wait_until(drawn)
         for number in range(times):
             if number:
                 page.wait_for_timeout(1000 * apart_s)
@@ -129,6 +139,18 @@ def film(
     return target
 
 
+def after(seconds: float) -> Callable[[Path], bool]:
+    """Something is drawn, and was `seconds` ago: for pictures that people look at."""
+    first: list[float] = []
+
+    def settled(png: Path) -> bool:
+        if colourful(png) and not first:
+            first.append(time.monotonic())
+        return bool(first) and time.monotonic() > first[0] + seconds
+
+    return settled
+
+
 def picture(recording: Path, target: Path, **options: Any) -> Path:
     """The full page of a recorded flight, as `sideslip view` shows it."""
     from groundstation.viewer.live import free_port
@@ -156,7 +178,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         fly_scenario(load_scenario("cdfp_ld4").altered(radio=DEMO_RADIO), Path(scratch), seed=4)
         (received,) = (Path(scratch) / "ground").glob("aircraft*.mcap")
-        picture(received, target, size=(1600, 960), at=0.585, apart_s=8.0)
+        picture(received, target, size=(1600, 960), at=0.585, drawn=after(8.0))
         shown = WebPage(as_rrd(received, Path(scratch) / "film.rrd"), free_port())
         try:
             film(shown.url, target.with_suffix(".webp"))

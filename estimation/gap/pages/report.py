@@ -176,7 +176,6 @@ def history_figure(h: Histories, result: GapResult) -> Picture:
             axis.set_title(title, loc="left")
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")
-        figure.align_ylabels()
     suffix = ", held out" if h.holdout else ""
     points = 5 * h.time.size * len(result.outputs)
     return picture(

@@ -117,7 +117,6 @@ def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
             axes[-1].legend(loc="upper right", ncols=3)
         draw_marks(axes, f.flight)
         axes[-1].set_xlabel("time [s]")
-        figure.align_ylabels()
     points = first.time.size * rows * (1 + len(fits))
     caption = f"{f.flight.name}: measured and estimated motion with the controls{' (Figure 9 of the paper)' if of_paper else ''}"
     simulation_note = ". All methods' curves are simulated from their estimates." if len(fits) > 1 else "."
@@ -178,7 +177,6 @@ def proof_figure(proofs: Sequence[tuple[str, "ProofOfMatch"]], refitted: str, of
             _channels(axes[:, j], proof.result.model, proof, {"predicted": proof.predicted})
             axes[0][j].set_title(literal(f"{proof.name} predicted by {donor}"), loc="left")
             axes[-1][j].set_xlabel("time [s]")
-        figure.align_ylabels()
     points = sum(2 * p.time.size * rows for _, p in proofs)
     caption = "Proof of match: measured and predicted, derivatives frozen at another flight's estimates, "
     caption += f"{refitted} refitted{' (Figure 10 of the paper)' if of_paper else ''}."

@@ -39,6 +39,7 @@ WIDTH = 11.6  # inches of a figure as wide as the page; the margins of a grid's 
 SIDES = (0.82, 0.12)  # a name and numbers of five digits; half a number
 ABOVE_ROWS, BELOW_ROWS = 0.32, 0.5  # a title or a legend; numbers and a name
 BETWEEN, BESIDE, BESIDE_SCALES = 0.16, 0.18, 0.72  # rows; columns, which write no numbers or write them
+BESIDE_NUMBERS, BELOW_NUMBERS = 0.58, 0.26  # where names begin, from the axes: clear of numbers of five digits
 
 ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
 """Where a legend stands clear of the curves."""
@@ -104,15 +105,17 @@ def grid(
     *,
     own_scales: bool = False,
     sides: tuple[float, float] = SIDES,
+    beside: float = BESIDE_NUMBERS,
     **shared: Any,
 ) -> "tuple[Figure, Any]":
     """(figure, (rows, columns) axes) a page wide. height: of a row [inches]; own_scales: each axes writes its own ordinate, else
-    the first of a row does; sides: margins left and right [inches]; shared: of matplotlib's `subplots`.
+    the first of a row does; sides: margins left and right, beside: from axes to names [inches]; shared: of `subplots`.
 
-    Margins are lengths, so that nothing need be laid out: matplotlib's layouts draw every letter three times before it is drawn,
-    half of the time of a report.
+    Margins and places of names are lengths, so that nothing need be laid out: matplotlib's layouts draw every letter three times
+    before it is drawn, half of the time of a report, and a name that looks for its place measures every number of every row.
     """
     from matplotlib.figure import Figure
+    from matplotlib.transforms import ScaledTranslation
 
     size = WIDTH, rows * height + ABOVE_ROWS + BELOW_ROWS
     across, down = BESIDE_SCALES if own_scales else BESIDE, BETWEEN
@@ -122,7 +125,15 @@ def grid(
         left=sides[0] / size[0], right=1.0 - sides[1] / size[0], bottom=BELOW_ROWS / size[1], top=1.0 - ABOVE_ROWS / size[1],
         wspace=across / width, hspace=down / (height - down * (rows - 1) / rows),
     )  # fmt: skip
-    return figure, figure.subplots(rows, columns, squeeze=False, **shared)
+    axes = figure.subplots(rows, columns, squeeze=False, **shared)
+    for axis in axes.flat:
+        axis.set_title("", y=1.0)
+        for name, place, x, y in (
+            (axis.xaxis, (0.5, 0.0), 0.0, -BELOW_NUMBERS),
+            (axis.yaxis, (0.0, 0.5), -beside, 0.0),
+        ):
+            name.set_label_coords(*place, axis.transAxes + ScaledTranslation(x, y, figure.dpi_scale_trans))
+    return figure, axes
 
 
 def legend_above(figure: "Figure", axes: Iterable[Any], columns: int) -> None:

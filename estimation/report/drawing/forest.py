@@ -20,6 +20,7 @@ MARKS = (
     ("truth", "*", TRUTH, "truth"),
 )
 STRIP, ROW = 0.46, 0.25  # inches of a channel, and of a derivative
+BESIDE_FEW = 0.38  # inches from axes to names, clear of numbers of three digits
 BESIDE_STRIP = (1.15, 0.62)  # inches, for a channel's name that lies and its r2
 
 
@@ -73,7 +74,7 @@ def strips_figure(result: "Result") -> Picture | None:
     if not outputs:
         return None
     with styled():
-        figure, axes = grid(len(outputs), 1, STRIP, sides=BESIDE_STRIP, sharex=True)
+        figure, axes = grid(len(outputs), 1, STRIP, sides=BESIDE_STRIP, beside=BESIDE_FEW, sharex=True)
         axes = axes[:, 0]
         for i, (axis, signal) in enumerate(zip(axes, outputs, strict=True)):
             factor, unit = face(signal.name, signal.unit)
@@ -85,6 +86,5 @@ def strips_figure(result: "Result") -> Picture | None:
             text = "" if match is None or not np.isfinite(match.r2) else f"$r^2$ {match.r2:.3f}"
             axis.text(1.005, 0.5, text, transform=axis.transAxes, va="center", fontsize=8)
         axes[-1].set_xlabel("time [s]")
-        figure.align_ylabels()
     caption = f"{literal(fit.name)}: measured (dots) and estimated motion by {result.method}."
     return picture(figure, "strips", caption, 2 * fit.time.size * len(outputs))

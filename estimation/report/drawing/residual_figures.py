@@ -49,7 +49,6 @@ def residual_figure(model: "Model", result: Result) -> Picture:
         ):
             axes[0][column].set_title(title)
             axes[-1][column].set_xlabel(axis_text)
-        figure.align_ylabels()
     return picture(
         figure,
         f"residuals_{fit.name}",
@@ -87,6 +86,7 @@ def _spectrum(axis: Any, residual: Array, step: float, colour: str) -> None:
     axis.axhline(1.0, color="0.4", lw=0.8, ls="--")
     axis.set_yscale("log")
     axis.minorticks_off()
+    axis.yaxis.set_major_formatter("{x:g}")
     axis.set_ylim(1e-2, max(30.0, 1.5 * float(density.max())))
 
 
@@ -110,7 +110,6 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
                 axes[i][j].axhline(0, color="0.4", lw=0.6)
                 axes[-1][j].set_xlabel(f"${tex(column)}$ [deg]")
             axes[i][0].set_ylabel(axis_label(signal.name, unit))
-        figure.align_ylabels()
     caption = (
         f"{fit.name}, {result.method}: residuals against incidence, sideslip and surfaces. Black: means of {BINS} equally filled "
         "bins with 95 % of what white noise of this size would leave; a bend that leaves them is a term the model lacks."

@@ -101,18 +101,19 @@ def test_bounds_hold_the_truth(offset: float) -> None:
 
 @pytest.mark.long
 def test_bounds_hold_the_truth_of_the_second_simulator() -> None:
-    """Thrust measured, gusts, sensors noisy: three flights at three speeds, 40 sets."""
+    """Thrust measured, gusts, sensors noisy: three flights at three speeds, 16 sets: 14 inside, where bounds of half the size
+    would leave 14 or more with a chance of 4 %."""
     flown = truth.fly(
-        [truth.Request(700 + 3 * i + j, 13.0 + 3.0 * j, manoeuvres="longitudinal") for i in range(40) for j in range(3)]
+        [truth.Request(700 + 3 * i + j, 13.0 + 3.0 * j, manoeuvres="longitudinal") for i in range(16) for j in range(3)]
     )
     inside = {"CD_0": 0, "CD_k": 0}
-    for i in range(40):
+    for i in range(16):
         flights = [Flight.build(f"f{j}", c.pop("time"), c) for j, c in enumerate(flown[3 * i : 3 * i + 3])]
         polar = fitted(all_stretches([usable(f, load_aircraft("cdfp"), throttle_off=False) for f in flights]))
         for name in inside:
             low, high = polar[name].ends
             inside[name] += low <= truth.TRUE_DERIVATIVES[name] <= high
-    assert all(count >= 35 for count in inside.values()), inside
+    assert all(count >= 14 for count in inside.values()), inside
 
 
 def test_thrust_that_is_unknown_and_not_off_is_refused() -> None:

@@ -81,7 +81,7 @@ def test_a_control_is_doubted_by_all_its_derivatives(times: Mapping[str, float],
 
 
 def test_a_turned_column_is_told_before_what_the_gap_workflow_makes_of_it() -> None:
-    (flight,) = flights(truth.fly(requests({}, 5, 0.15, "rich"))[:1])
+    (flight,) = flights(truth.fly(requests({}, 5, 0.15, "rich")[:1]))
     turned = flight.with_columns(ay=-flight["ay"])
     result = run_gap(LATERAL, [turned], effects=(), options=Options(nulls=20))
     assert result.text.startswith(

@@ -163,7 +163,7 @@ def even() -> list[Flight]:
 
 @pytest.mark.long
 def test_an_effect_the_catalogue_does_not_hold_gets_a_shape_and_no_name(even: list[Flight], tmp_path: Path) -> None:
-    options = Options(seed=3, nulls=40, most=2)
+    options = Options(seed=3, nulls=20, most=2)
     asked = [e for e in catalogue() if e.name in NEAR]
     result = analyse(load_model("lateral", "cdfp"), even[:2], even[2:], asked, options,
                      lambda what, share: None, tmp_path / "report" / "models", tmp_path / "gap.json")  # fmt: skip

@@ -143,7 +143,7 @@ def test_fuel_that_swings_is_no_thrust_line() -> None:
     four = flights({"pitch_slosh": 1.0}, 5210)
     model = load_model("longitudinal", "cdfp")
     near = tuple(e for e in catalogue(model=model) if e.name in NEAR)
-    result = run_gap(model, four[:3], four[3:], near, Options(seed=1, nulls=40))
+    result = run_gap(model, four[:3], four[3:], near, Options(seed=1, nulls=20))
     assert result.verdict is GapVerdict.UNKNOWN
     assert [s.effect for s in result.steps] == ["unknown"]
     shape = result.steps[0].shape
