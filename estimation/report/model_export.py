@@ -134,7 +134,9 @@ def write_csv(rows: Sequence[ModelRow], out: Path) -> None:
     """One line a parameter; empty cells are unknown."""
     buffer = io.StringIO(newline="")
     writer = csv.writer(buffer)
-    writer.writerow(["parameter", "value", "unit", "std", "reference", "reference_std", "source", "told", "prior"])
+    writer.writerow(
+        ["parameter", "value", "unit", "std", "reference", "reference_std", "source", "identifiable", "prior"]
+    )
     for row in rows:
         writer.writerow(["" if v is None else v for v in asdict(row).values()])
     write_text(buffer.getvalue(), out)

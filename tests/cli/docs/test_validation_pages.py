@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.identification.monitor import threshold
 from groundstation.flight import write_flight
 from tests.cli.docs.blocks import commands_of, files_of, write_files
 from tests.cli.docs.follow import follow
@@ -73,7 +74,7 @@ def test_the_fleet_of_the_page_with_two_aircraft(tmp_path: Path) -> None:
     head, *aircraft = plan.read_text().split("[[simulate]]\n")
     assert len(aircraft) == 4
     text = "[[simulate]]\n".join([head, *(a for a in aircraft if "number 1" in a or "number 3" in a)])
-    plan.write_text(text.replace("-0.0853", "-0.052").replace("25.0", "18.0"))
+    plan.write_text(text.replace("-0.0853", "-0.052").replace("25.0", "18.0").replace("count = 6", "count = 4"))
     (command,) = commands_of(PAGES / "fleet.md")
     printed = follow(command, tmp_path, ROOT, limit_s=LONG_S)
     differing = re.findall(r"^\s*(\w+) \(ml\): .*?number (\d) less .*?number (\d) .*they differ", printed, flags=re.M)
@@ -86,8 +87,12 @@ def test_the_fleet_of_the_page_with_two_aircraft(tmp_path: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(2 * LONG_S)
-def test_a_fault_of_the_page_is_found_by_its_commands(tmp_path: Path) -> None:
-    """Three flights before it, and one whose right elevon sticks after 20 s."""
+def test_a_fault_of_the_page_is_found_by_its_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three flights before it, and one whose right elevon sticks after 20 s; of 32 s, where the study flies 52, and with
+    thresholds from a sixth of an hour."""
+    monkeypatch.setattr(faults, "FLIGHT_S", 32.0)
+    for constant, value in (("HOUR_S", 600.0), ("AT_ONCE", 24), ("FLIGHT_S", 25.0)):
+        monkeypatch.setattr(threshold, constant, value)
     for number, path in enumerate(faults.flown("none", faults.BEFORE, "lateral", tmp_path), 1):
         path.rename(tmp_path / f"before_{number}.csv")
     (path,) = faults.flown("elevon_stuck", [5], "lateral", tmp_path)

@@ -1,7 +1,6 @@
 """The answer comes first: on the page, on the console, in Python; details fold."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,10 +25,14 @@ def session() -> EstimationSession:
     return runner.estimate(load_model("lateral", aircraft), flights, aircraft, ["ml"])
 
 
-def test_the_first_screen_is_verdict_table_picture_fit_and_next_in_this_order(
-    session: EstimationSession, tmp_path: Path
-) -> None:
-    text = Estimates(session).report(tmp_path).read_text(encoding="utf-8")
+@pytest.fixture(scope="module")
+def page(session: EstimationSession, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The page of the report."""
+    return Estimates(session).report(tmp_path_factory.mktemp("report")).read_text(encoding="utf-8")
+
+
+def test_the_first_screen_is_verdict_table_picture_fit_and_next_in_this_order(page: str) -> None:
+    text = page
     marks = ['class="verdict-line"', 'id="answer"', 'id="forest"', 'id="strips"', "<b>Next</b>", "<details"]
     places = [text.index(mark) for mark in marks]
     assert places == sorted(places)
@@ -68,9 +71,8 @@ def test_the_console_has_the_same_order_and_gives_no_number_for_what_cannot_be_t
     assert float(low) < float(value) < float(high)
 
 
-def test_every_table_heads_the_corrected_bound_as_such(session: EstimationSession, tmp_path: Path) -> None:
+def test_every_table_heads_the_corrected_bound_as_such(session: EstimationSession, page: str) -> None:
     """`bound` is Cramer-Rao's, `corrected` the one to use: printed and on the page."""
-    page = Estimates(session).report(tmp_path).read_text(encoding="utf-8")
     answer = page[page.index('id="answer"') :]
     assert "± corrected</th>" in answer[: answer.index("</table>")]
     lines = list(session_lines(session))

@@ -26,6 +26,8 @@ def test_csv_and_json_hold_every_parameter_with_unit_and_source(model: Path, tmp
     parameters = load_model("lateral", "cdfp").parameters
     assert [r["parameter"] for r in rows] == [p.name for p in parameters]
     assert {r["parameter"]: r["unit"] for r in rows}["Cl_p"] == "1/rad"
+    assert {r["identifiable"] for r in rows} == {"True"}
+    assert all(None not in r for r in rows)  # no cell beyond the header
     content = json.loads((tmp_path / "m.json").read_text())
     assert [p["value"] for p in content["parameters"]] == [p.start for p in parameters]
 

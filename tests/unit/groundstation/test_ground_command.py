@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sideslip
+from daq.identification.monitor import threshold
 from daq.utilities.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.models import load_model
@@ -69,8 +70,14 @@ def test_ports_that_cannot_be_are_named(
 
 
 def test_a_model_to_be_held_against_flight_is_looked_for_at_the_start(
-    config: Path, root: Path, capsys: pytest.CaptureFixture[str]
+    config: Path, root: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for constant, value in (
+        ("HOUR_S", 600.0),
+        ("AT_ONCE", 24),
+        ("FLIGHT_S", 25.0),
+    ):  # thresholds from a sixth of the flights
+        monkeypatch.setattr(threshold, constant, value)
     recording = str(root / "recordings" / "cdfp_ld1_raw.mcap")
     command = ["ground", str(config), "--replay", recording, "--speed", "max", "--model"]
     code, said = ended([*command, "nowhere.toml"], capsys)

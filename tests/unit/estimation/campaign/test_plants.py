@@ -8,7 +8,10 @@ from groundstation.flight import read_flight
 from groundstation.flight.quality.report import quality_report
 from tests.studies.campaign_plants import fly, judged, told
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]  # forty flights are flown and estimated
+pytestmark = [
+    pytest.mark.study,
+    pytest.mark.timeout(600),
+]  # forty flights; each decision on tables alone: test_groups.py
 
 FLIGHTS = 40
 

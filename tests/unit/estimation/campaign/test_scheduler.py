@@ -20,7 +20,7 @@ WORDS = (
     "--method",
     "ml",
     "--bootstrap",
-    "10",
+    "4",
     "--joint",
     "--match",
     "--envelope",

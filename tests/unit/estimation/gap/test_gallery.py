@@ -9,7 +9,7 @@ from tests.studies.gap_gallery import HIDDEN, KINDS, ROWS, judged, one_line, out
 L17 = next(k for k in KINDS if k.name == "L17")
 
 
-@pytest.mark.long
+@pytest.mark.study
 def test_a_log_of_commands_of_an_aircraft_without_beliefs() -> None:
     """1.3 t, 20 Hz, no derivative believed: the servos are named with their 40 ms, and yaw by aileron, which the L-17 has."""
     found = outcome(L17, ROWS[0], "commands", 1, 40)

@@ -108,7 +108,6 @@ def test_sideslip_nobody_measured_is_not_missed(hidden: tuple[str, ...], named: 
     assert "beta" not in result.outputs
 
 
-@pytest.mark.long
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("model", "seed", "hidden", "named"),
@@ -125,7 +124,7 @@ def test_sideslip_nobody_measured_is_not_missed(hidden: tuple[str, ...], named: 
             ],
         ),
         pytest.param("longitudinal", 955, (), [], marks=pytest.mark.study),
-        ("longitudinal", 957, ("elevator_lag",), ["elevator_lag"]),
+        pytest.param("longitudinal", 957, ("elevator_lag",), ["elevator_lag"], marks=pytest.mark.study),
     ],
 )
 def test_logs_without_vanes(

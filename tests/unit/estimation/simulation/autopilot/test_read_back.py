@@ -200,11 +200,11 @@ def test_a_coefficient_that_was_changed_is_named(tmp_path: Path) -> None:
     changed = {"Cl_p": 1.35 * truth.TRUE_DERIVATIVES["Cl_p"]}
     paths = []
     for i, columns in enumerate(
-        truth.fly([truth.Request(60 + i, 15.0 + 1.5 * i, derivatives=changed) for i in range(3)])
+        truth.fly([truth.Request(60 + i, 15.0 + 1.5 * i, derivatives=changed, duration=20.0) for i in range(3)])
     ):
         write_flight(Flight.build(f"f{i}", columns.pop("time"), columns), tmp_path / f"f{i}.csv")
         paths.append(str(tmp_path / f"f{i}.csv"))
-    words = ["gap", *paths[:2], "--holdout", paths[2], "--simulation", f"ardupilot:{tmp_path / 'own.json'}", "--nulls", "30",
+    words = ["gap", *paths[:2], "--holdout", paths[2], "--simulation", f"ardupilot:{tmp_path / 'own.json'}", "--nulls", "20",
              "--json", str(tmp_path / "gap.json")]  # fmt: skip
     done = CliRunner().invoke(cli, words, catch_exceptions=False)
     assert done.exit_code == 0, done.output
