@@ -12,7 +12,7 @@ from daq.utilities.outputs import tried_file, write_json
 if TYPE_CHECKING:
     from daq.contract.recordings.accounting import Verification
 
-_JSON = json_option("Also write the result as JSON to PATH.")
+_JSON = json_option()
 _RECORDING = click.argument("recording", metavar="FILE", type=click.Path(path_type=Path))
 
 
@@ -29,7 +29,8 @@ def info_lines(recording: Path, result: Mapping[str, Any]) -> Iterator[str]:
         yield f"{part['file']}: {part['kind']}, {part['source']}, aircraft {part['aircraft'] or 'not named'}{session}"
         yield (
             f"  {part['scans']} scans in {part['duration_s']:.2f} s, {part['rate_hz']:.2f} Hz, "
-            f"numbers {part['first_scan']} to {part['last_scan']}, recorded by sideslip {part['software']}"
+            f"numbers {part['first_scan']} to {part['last_scan']}"
+            + (f", recorded by sideslip {part['software']}" if part["software"] else "")
         )
     if not result["sound"]:
         yield f"  damaged or not closed in order: see 'sideslip verify {recording}'"

@@ -69,9 +69,7 @@ VERBS: dict[str, Verb] = {
     ),
     "frequency": Verb("sideslip.verbs.frequency", "frequency", "Frequency responses with error, fits and figures."),
     "design": Verb("sideslip.verbs.design", "design", "Inputs designed from what is known, under limits."),
-    "aircraft": Verb(
-        "sideslip.verbs.aircraft", "aircraft", "A file for an aircraft of one's own, and what it is good for."
-    ),
+    "aircraft": Verb("sideslip.verbs.aircraft", "aircraft", "Your aircraft in one file, and what it is good for."),
     "campaign": Verb("sideslip.verbs.campaign", "campaign", "Hundreds of flights, resumable, into tables to query."),
     "watch": Verb("sideslip.verbs.watch", "watch", "When a model stopped describing the aircraft in flight."),
     "gap": Verb("sideslip.verbs.gap", "gap", "Find, name and close the gap between model and flight."),

@@ -30,18 +30,18 @@ NEXT: Mapping[str, str] = {
     "export": "open {out} in the program it is for",
     "check": "sideslip estimate {file}",
     "reconstruct": "sideslip estimate {out}",
-    "match": "sideslip gap {file2}, for what the model leaves out",
+    "match": "sideslip gap {flight} --model {model}, for what the model leaves out",
     "performance": "sideslip estimate {file} --model longitudinal",
     "frequency": "sideslip estimate {file} --method ml-frequency",
     "design": "sideslip fly nominal --manoeuvre {out}, before the aircraft flies it",
     "aircraft": "sideslip estimate FLIGHT --aircraft {rest[1]}",
     "campaign": "open {out}/report/index.html",
-    "watch": "sideslip gap {file}, for what an alarm was about",
+    "watch": "no alarm: watch the next flight with the same model",
     "gap": "sideslip match the child model FLIGHT, on a flight that was not used",
     "doctor": "sideslip demo",
 }
-"""Verb -> what to do after it. {file}, {file2}: the first and second file on the command line; {out}: what it wrote;
-{rest}: the words behind the verb.
+"""Verb -> what to do after it. {file}: the first file on the command line; {flight}: the first that is no TOML file; {model}:
+the first word behind the verb; {out}: what it wrote; {rest}: the words behind the verb.
 
 `estimate`, `ground` and `info` say it themselves, from what they found."""
 
@@ -50,6 +50,8 @@ AFTER_A_FAILED_CHECK: Mapping[str, str] = {
     "verify": "sideslip recover {file} -o recovered.mcap",
     "check": "sideslip view {file}, where it fails",
     "aircraft": "write in {file} what is missing, then sideslip aircraft check {file}",
+    "watch": "",  # the answer names the command
+    "performance": "glides from near the slowest to near the fastest speed, then sideslip performance again",
 }
 """The same where the answer is a failed check, if that is something else."""
 
@@ -61,10 +63,13 @@ WITH_OPTION: Mapping[tuple[str, str], str] = {
     ("import", "--recipe"): "sideslip import {file} --draft-map -o map.toml",
     ("aircraft", "new"): "",  # the verb says it itself
     ("check", "--write"): "sideslip estimate {out}/{stem}.mcap",
+    ("campaign", "--no-report"): "query {out}/results/*.parquet, as docs/campaign.md shows",
 }
 """The same for an option, or a word, with which a verb does something else."""
 
 OUTPUTS = ("-o", "--output", "--out", "--write")
+BESIDE = ("--aircraft", "--map", "--calibration", "--plan", "--config", "--limits", "--json", "--figure", "--rrd")
+"""Options whose value is a file and not the one that the verb is about."""
 
 
 def next_line(words: Sequence[str], *, failed: bool) -> str:
@@ -72,17 +77,32 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
     if not words or {"-h", "--help"} & {*words}:
         return ""
     verb, rest = words[0], words[1:]
-    text = (AFTER_A_FAILED_CHECK if failed else {}).get(verb) or NEXT.get(verb, "")
+    text = (AFTER_A_FAILED_CHECK if failed else {}).get(verb, NEXT.get(verb, ""))
     if not failed:
         text = next((t for (v, option), t in WITH_OPTION.items() if v == verb and option in rest), text)
     out = next((b for a, b in zip(rest, rest[1:], strict=False) if a in OUTPUTS), "demo" if verb == "demo" else "OUT")
-    files = [w for w in rest if w != out and not w.startswith("-") and Path(w).is_file()]
-    file = _or(files, 0, "FLIGHT")
-    return text.format(out=out, file=file, file2=_or(files, 1, "FLIGHT"), rest=rest, stem=Path(file).stem)
+    beside = {b for a, b in zip(rest, rest[1:], strict=False) if a in BESIDE}
+    files = [w for w in rest if w not in (out, *beside) and not w.startswith("-") and Path(w).is_file()]
+    file = next(iter(files), "FLIGHT")
+    flight = next((w for w in files if not w.endswith(".toml")), "FLIGHT")
+    model = next((w for w in rest[:1] if not w.startswith("-")), "MODEL.toml")
+    line = text.format(out=out, file=file, flight=flight, model=model, rest=rest, stem=Path(file).stem)
+    estimates = text.startswith(("sideslip estimate {file}", "sideslip estimate {out}"))
+    return line + _whose(rest, line.split()[2]) if estimates else line
 
 
-def _or(files: Sequence[str], place: int, word: str) -> str:
-    return files[place] if place < len(files) else word
+def _whose(rest: Sequence[str], flight: str) -> str:
+    """The --aircraft that an estimate of a flight needs: as given before, or to be written where the flight names none."""
+    from daq.utilities.errors import UserError
+    from groundstation.flight import read_flight
+
+    named = next((b for a, b in zip(rest, rest[1:], strict=False) if a == "--aircraft"), "")
+    if named or not Path(flight).is_file():
+        return f" --aircraft {named}" if named else ""
+    try:
+        return "" if read_flight(flight).provenance.aircraft else " --aircraft AIRCRAFT.toml"
+    except UserError:
+        return ""
 
 
 def quiet_first(words: Sequence[str]) -> tuple[list[str], bool]:

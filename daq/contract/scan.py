@@ -93,6 +93,10 @@ _HEADER = (
     ("lateness_us", "u32"),
 )
 
+_CHANNEL_NAMES = tuple(c.name for c in CHANNELS)
+_GROUP_FIELDS = tuple((g, f"{g}_state", f"{g}_offset_us") for g in GROUP_NAMES)
+_STATES = tuple(SensorState)
+
 _F = descriptor_pb2.FieldDescriptorProto
 _PROTO_TYPE = {
     "bit": _F.TYPE_UINT32,
@@ -177,7 +181,7 @@ def decode_scan(data: bytes) -> Scan:
         groups = _groups(message, is_set)
     except ValueError as error:
         raise ScanDecodeError(f"scan {message.number} has an unknown sensor state ({error})") from error
-    values = {c.name: getattr(message, c.name) for c in CHANNELS if is_set(c.name)}
+    values = {name: getattr(message, name) for name in _CHANNEL_NAMES if is_set(name)}
     return Scan(**{name: getattr(message, name) for name, _ in _HEADER}, groups=groups, values=values)
 
 
@@ -199,7 +203,12 @@ def _message(data: bytes) -> Any:
 
 def _groups(message: Any, is_set: Callable[[str], bool]) -> dict[str, GroupStatus]:
     return {
-        g: GroupStatus(SensorState(getattr(message, f"{g}_state")), getattr(message, f"{g}_offset_us"))
-        for g in GROUP_NAMES
-        if is_set(f"{g}_state")
+        group: GroupStatus(_sensor_state(getattr(message, state)), getattr(message, offset))
+        for group, state, offset in _GROUP_FIELDS
+        if is_set(state)
     }
+
+
+def _sensor_state(number: int) -> SensorState:
+    """What the number stands for, without the search of an enumeration. Raises ValueError for a number without meaning."""
+    return _STATES[number] if number < len(_STATES) else SensorState(number)

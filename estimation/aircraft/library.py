@@ -32,7 +32,7 @@ def load_aircraft(name_or_path: str | Path) -> Aircraft:
         built_in_names = ", ".join(built_in_aircraft())
         raise AircraftError(
             f"aircraft {text!r}: no such file and no built-in of that name (built in: {built_in_names})"
-            f"{meant(text, built_in_aircraft())}"
+            f"{meant(text, built_in_aircraft())}; give its file, which 'sideslip aircraft new NAME' begins"
         )
     return aircraft_from_text(read_text(path, "file", AircraftError), str(path), path.stem)
 

@@ -281,11 +281,7 @@ def _next(
     steps += [c.hint for c in training if c.hint]
     recommendation = recommendation_of(estimate)
     lacks = ", ".join(str(term) for term in recommendation.get("lacks", ()))
-    steps += (
-        [f"settle what the model may lack ({lacks}): what is said of each stands on the page of the derivatives"]
-        if lacks
-        else []
-    )
+    steps += [f"settle what the model may lack ({lacks}): the page of the derivatives explains each"] if lacks else []
     if estimate and recommendation.get("method", "none") == "none":
         steps += [str(d.get("text", "")) for f in estimate.get("flights", []) for d in f.get("doubts", [])]
     if not estimate and not without_file:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from estimation.compatibility.reconstruction import Compatibility, FactorEstimate
     from estimation.resolve import AnyAircraft, Flights
     from groundstation.flight import Flight
+    from groundstation.flight.contradictions import Contradiction
     from groundstation.flight.findings import Finding
 
 
@@ -45,9 +46,10 @@ def check(
     align: the report draws further flights laid on the first in time: auto, correlation, input, event or start.
     """
     from estimation.compatibility.reconstruction import compatibility
-    from estimation.compatibility.records import compared_measurements, left_out_findings
+    from estimation.compatibility.records import left_out_findings
     from estimation.errors import EstimationError
     from estimation.resolve import read_flights
+    from groundstation.flight.contradictions import contradictions
     from groundstation.flight.quality.report import quality_report
 
     text = factors if isinstance(factors, str) or factors is None else ",".join(factors) or None
@@ -56,25 +58,26 @@ def check(
     read = read_flights(flights, segments)
     if align is not None and len(read) < 2:
         raise EstimationError("--align lays flights on one another in time: give two or more")
-    quality = {
-        f.name: (
-            *quality_report(f),
-            *left_out_findings(compared_measurements(f, keep_held=keep_held)[1]),
-            *_excitation(f, aircraft),
-        )
-        for f in read
-    }
+    contradicted = {f.name: contradictions(f) for f in read}
     results = {}
     several = len(read) > 1  # one flight takes a second or two
     for i, f in enumerate(read):
         if several:
             tell(f"checking {f.name}", i / len(read))
         results[f.name] = compatibility(f, free_factors, known=fixed_factors, keep_held=keep_held)
+    quality = {
+        f.name: (
+            *quality_report(f, contradicted[f.name]),
+            *left_out_findings(results[f.name].flights[0].left_out),
+            *_excitation(f, aircraft),
+        )
+        for f in read
+    }
     shared = None
     if joint and several:
         tell("checking all together")
         shared = compatibility(read, free_factors, known=fixed_factors, keep_held=keep_held)
-    return Check(results, quality, tuple(read), shared, align)
+    return Check(results, quality, contradicted, tuple(read), shared, align)
 
 
 def _excitation(flight: "Flight", aircraft: "AnyAircraft") -> "tuple[Finding, ...]":
@@ -119,11 +122,12 @@ def wanted_factors(text: str | None) -> tuple[tuple[str, ...], dict[str, float]]
 
 @dataclass(frozen=True, repr=False)
 class Check(Answer):
-    """What `check` found. results, quality: factors and findings by flight; joint: factors that all flights share; align: how the
-    report lays further flights on the first in time."""
+    """What `check` found. results, quality, contradicted: factors, findings and contradictions by flight; joint: factors that all
+    flights share; align: how the report lays further flights on the first in time."""
 
     results: "Mapping[str, Compatibility]"
     quality: "Mapping[str, tuple[Finding, ...]]"
+    contradicted: "Mapping[str, tuple[Contradiction, ...]]"
     flights: "tuple[Flight, ...]"
     joint: "Compatibility | None" = None
     align: str | None = None
@@ -144,11 +148,10 @@ class Check(Answer):
     def to_json(self) -> dict[str, Any]:
         """As `check --json` has it: one entry a flight, and the joint factors where there are any."""
         from estimation.report.check_page import fit_of
-        from groundstation.flight.contradictions import contradictions
 
         entries, contradicted = [], []
         for flight in self.flights:
-            contradicted += [{"flight": flight.name, **c.to_json()} for c in contradictions(flight)]
+            contradicted += [{"flight": flight.name, **c.to_json()} for c in self.contradicted[flight.name]]
             result = self.results[flight.name]
             entries.append(
                 {

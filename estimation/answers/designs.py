@@ -153,7 +153,7 @@ def _lines(answer: "InputDesign") -> list[str]:
     task = answer.task
     lines = [
         f"{answer.best.kind} of {task.duration:g} s at {task.speed:.1f} m/s on {', '.join(answer.bench.controls)}: "
-        f"worst relative error {answer.gain:.2f} times smaller than of doublets of equal length under the same limits"
+        f"worst relative error {_against_doublets(answer.gain)} than of doublets of equal length under the same limits"
     ]
     lines += [f"note: {note}" for note in answer.notes]
     peaks = answer.peak_factors()
@@ -170,10 +170,14 @@ def _lines(answer: "InputDesign") -> list[str]:
     std_of_doublets, std = answer.expected_of_doublets, answer.expected
     for name, relative in answer.relative.items():
         size = answer.sizes[name]
-        mark = "  cannot be told" if name in answer.untold else ""
+        mark = "  cannot tell" if name in answer.untold else ""
         doublets = 100 * std_of_doublets[name] / abs(size)
         lines.append(f"  {name:<12}{size:>10.4g}{std[name]:>10.2g}{100 * relative:>9.1f}%{doublets:>9.1f}%{mark}")
     return lines
+
+
+def _against_doublets(gain: float) -> str:
+    return f"{gain:.2f} times smaller" if gain >= 1.0 else f"{1.0 / gain:.2f} times larger"
 
 
 def write_manoeuvre(answer: "InputDesign", path: Path) -> None:
@@ -214,6 +218,7 @@ def with_effects(model: "Model", names: tuple[str, ...]) -> tuple["Model", dict[
 
 def _known(estimate: "Estimates | str | Path") -> dict[str, Any]:
     """Model, aircraft, values and noise of an estimate: joint where there is one, else the first flight."""
+    from estimation.aircraft.schema import aircraft_from_text
     from estimation.errors import EstimationError
 
     path = "the estimate" if isinstance(estimate, Estimates) else Path(estimate)
@@ -232,7 +237,11 @@ def _known(estimate: "Estimates | str | Path") -> dict[str, Any]:
             if p["estimate"] is not None and (p["identifiable"] or p.get("reference") is None)
         }
         noise = {n: math.sqrt(v) for n, v in result["R"].items() if v}
-        return {"model": content["model"], "aircraft": content["aircraft"], "values": values, "noise": noise}
+        text = content.get("aircraft_file")
+        aircraft = (
+            aircraft_from_text(text, f"{path}, its aircraft", content["aircraft"]) if text else content["aircraft"]
+        )
+        return {"model": content["model"], "aircraft": aircraft, "values": values, "noise": noise}
     except OSError as error:
         raise EstimationError(f"{path}: cannot be read ({error.strerror}); name what estimate --json wrote") from error
     except (ValueError, KeyError, TypeError, IndexError, StopIteration, AttributeError, RecursionError) as error:

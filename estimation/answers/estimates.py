@@ -221,7 +221,11 @@ class Estimates(Answer):
         return parameters[parameter]
 
     def to_json(self) -> dict[str, Any]:
-        return self.session.to_json()
+        """What `estimate --json` writes: the session, the conventions of its numbers, and the priors that entered the fit."""
+        from estimation.report.conventions import conventions, priors
+
+        more = {"conventions": dict(conventions(self.session)), "priors": priors(self.session)}
+        return {**self.session.to_json(), **more}
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each flight (and "joint"), method and parameter; estimates are per rad, angles in rad."""

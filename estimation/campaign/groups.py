@@ -137,7 +137,7 @@ def outlier_rows(s: ParameterSeries, distance: Array) -> Iterator[Row]:
     for i in np.flatnonzero(distance > _limit(s)):
         text = (
             f"{s.flights[i]}: {s.parameter} ({s.method}) is {s.y[i]:.4g}, {distance[i]:.1f} widened bounds from the flights"
-            f" beside it (limit {_limit(s):.1f}); left out of what is said of {s.label}"
+            f" beside it (limit {_limit(s):.1f}); excluded from the results of {s.label}"
         )
         yield {
             **_group_columns(s),

@@ -1,14 +1,10 @@
-"""A time-varying extended Kalman filter for any traced model, as one CasADi function per step; its motion without the filter.
+"""A time-varying extended Kalman filter for any traced model, as one CasADi function per step.
 
 Flight-path reconstruction drives its motion with measured accelerations and rates. Their noise integrates to a random
 walk, so output error would call everything the walk explains a bias, with bounds tens of times too small. Here the
 noise of each input sample is process noise of known size, and the likelihood is that of the innovations (Maine and
 Iliff 1981; Jategaonkar, Flight Vehicle System Identification, ch. 5). Normalised innovations are white with variance
 one when model and noise levels are right: that is what the bounds rest on and what is tested.
-
-`integrated` is what a person sees in the figure, as in Figure 7 of the paper: the motion that accelerations and rates make,
-without looking at what it is compared with. Only the start of each piece is fitted: noise of the inertial sensors integrates to a
-drift of metres a second within a minute or so, so a long record is shown in pieces.
 """
 
 from dataclasses import dataclass
@@ -18,8 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.compiled import CHUNK, Chain
-from estimation.engine.trace import Traced, rk4, trace
+from estimation.engine.compiled import Chain
+from estimation.engine.trace import rk4, trace
 from estimation.models.base import Model
 from estimation.models.parts import ModelStructure
 
@@ -208,81 +204,3 @@ def _filter_step(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]
     state_out = ca.vertcat(next_state, ca.reshape(Pn, nx * nx, 1))
     delayed_output = ca.vertcat(*normalised, *logs, xf, y)
     return ca.Function("kalman", [state_in, data, fixed], ca.cse([state_out, delayed_output]))
-
-
-PIECE_S = 30.0
-MOTION = ("u", "v", "w", "phi", "theta", "psi")
-_ROUNDS = 4
-_STEP = 1e-4  # of each state, for differences: m/s or rad
-
-
-def integrated_motion(model: Model, record: FilterRecord, p: Array, states: Array, spread: Array) -> Array:
-    """(N, ny) outputs of a record integrated from its inputs.
-
-    p: (n,) parameters. states: (N, nx) of the filter, for the starts. spread: (ny,) by which each output is expected to
-    differ: weights of the fit of the starts.
-    """
-    count = len(record.time)
-    pieces = max(1, int(np.ceil(count * record.step / PIECE_S)))
-    edges = np.linspace(0, count, pieces + 1).astype(int)
-    outputs = [
-        _piece(model, record, slice(a, b), p, states[a], spread) for a, b in zip(edges[:-1], edges[1:], strict=True)
-    ]
-    return np.vstack(outputs)
-
-
-def _piece(model: Model, record: FilterRecord, rows: slice, p: Array, start: Array, spread: Array) -> Array:
-    z = record.z[rows]
-    measured = np.isfinite(z)
-    x0 = start.copy()
-    motion_states = [i for i, s in enumerate(model.state_names) if s in MOTION]
-    x0[[i for i in range(x0.size) if i not in motion_states]] = 0.0  # errors of the attitude filter are no motion
-    y = _motion(model, record, rows, p, x0)
-    for _ in range(_ROUNDS):
-        slopes = []
-        for i in motion_states:
-            perturbed = x0.copy()
-            perturbed[i] += _STEP
-            slopes.append(((_motion(model, record, rows, p, perturbed) - y) / _STEP / spread)[measured])
-        residual = ((z - y) / spread)[measured]
-        change, *_ = np.linalg.lstsq(np.column_stack(slopes), residual, rcond=1e-8)
-        trial = x0.copy()
-        trial[motion_states] += change
-        trial_outputs = _motion(model, record, rows, p, trial)
-        if not np.isfinite(trial_outputs).all() or np.sum(((z - trial_outputs) / spread)[measured] ** 2) > np.sum(
-            residual**2
-        ):
-            break
-        x0, y = trial, trial_outputs
-    return y
-
-
-def _motion(model: Model, record: FilterRecord, rows: slice, p: Array, x0: Array) -> Array:
-    step = _stepper(trace(model.structure))
-    u = record.u[rows]
-    table = np.hstack([u, np.vstack([u[1:], u[-1:]])]).T
-    count = table.shape[1]
-    table = np.hstack([table, np.repeat(table[:, -1:], -count % CHUNK, axis=1)])
-    constants = np.array([model.constants[n] for n in model.structure.constants_kept])
-    fixed = np.tile(np.concatenate([p, constants, [record.step]])[:, None], (1, CHUNK))
-    state, outs = x0, []
-    for first in range(0, table.shape[1], CHUNK):
-        states, block = step(state, table[:, first : first + CHUNK], fixed)
-        outs.append(np.asarray(block))
-        state = np.asarray(states)[:, -1]
-    y = np.hstack(outs).T[:count]
-    for name, delay in model.output_delays.items():
-        j = model.output_names.index(name)
-        delay_s = float(p[model.parameter_names.index(delay)])
-        y[:, j] = np.interp(record.time[rows] - delay_s, record.time[rows], y[:, j])
-    return np.asarray(y)
-
-
-@lru_cache(maxsize=16)
-def _stepper(traced: Traced) -> ca.Function:
-    nx, nu, np_, _ = traced.sizes
-    x, u0, u1 = ca.SX.sym("x", nx), ca.SX.sym("u0", nu), ca.SX.sym("u1", nu)
-    p, h = ca.SX.sym("p", np_), ca.SX.sym("h")
-    (next_state,) = rk4(lambda states, u: (traced.rates(*states, u, p),), (x,), (u0, (u0 + u1) / 2, u1), h)
-    single = ca.Function("integrate", [x, ca.vertcat(u0, u1), ca.vertcat(p, h)], [next_state, traced.outputs(x, u0, p)])
-    return single.mapaccum(CHUNK)

@@ -1,14 +1,15 @@
-"""All records of all flights of one check, with their starts, noise levels and bounds.
+"""The records of all flights of one check that its factors are estimated from, with their starts, noise levels and bounds.
 
 Noise of the inputs is read off the flight itself; that of the outputs, and the turbulence that moves the air under the
 aircraft, are scaled until the innovations of the filter are as large as it predicts them (relaxation). Bounds are from the
 information of the innovations, with the correlation left in them counted by a lag window.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from estimation.compatibility.excited import LONG_SAMPLES, even_parts, excited_pieces
 from estimation.compatibility.kalman import FilterRecord, KalmanFilter, NoiseLevels, Run
 from estimation.compatibility.records import attitude_errors, records_of, with_rate_derivatives
 from estimation.errors import DataError
@@ -25,7 +26,7 @@ SMALLEST = 1e-6
 
 
 class CompatibilityProblem:
-    """All records of all flights, with starts and noise levels."""
+    """Records of all flights, with starts and noise levels. records: those that factors are estimated from; whole: all."""
 
     def __init__(self, model: Model, flights: Sequence[Flight]) -> None:
         flights = [with_rate_derivatives(f, model.input_names) for f in flights]
@@ -34,10 +35,15 @@ class CompatibilityProblem:
         self.names = ", ".join(f.name for f in flights)
         self.filter = KalmanFilter(model)
         recorded = [records_of(model, f) for f in flights]
-        self.records = [r for r, _ in recorded]
-        self.notes = [(*n, *_filter_note(errors)) for (_, n), errors in zip(recorded, self.attitude, strict=True)]
+        self.whole = [r for r, _ in recorded]
+        excited = [excited_pieces(r) for r in self.whole]
+        self.records = [r for r, _ in excited]
+        self.notes = [
+            (*notes, *([part] if part else []), *_filter_note(errors))
+            for (_, notes), (_, part), errors in zip(recorded, excited, self.attitude, strict=True)
+        ]
         self.inputs = [np.array([noise_level(finite_values(f[c])) for c in model.input_names]) for f in flights]
-        self.outputs = [self._output_noise(rs) for rs in self.records]
+        self.outputs = [self._output_noise(rs) for rs in self.whole]
         self.turbulence = 0.05
 
     def _output_noise(self, records: list[FilterRecord]) -> Array:
@@ -64,10 +70,18 @@ class CompatibilityProblem:
         }
 
     def runs(self, p: Array) -> list[list[Run]]:
-        return [
-            [self.filter.run(record, p, self.noise(i), *self._start(record, i)) for record in records]
-            for i, records in enumerate(self.records)
-        ]
+        return [[self._filtered(i, r, p) for r in records] for i, records in enumerate(self.records)]
+
+    def whole_runs(self, flight: int, p: Array, runs: list[Run]) -> Iterator[tuple[FilterRecord, Run]]:
+        """All of a flight in blocks, each with its run. runs: those over its `records`, used again where they are all of it."""
+        if self.whole[flight] is self.records[flight]:
+            yield from zip(self.records[flight], runs, strict=True)
+            return
+        for record in (block for whole in self.whole[flight] for block in even_parts(whole, LONG_SAMPLES)):
+            yield record, self._filtered(flight, record, p)
+
+    def _filtered(self, flight: int, record: FilterRecord, p: Array) -> Run:
+        return self.filter.run(record, p, self.noise(flight), *self._start(record, flight))
 
     def _start(self, record: FilterRecord, flight: int) -> tuple[Array, Array]:
         """First state from the first tenth of a second of measurements, held loosely: the filter finds it."""

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.compatibility.kalman import Run, integrated_motion
+from estimation.compatibility.kalman import Run
+from estimation.compatibility.motion import integrated_motion
 from estimation.compatibility.problem import (
     USEFUL,
     CompatibilityProblem,
@@ -25,6 +26,7 @@ from estimation.estimators.gauss_newton import halve_until
 from estimation.models.base import Model
 from estimation.models.kinematic import FACTORS, MEASUREMENTS, STANDARD_FACTORS, compatibility_model
 from groundstation.flight import Array, Flight, MissingColumnError
+from groundstation.flight.findings import Finding
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ class FactorEstimate:
 class ReconstructedFlight:
     """measured: (N, ny), NaN where not measured or left out; reconstructed: (N, ny) motion integrated from accelerations
     and rates with the factors, NaN outside the records; noise: of each output; whiteness: lag-one autocorrelation of the
-    normalised innovations per output."""
+    normalised innovations per output; left_out: what of the flight was not compared, and why."""
 
     name: str
     time: Array
@@ -55,6 +57,7 @@ class ReconstructedFlight:
     noise: Mapping[str, float]
     whiteness: Mapping[str, float]
     notes: tuple[str, ...]
+    left_out: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ def compatibility(
     DataError naming them when factors cannot be told from each other at all.
     """
     flight_list = [flights] if isinstance(flights, Flight) else list(flights)
-    conditioned = [compared_measurements(f, keep_held=keep_held)[0] for f in flight_list]
+    conditioned, left_out = zip(*(compared_measurements(f, keep_held=keep_held) for f in flight_list), strict=True)
     full_model = compatibility_model(factors, tuple(MEASUREMENTS), known)
     absent = _absent(full_model, conditioned)
     filtered = any(max(attitude_errors(f).values()) > 0 for f in conditioned)
@@ -97,7 +100,8 @@ def compatibility(
     p, runs, converged, count = _estimate(problem, iterations)
     slopes = problem.slopes(p, _steps(model))
     described = _describe(problem, conditioned, absent, full_model, p, runs, slopes, converged, count)
-    return replace(described, known=dict(known or {}))
+    shown = tuple(replace(f, left_out=notes) for f, notes in zip(described.flights, left_out, strict=True))
+    return replace(described, flights=shown, known=dict(known or {}))
 
 
 def _absent(full_model: Model, flights: Sequence[Flight]) -> dict[str, str]:
@@ -209,13 +213,15 @@ def _reconstructed(
     measured = np.full((len(flight), len(names)), np.nan)
     motion = np.full_like(measured, np.nan)
     spread = _expected_difference(problem, index)
-    for record, run in zip(problem.records[index], runs, strict=True):
+    innovations = []
+    for record, run in problem.whole_runs(index, p, runs):
+        innovations.append(run.normalised.copy())  # the rest of a run is not kept
         rows = slice(record.first, record.first + len(record.time))
         measured[rows] = record.z
         motion[rows] = integrated_motion(problem.model, record, p, run.states, spread)
     whiteness = {}
     for j, name in enumerate(names):
-        gamma = lagged_products([r.normalised[:, j] for r in runs], 2)
+        gamma = lagged_products([e[:, j] for e in innovations], 2)
         whiteness[name] = float(gamma[1] / gamma[0]) if gamma[0] > 0 else 0.0
     noise = dict(zip(names, problem.outputs[index].tolist(), strict=True))
     return ReconstructedFlight(

@@ -80,7 +80,7 @@ def _bounds(axes: Any, input_design: InputDesign) -> None:
         label="doublets",
     )
     axes.bar(positions + 0.2, [100 * input_design.relative[n] for n in names], 0.4, color="C0", label="this input")
-    axes.axhline(100 * UNTOLD, color="C3", linewidth=0.8, linestyle="--", label="cannot be told above")
+    axes.axhline(100 * UNTOLD, color="C3", linewidth=0.8, linestyle="--", label="cannot tell above")
     axes.set_yscale("log")
     axes.set_xticks(positions, [f"${tex(n)}$" for n in names])
     axes.set_ylabel("predicted error (1 sigma) [%]")

@@ -32,7 +32,7 @@ from estimation.estimators.output_error import STANDARD, OutputErrorOptions, fit
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
-from estimation.models.dependence import force_states
+from estimation.models.dependence import force_states, require_states
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.prepare.pipeline import FlightsToFit, prepare_all
 from groundstation.flight.quality.noise import noise as noise_of
@@ -204,7 +204,7 @@ def filter_error(
     The gain is in `extra["gain"]`: state -> output -> number. Where a free gain comes to no result, or to one that can tell
     nothing because its filter is not stable, the gain is that of process noise, and `extra["process_noise"]` is there too.
     """
-    loaded = load_model(model).with_starts(start or {})
+    loaded = require_states(load_model(model), "fem").with_starts(start or {})
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
     return in_own_terms(_by_free_gain(with_paths(loaded, data) if options.paths else loaded, data, options), loaded)
 
@@ -250,7 +250,7 @@ def process_noise_error(
     `extra["process_noise"]`: state -> std that it gathers in one second, in its unit by the root of a second; `extra["gain"]` as
     of `filter_error`.
     """
-    loaded = load_model(model).with_starts(start or {})
+    loaded = require_states(load_model(model), "fem-noise").with_starts(start or {})
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
     full = with_paths(loaded, data) if options.paths else loaded
     first = output_error(full, data, options=replace(options, paths=False))
@@ -321,14 +321,8 @@ def _step(data: Sequence[FlightData]) -> float:
     return float(np.median(np.concatenate([np.diff(s.time) for flight in data for s in flight.segments])))
 
 
-def _law(
-    simulator: Simulator,
-    data: Sequence[FlightData],
-    values: Mapping[str, float],
-    noise: Array,
-    unit: Mapping[str, float],
-) -> GainLaw:
-    """The gain's law about the mean of what was flown."""
+def mean_matrices(simulator: Simulator, data: Sequence[FlightData], values: Mapping[str, float]) -> tuple[Array, Array]:
+    """A (nx, nx) and C (ny, nx) of the motion linearised about the mean of what was flown."""
     model = simulator.model
     inputs = np.concatenate([s.u for flight in data for s in flight.segments])
     starts = np.mean([s.x0 for flight in data for s in flight.segments], axis=0)
@@ -338,10 +332,21 @@ def _law(
         else starts[i]
         for i, n in enumerate(model.state_names)
     ]
-    A, C = state_matrices(
+    return state_matrices(
         trace(model.structure), np.array(measured), np.nanmean(inputs, axis=0), simulator.vector(values)
     )
-    states = tuple(model.state_names.index(s) for s in unit)
+
+
+def _law(
+    simulator: Simulator,
+    data: Sequence[FlightData],
+    values: Mapping[str, float],
+    noise: Array,
+    unit: Mapping[str, float],
+) -> GainLaw:
+    """The gain's law about the mean of what was flown."""
+    A, C = mean_matrices(simulator, data, values)
+    states = tuple(simulator.model.state_names.index(s) for s in unit)
     return gain_law(A, C, _step(data), noise, np.array(list(unit.values())), states)
 
 

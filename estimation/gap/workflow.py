@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from estimation.gap.answer.result import GapResult
 from estimation.gap.decision.conclusion import concluded
-from estimation.gap.decision.lineage import turned_signs
+from estimation.gap.decision.lineage import late_commands, turned_signs
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
@@ -94,7 +94,8 @@ def run_gap(
     check = kinematic_check(measured, setting.effects, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
     answer = concluded(setting, search, check)
-    answer = replace(answer, text=" ".join(t for t in (answer.text, moved, not_compared(full_model, model)) if t))
+    further = (moved, late_commands(training_flights, baseline), not_compared(full_model, model))
+    answer = replace(answer, text=" ".join(t for t in (answer.text, *further) if t))
     return _with_doubts(answer, doubts)
 
 

@@ -223,7 +223,7 @@ class Model(ModelParts):
         unknown = sorted(set(data) - known_keys)
         if unknown:
             raise ModelError(f"unknown key {unknown[0]!r}; known are {', '.join(sorted(known_keys))}")
-        for key in ("name", "states", "outputs", "parameters", "equations"):
+        for key in ("name", "outputs", "parameters", "equations"):
             if key not in data:
                 raise ModelError(f"key {key!r} is missing")
         return cls(

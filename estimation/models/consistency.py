@@ -42,8 +42,8 @@ def check_model(model: ModelParts) -> None:
     for symbol, expression in lines:
         for name in sorted(names_in(expression) - defined_names):
             raise ModelError(f"{prefix}: {name!r} in the line of {symbol!r} is defined nowhere")
-    if not model.states or not model.outputs:
-        raise ModelError(f"{prefix}: at least one state and one output are needed")
+    if not model.outputs:
+        raise ModelError(f"{prefix}: at least one output is needed")
     _check_circles(model, dict(lines))
     _check_parameters(model)
     _check_transforms(model)

@@ -3,6 +3,7 @@
 import ast
 from collections.abc import Collection, Iterable, Set
 
+from estimation.errors import ModelError
 from estimation.models.base import Model
 from estimation.models.expressions import NUMBERS, names_in, parse
 
@@ -22,6 +23,15 @@ def force_states(model: Model, parameters: Collection[str] | None = None) -> tup
         return visited
 
     return tuple(s for s in model.state_names if reach(f"{s}_dot", set()) & counted)
+
+
+def require_states(model: Model, method: str) -> Model:
+    """The model. ModelError where it has no states: what a filter corrects, or a frequency response belongs to, is not there."""
+    if not model.states:
+        raise ModelError(
+            f"model {model.name} has no states, so method {method} has no motion to work on; use method ml or ls"
+        )
+    return model
 
 
 def asked_for(model: Model, zero: Set[str]) -> frozenset[str]:

@@ -67,18 +67,22 @@ ROLL_AND_YAW = (
 )
 
 
+def _unit(name: str) -> str:
+    return "1" if name.endswith("_0") else "1/rad"
+
+
 def aerodynamic_parameters(names: tuple[str, ...], aircraft: Aircraft) -> tuple[Parameter, ...]:
     """Derivatives as parameters that start from, and are printed beside, what is believed of the aircraft."""
     parameters = []
     for name in names:
         prior = aircraft.prior(name)
         if prior is None:
-            parameters.append(Parameter(name, "1/rad", role=usual_role(name)))
+            parameters.append(Parameter(name, _unit(name), role=usual_role(name)))
         else:
             parameters.append(
                 Parameter(
                     name,
-                    "1/rad" if not name.endswith("_0") else "1",
+                    _unit(name),
                     start=prior.value,
                     reference=prior.value,
                     reference_std=prior.std,

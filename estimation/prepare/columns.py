@@ -13,7 +13,13 @@ from estimation.models.base import Model
 from estimation.models.library import BUILDERS
 from estimation.signals.denoise import denoise
 from groundstation.flight import Array, Flight, MissingColumnError
-from groundstation.flight.atmosphere import density, density_at_altitude, density_at_pressure, is_of_the_air
+from groundstation.flight.atmosphere import (
+    density,
+    density_at_altitude,
+    density_at_pressure,
+    is_of_the_air,
+    pressure_at_altitude,
+)
 from groundstation.flight.findings import Finding, FindingKind
 
 
@@ -111,6 +117,14 @@ def _density_at_pressure(time: Array, p_static: Array) -> Array:
     return density_at_pressure(bridge_gaps(p_static))
 
 
+def _density_of_air_at_altitude(time: Array, altitude: Array, temperature: Array) -> Array:
+    return density(pressure_at_altitude(bridge_gaps(altitude)), bridge_gaps(temperature))
+
+
+def _of_the_air_at_altitude(altitude: Array, temperature: Array) -> bool:
+    return is_of_the_air(pressure_at_altitude(altitude), temperature)
+
+
 def _density_at_altitude(time: Array, altitude: Array) -> Array:
     return density_at_altitude(bridge_gaps(altitude))
 
@@ -120,6 +134,7 @@ DERIVED: Mapping[str, tuple[Way, ...]] = {
     "rho": (
         Way(("p_static", "temperature"), _density_of_air, is_of_the_air),
         Way(("p_static",), _density_at_pressure),
+        Way(("altitude", "temperature"), _density_of_air_at_altitude, _of_the_air_at_altitude),
         Way(("altitude",), _density_at_altitude),
     ),
 }

@@ -146,7 +146,8 @@ def _cells(row: AnswerRow) -> tuple[str, str, str]:
     if not row.told:
         return ("", CANNOT_TELL, "")
     value, bound = rounded(row.value, row.bound)
-    return value, bound, f"{abs(row.bound / row.value):.0%}" if row.value else ""
+    share = abs(row.bound / row.value) if row.value else 0.0
+    return value, bound, (f"{share:.0%}" if share >= 0.01 else f"{100.0 * share:.1g}%") if share else ""
 
 
 def next_steps(session: "EstimationSession", answer: LeadingAnswer) -> list[str]:

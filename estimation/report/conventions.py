@@ -61,10 +61,20 @@ def _centre(session: "EstimationSession") -> str:
 def _sources(session: "EstimationSession") -> str:
     """Whose values stand in the column before flying, and which of them enter the fit."""
     parameters = session.model.parameters
-    sources = dict.fromkeys(p.reference_source for p in parameters if p.reference is not None and p.reference_source)
-    priors = [f"{p.name} {p.prior_mean:g} +- {p.prior_std:g}" for p in parameters if p.prior_std is not None]
+    shown = [p for p in parameters if p.reference is not None and p.prior_std is None]
+    sources = dict.fromkeys(p.reference_source for p in shown if p.reference_source)
+    entered = [f"{name} {p['mean']:g} +- {p['std']:g}" for name, p in priors(session).items()]
     source_text = f"{', '.join(sources)} (beside the estimates; they do not enter)" if sources else "none"
-    return source_text + (f"; entering the fit as priors: {', '.join(priors)}" if priors else "")
+    return source_text + (f"; entering the fit as priors: {', '.join(entered)}" if entered else "")
+
+
+def priors(session: "EstimationSession") -> dict[str, dict[str, float]]:
+    """Parameter -> mean and standard deviation of what is believed of it and enters the fit, in its own unit."""
+    return {
+        p.name: {"mean": p.prior_mean or 0.0, "std": p.prior_std}
+        for p in session.model.parameters
+        if p.prior_std is not None and not p.fixed
+    }
 
 
 def conventions_table(session: "EstimationSession") -> ReportTable:

@@ -196,8 +196,15 @@ def _untold_parts(session: "EstimationSession") -> list[Markup]:
     """A row for each manoeuvre that would tell more."""
     groups = grouped(untold_parameters(session))
     if not groups:
-        return [paragraph("Every parameter was told by every flight.")]
-    words = ("fly next", "it would tell", "flights that could not", "why", "methods", "told by all flights together")
+        return [paragraph("Every flight determines every parameter.")]
+    words = (
+        "fly next",
+        "it would determine",
+        "flights that could not",
+        "why",
+        "methods",
+        "determined by all flights together",
+    )
     comma = Markup(", ")
     rows = [
         (
@@ -318,10 +325,10 @@ def _untold_table(session: "EstimationSession") -> ReportTable:
     """Every parameter, method and reason, for the file beside the page."""
     head = ("parameter", "method", "flights", "why", "fly next", "joint")
     rows = tuple(
-        (u.parameter, u.method, ", ".join(u.where), u.why, u.manoeuvre, "told" if u.told else "")
+        (u.parameter, u.method, ", ".join(u.where), u.why, u.manoeuvre, "determined" if u.told else "")
         for u in untold_parameters(session)
     )
-    return ReportTable("untold", "What could not be told", head, rows, texts=(2, 3, 4))
+    return ReportTable("untold", "What these flights cannot determine", head, rows, texts=(2, 3, 4))
 
 
 def _ellipses(session: "EstimationSession", first: "Sequence[FlightEstimates]", label: str) -> Picture | None:

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from daq.utilities.outputs import write_json, write_text
 from estimation.errors import EstimationError
 from estimation.models import Model, read_model
 from estimation.report.names import tex
-from estimation.report.tables import rounded
+from estimation.report.tables import latex_text, rounded
 
 FORMATS = (".json", ".tex", ".csv")
 
@@ -20,7 +20,7 @@ FORMATS = (".json", ".tex", ".csv")
 @dataclass(frozen=True)
 class ModelRow:
     """One parameter: value, bound where an estimate gave one, and what was believed before. told: whether the data could tell
-    it."""
+    it; prior: whether the belief entered the fit."""
 
     name: str
     value: float
@@ -30,6 +30,7 @@ class ModelRow:
     reference_std: float | None = None
     source: str = ""
     told: bool = True
+    prior: bool = False
 
 
 def model_rows(model: Model) -> list[ModelRow]:
@@ -39,43 +40,61 @@ def model_rows(model: Model) -> list[ModelRow]:
     ]
 
 
-def estimate_rows(content: dict[str, Any], path: Path) -> list[ModelRow]:
-    """The parameters of `estimate --json`: the joint estimate where there is one, else the only flight's; first method.
+def estimate_rows(content: dict[str, Any], path: Path) -> tuple[list[ModelRow], tuple[str, ...]]:
+    """The parameters of `estimate --json`, and what a reader must know of them: the joint estimate where there is one, else the
+    only flight's; by the recommended method, or where none is by the first.
 
     Raises EstimationError for a file with several flights and no joint estimate, or another kind of JSON.
     """
     joint, flights = content.get("joint") or {}, content.get("flights") or []
     if joint:
-        methods = joint
+        methods, recommended = joint, content.get("recommended") or {}
     elif isinstance(flights, list) and len(flights) == 1:
-        methods = flights[0]["methods"]
+        methods, recommended = flights[0]["methods"], flights[0].get("recommended") or {}
     else:
         raise EstimationError(
             f"{path}: {len(flights)} flights and no joint estimate; estimate with --joint, or one flight alone"
         )
-    parameters = next(iter(methods.values()))["parameters"]
-    return [
+    method = next((m for m in methods if m == recommended.get("method")), next(iter(methods)))
+    parameters, priors = methods[method]["parameters"], content.get("priors") or {}
+    rows = [
         ModelRow(
             name,
             p["estimate"],
             p.get("unit", "1"),
             p["std_coloured"] or p["std"],
             p.get("reference"),
-            source=p.get("reference_source", ""),
-            told=bool(p.get("identifiable", True)),
+            priors.get(name, {}).get("std"),
+            p.get("reference_source", ""),
+            bool(p.get("identifiable", True)),
+            name in priors,
         )
         for name, p in parameters.items()
     ]
+    return rows, tuple(_notes(content, method, recommended))
 
 
-def read_rows(path: Path) -> tuple[str, list[ModelRow]]:
-    """Name and rows of a model TOML or of what `estimate --json` wrote. Raises EstimationError for anything else."""
+def _notes(content: dict[str, Any], method: str, recommended: dict[str, Any]) -> Iterator[str]:
+    """Whose estimates, by what, whether they are recommended, and the conventions of the numbers."""
+    names = ", ".join(str(f["name"]) for f in content.get("flights") or [] if "name" in f)
+    whose = f"Aircraft {content.get('aircraft', 'unknown')}, model {content['model']}, method {method}"
+    yield f"{whose}; flights {names}." if names else f"{whose}."
+    if recommended:
+        why = recommended.get("why", "")
+        yield f"Nothing is recommended: {why}." if recommended.get("method") == "none" else f"Recommended: {why}."
+    yield "Bound: one standard deviation, corrected for coloured residuals. Prior: a belief that entered the fit."
+    for subject, meaning in (content.get("conventions") or {}).items():
+        yield f"{str(subject).capitalize() if subject != 'CG' else subject}: {meaning}."
+
+
+def read_rows(path: Path) -> tuple[str, list[ModelRow], tuple[str, ...]]:
+    """Name, rows and notes of a model TOML or of what `estimate --json` wrote. Raises EstimationError for anything else."""
     if path.suffix == ".toml":
         model = read_model(path)
-        return model.name, model_rows(model)
+        return model.name, model_rows(model), ()
     try:
         content = read_json(path, "estimate", EstimationError)
-        return str(content["model"]), estimate_rows(content, path)
+        return str(content["model"]), *estimate_rows(content, path)
     except OSError as error:
         raise EstimationError(f"{path}: cannot be read ({error.strerror}); name a model or an estimate") from error
     except (ValueError, KeyError, TypeError, AttributeError, StopIteration, RecursionError) as error:
@@ -93,7 +112,7 @@ def export_model(path: Path, out: Path) -> None:
 def export_estimates(content: dict[str, Any], out: Path) -> None:
     """Write the parameters of what `estimate --json` would hold. Raises EstimationError."""
     _check_format(out)
-    _write(str(content["model"]), estimate_rows(content, out), out)
+    _write(str(content["model"]), *estimate_rows(content, out), out)
 
 
 def _check_format(out: Path) -> None:
@@ -101,28 +120,30 @@ def _check_format(out: Path) -> None:
         raise EstimationError(f"{out}: a model is written as {', '.join(FORMATS)}; end the name in one of these")
 
 
-def _write(name: str, rows: Sequence[ModelRow], out: Path) -> None:
+def _write(name: str, rows: Sequence[ModelRow], notes: Sequence[str], out: Path) -> None:
     match out.suffix.lower():
         case ".json":
-            write_json({"model": name, "parameters": [asdict(r) for r in rows]}, out)
+            write_json({"model": name, "parameters": [asdict(r) for r in rows], "notes": list(notes)}, out)
         case ".csv":
             write_csv(rows, out)
         case _:
-            write_text(latex_table(rows), out)
+            write_text(latex_table(rows, notes), out)
 
 
 def write_csv(rows: Sequence[ModelRow], out: Path) -> None:
     """One line a parameter; empty cells are unknown."""
     buffer = io.StringIO(newline="")
     writer = csv.writer(buffer)
-    writer.writerow(["parameter", "value", "unit", "std", "reference", "reference_std", "source"])
+    writer.writerow(
+        ["parameter", "value", "unit", "std", "reference", "reference_std", "source", "identifiable", "prior"]
+    )
     for row in rows:
         writer.writerow(["" if v is None else v for v in asdict(row).values()])
     write_text(buffer.getvalue(), out)
 
 
-def latex_table(rows: Sequence[ModelRow]) -> str:
-    """A `tabular` for booktabs: symbol, value and bound rounded to the bound, what was believed before."""
+def latex_table(rows: Sequence[ModelRow], notes: Sequence[str] = ()) -> str:
+    """A `tabular` for booktabs: symbol, value and bound rounded to the bound, what was believed before, notes below."""
     lines = [
         r"\begin{tabular}{lrrr}",
         r"\toprule",
@@ -131,11 +152,21 @@ def latex_table(rows: Sequence[ModelRow]) -> str:
     ]
     for row in rows:
         value, bound = rounded(row.value, row.std) if row.told else ("", "")
-        belief = "" if row.reference is None else f"{row.reference:.4g}"
         cells = [_math(text) for text in (value, bound)] if row.told else [r"\multicolumn{2}{c}{cannot tell}"]
-        cells.append(_math(belief) + (f" ({row.source})" if belief and row.source else ""))
-        lines.append(rf"${tex(row.name)}$ & {' & '.join(cells)} \\")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+        lines.append(rf"${tex(row.name)}$ & {' & '.join([*cells, _belief(row)])} \\")
+    lines.append(r"\bottomrule")
+    if notes:
+        lines.append(rf"\multicolumn{{4}}{{p{{0.9\linewidth}}}}{{\footnotesize {latex_text(' '.join(notes))}}} \\")
+    return "\n".join([*lines, r"\end{tabular}", ""])
+
+
+def _belief(row: ModelRow) -> str:
+    """What was believed, how well where that entered the fit, and whose it is."""
+    if row.reference is None:
+        return ""
+    spread = rf" $\pm$ {_math(f'{row.reference_std:.2g}')}" if row.prior and row.reference_std is not None else ""
+    remarks = ", ".join(t for t in (latex_text(row.source), "prior" if row.prior else "") if t)
+    return _math(f"{row.reference:.4g}") + spread + (f" ({remarks})" if remarks else "")
 
 
 def _math(number: str) -> str:

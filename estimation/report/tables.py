@@ -11,6 +11,7 @@ from daq.utilities.plain_words import visible
 from estimation.report.names import tex
 
 CANNOT_TELL = "cannot tell"
+_SENTENCES = r"p{0.6\linewidth}"  # a column whose cells break into lines
 
 
 @dataclass(frozen=True)
@@ -49,15 +50,16 @@ class ReportTable:
         lines = [
             r"\begin{table}",
             r"\centering",
-            rf"\caption{{{_latex_text(self.caption)}}}",
+            rf"\caption{{{latex_text(self.caption)}}}",
             rf"\label{{tab:{self.name}}}",
         ]
-        lines += [rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}", r"\toprule"]
+        kinds = "".join(_SENTENCES if i in self.texts else "r" for i in range(1, len(self.head)))
+        lines += [rf"\begin{{tabular}}{{l{kinds}}}", r"\toprule"]
         if self.groups:
-            lines.append(" & ".join(rf"\multicolumn{{{n}}}{{c}}{{{_latex_text(g)}}}" for g, n in self.groups) + r" \\")
-        lines += [" & ".join(_latex_text(h) for h in self.head) + r" \\", r"\midrule"]
+            lines.append(" & ".join(rf"\multicolumn{{{n}}}{{c}}{{{latex_text(g)}}}" for g, n in self.groups) + r" \\")
+        lines += [" & ".join(latex_text(h) for h in self.head) + r" \\", r"\midrule"]
         for row in self.rows:
-            first = f"${tex(row[0])}$" if self.symbols else _latex_text(row[0])
+            first = f"${tex(row[0])}$" if self.symbols else latex_text(row[0])
             lines.append(" & ".join([first, *self._latex_cells(row)]) + r" \\")
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
@@ -72,8 +74,8 @@ class ReportTable:
             if span > 1 and group and group[-1] == CANNOT_TELL:
                 cells.append(rf"\multicolumn{{{span}}}{{c}}{{{CANNOT_TELL}}}")
             else:
-                cells += [_latex_text(c) for c in group]
-        return [*cells, *(_latex_text(c) for c in row[position:])]
+                cells += [latex_text(c) for c in group]
+        return [*cells, *(latex_text(c) for c in row[position:])]
 
 
 def _no_formula(cell: str) -> str:
@@ -89,7 +91,8 @@ _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
 }  # fmt: skip
 
 
-def _latex_text(text: str) -> str:
+def latex_text(text: str) -> str:
+    """Text of a cell or of a sentence, with what LaTeX has a meaning for written so that it is printed."""
     return "".join(_ESCAPES.get(c, c) for c in visible(text))
 
 

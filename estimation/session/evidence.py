@@ -22,10 +22,14 @@ FEWEST = 20  # samples of a channel from which its residuals tell anything
 
 @dataclass(frozen=True, slots=True)
 class ProcessNoise:
-    """Whether process noise drives the residuals of output error, and the sentence that says so."""
+    """Whether process noise drives the residuals of output error, the sentence that says so, and one that says why none does."""
 
     present: bool
     text: str
+    quiet: str = "no process noise to speak of: filter error gains little over it"
+
+
+WHOLLY = 0.99  # r2 of an output of which hardly anything is left: noise of sound instruments alone leaves 0.95 to 0.99
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +65,23 @@ def gain_of_filter(ml: Result, fem: Result) -> FilterErrorGain:
             values += count
     gains = sum(len(row) for row in fem.extra.get("gain", {}).values())
     return FilterErrorGain(total, float(chi2.ppf(CHANCE, max(gains, 1))), total / max(values, 1))
+
+
+def beneath_instruments(ml: Result) -> bool:
+    """Whether output error leaves less of every output than the noise of sound instruments, and next to nothing of its motion.
+
+    What a filter error takes up there is how inputs go between samples, or rounding, as in a simulation's record without noise;
+    the bounds of coloured residuals count it.
+    """
+    from groundstation.flight.quality.report import SENSOR_NOISE
+
+    for column, output in enumerate(ml.model.outputs):
+        residuals = [f.residuals[:, column] for f in ml.flights]
+        left = np.concatenate([r[np.isfinite(r)] for r in residuals])
+        explained = all(f.fit[output.name].r2 >= WHOLLY for f in ml.flights if output.name in f.fit)
+        if not explained or float(np.sqrt(np.mean(left**2))) > SENSOR_NOISE.get(output.source, 0.0):
+            return False
+    return True
 
 
 def driven_outputs(model: Model) -> frozenset[str]:

@@ -20,7 +20,7 @@ from estimation.session.stated_uncertainty import with_stated_uncertainty
 from estimation.session.structured import StructureWish, with_structure_tests
 from estimation.session.thinned import thinned
 from estimation.session.verdict import verdict
-from estimation.session.without_sensor import without_sensor
+from estimation.session.without_sensor import with_untold, without_sensor
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import contradictions
 from groundstation.flight.quality.noise import too_slow
@@ -114,7 +114,7 @@ def _with_limits_of_records(outcomes: Sequence[Outcome], flights: Sequence[Seque
     for."""
     pairs = zip(outcomes, flights, strict=True)
     return [
-        with_fast_modes(with_airspeed_error(o, members), members) if isinstance(o, Result) else o
+        with_untold(with_fast_modes(with_airspeed_error(o, members), members)) if isinstance(o, Result) else o
         for o, members in pairs
     ]
 

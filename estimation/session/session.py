@@ -118,6 +118,7 @@ class EstimationSession:
         return {
             "version": 1,
             "aircraft": self.aircraft.name,
+            **({"aircraft_file": self.aircraft.text} if self.aircraft.text else {}),
             "model": self.model.name,
             "status": self.text,
             "flights": [_flight_json(f) for f in self.flights],

@@ -20,13 +20,13 @@ from estimation.models.library import WHOLE
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.session.session import EstimationSession
 from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
+from estimation.structure.gusts import follows_controls, not_gusts
 from estimation.structure.linearised import linearise_fit
 from estimation.structure.odd_flights import (
     OddFlight,
     Scales,
     attenuations,
     first_part,
-    follows_controls,
     odd_flights,
     scale_bounds,
 )
@@ -210,17 +210,26 @@ def _of_basis(
         f.name: {**scale_bounds(f), **attenuations(session.model, d)} for f, d in zip(task.flights, ready, strict=True)
     }
     structure, odd = _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors, scales)
-    follows = {m: follows_controls(usable[m], ready) for m in FILTERS if m in usable}
+    trusted = _recommended_method(results)
+    follows = {
+        m: not_gusts(usable[m], ready) if m == trusted else follows_controls(usable[m], ready)
+        for m in FILTERS
+        if m in usable
+    }
     return replace(structure, follows={m: text for m, text in follows.items() if text}), odd
 
 
 def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
     """The result whose bounds the moves are counted in: a filter's where it is trusted with rough air, else the basis."""
+    recommended = results.get(_recommended_method(results), basis)
+    return recommended if set(recommended.names) == set(basis.names) else basis
+
+
+def _recommended_method(results: Mapping[str, Result]) -> str:
+    """What would be recommended, were nothing lacking."""
     from estimation.session.verdict import verdict
 
-    method = verdict(results).recommended.method
-    recommended = results.get(method, basis)
-    return recommended if set(recommended.names) == set(basis.names) else basis
+    return verdict(results).recommended.method
 
 
 def _of_result(

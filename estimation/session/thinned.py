@@ -94,13 +94,17 @@ def _filtered(flight: Flight, values: Array, measured: Mask, factor: int) -> Arr
         known = measured[part]
         if not known.any():
             continue
-        places = np.arange(known.size)
-        whole = np.interp(places, places[known], values[part][known])
+        whole = values[part]
+        if not known.all():
+            places = np.arange(known.size)
+            whole = np.interp(places, places[known], whole[known])
         pad = min(reach, known.size - 1)
         extended = np.pad(np.pad(whole, pad, mode="reflect", reflect_type="odd"), reach - pad, mode="edge")
         smooth = oaconvolve(extended, kernel, mode="valid")
-        near = oaconvolve(np.pad(known.astype(float), factor // 2), np.ones(2 * (factor // 2) + 1), mode="valid") > 0.5
-        result[part] = np.where(near, smooth, np.nan)
+        if not known.all():
+            near = oaconvolve(np.pad(known.astype(float), factor // 2), np.ones(2 * (factor // 2) + 1), mode="valid")
+            smooth[near <= 0.5] = np.nan
+        result[part] = smooth
     return result
 
 

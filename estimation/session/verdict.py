@@ -16,7 +16,13 @@ import numpy as np
 from estimation.estimators.result import Estimate, Result
 from estimation.models.base import ParameterRole
 from estimation.session.aircraft_review import NOTHING, AircraftObjections
-from estimation.session.evidence import ProcessNoise, gain_of_filter, parameter_scatter, predictability
+from estimation.session.evidence import (
+    ProcessNoise,
+    beneath_instruments,
+    gain_of_filter,
+    parameter_scatter,
+    predictability,
+)
 from estimation.session.plausible_derivatives import implausible_derivatives
 from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible_values
 from estimation.structure.odd_flights import OddFlight
@@ -42,6 +48,7 @@ COLOURED = 0.3  # correlation of neighbouring innovations: a right model leaves 
 FEW = 8.0
 """Measured numbers for each unknown of a filter error, its gains among them, below which the gains take up noise of the outputs:
 at five (nine of ten samples missing) roll derivatives were 3.7 bounds off; 14 s at 10 Hz have twenty."""
+BENEATH = "filter error takes up less than the noise of any instrument, as in a record without noise, and agrees"
 APART = 3.0  # joint bounds between two methods that should agree
 OUTSIDE = 1.0  # of its own bound that a joint estimate may lie beyond all its members
 NOTABLE = 1.0  # of its bound by which a printed value has to be moved, before what moves it forbids a recommendation
@@ -255,6 +262,8 @@ def _process_noise(case: _Case) -> ProcessNoise:
             f"process noise (gusts, or what the model lacks): filter error gains {gain.gain:.0f} in twice the log likelihood "
             f"over output error, chance {gain.chance:.0f}, and takes {1.0 - math.exp(-0.5 * gain.size):.0%} off the residuals"
         )
+        if present and beneath_instruments(ml) and (furthest is None or furthest[1] <= APART):
+            return ProcessNoise(False, text, BENEATH)
         noise = ProcessNoise(present, text)
     else:
         size = predictability(ml)
@@ -339,7 +348,7 @@ def _why(case: _Case, method: str, noise: ProcessNoise, tested: bool) -> str:
     if method in FILTERS:
         return _joined(noise.text or "its innovations are white", agree)
     if any(m in case.left for m in FILTERS):
-        quiet = "no process noise to speak of: filter error gains little over it"
+        quiet = noise.quiet
     else:
         quiet = "its residuals do not follow one another more than noise of the inputs makes them"
     return _joined(quiet, agree)

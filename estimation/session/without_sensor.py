@@ -1,7 +1,8 @@
-"""The built-in lateral models on a flight without a sideslip vane, or without a side accelerometer.
+"""Built-in models on a flight without a sideslip vane, a side accelerometer, or a record of thrust.
 
 Sideslip follows from p, r, phi and ay by the kinematics of the model, but for where it began. Both lacking is refused as before:
-side force would then be told by nothing.
+side force would then be told by nothing. Thrust that stays as it is within a flight is one unknown force along x; with the
+zero-lift drag coefficient, which then stands for what that force does with airspeed, too, it takes nothing from lift and pitch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,10 +13,12 @@ import numpy as np
 from daq.utilities.constants import GRAVITY
 from daq.utilities.errors import UserError
 from estimation.engine.kernel import Array
+from estimation.errors import DataError
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.equation_error import equation_error
-from estimation.models.base import Model
-from estimation.prepare.columns import EITHER_IN
+from estimation.estimators.result import Result
+from estimation.models.base import Model, Parameter, ParameterRole
+from estimation.prepare.columns import EITHER, EITHER_IN
 from groundstation.flight import Flight
 from groundstation.flight.arrays import integral
 from groundstation.flight.findings import Finding, FindingKind
@@ -31,16 +34,35 @@ LACKING: Mapping[str, str] = {
         "ay not measured: the side force CY is told by how beta moves alone, and what turns the air or the vane passes for it: "
         "the bounds of every CY are several times as wide"
     ),
+    "thrust": (
+        "thrust not measured: taken as constant within the flight and unknown, so that CD_0 cannot be told from it; what thrust "
+        "does off the CG passes for Cm_0"
+    ),
 }
 """Column that may be lacking -> what that leaves open."""
+
+MAY_LACK: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(EITHER_IN, EITHER),
+    **dict.fromkeys(("longitudinal", "six-dof"), ("thrust",)),
+}
+"""Built-in model -> columns of which its flights may lack one."""
+
+TRIM = "thrust_trim"
+UNTOLD = "CD_0"
+STEADY_THROTTLE = 0.05
+"""Standard deviation of a recorded throttle (0 to 1) up to which thrust passes for constant: a fifth of the thrust of level
+flight of a small propeller aeroplane at half throttle, the size of its zero-lift drag's usual bound."""
 
 
 def without_sensor(model: Model, flights: Sequence[Flight]) -> tuple[Model, Sequence[Flight]]:
     """Model and flights as a fit can use them: where a flight lacks one of LACKING, the model does not ask for it, and the flight
-    says what can no longer be told. Both as they are where nothing, or more than one, is lacking, and for other models."""
-    absent = [[n for n in LACKING if not f.measured(n)] for f in flights]
+    says what can no longer be told. Both as they are where nothing, or more than one, is lacking, and for other models.
+
+    Raises DataError for a flight without thrust whose throttle moves.
+    """
+    absent = [[n for n in MAY_LACK.get(model.name, ()) if not f.measured(n)] for f in flights]
     columns = {n for names in absent for n in names}
-    if model.name not in EITHER_IN or not columns or any(len(names) > 1 for names in absent):
+    if not columns or any(len(names) > 1 for names in absent):
         return model, flights
     outputs = tuple(replace(s, optional=True) if s.source in columns else s for s in model.outputs)
     states = tuple(
@@ -51,8 +73,34 @@ def without_sensor(model: Model, flights: Sequence[Flight]) -> tuple[Model, Sequ
         for f, names in zip(flights, absent, strict=True)
     ]
     slim = replace(model, outputs=outputs, states=states)
+    if "thrust" in columns:
+        slim = _without_thrust(slim, [f for f, names in zip(flights, absent, strict=True) if names])
     blind = [f for f, names in zip(noted, absent, strict=True) if "beta" in names]
     return (_started(slim, blind) if blind else slim), noted
+
+
+def _without_thrust(model: Model, flights: Sequence[Flight]) -> Model:
+    """The model with an unknown force along x in each flight in place of thrust. Raises DataError where the throttle moves."""
+    for f in flights:
+        moves = float(np.nanstd(f["throttle"])) if f.measured("throttle") else 0.0
+        if moves > STEADY_THROTTLE:
+            raise DataError(
+                f"{f.name}: thrust is not measured and the throttle moves (by {moves:.2f} of its range, one sigma), "
+                "so that thrust cannot be taken as constant; add the column thrust, or choose a stretch at constant throttle"
+            )
+    inputs = tuple(replace(s, optional=True) if s.name == "thrust" else s for s in model.inputs)
+    unknown = Parameter(TRIM, "N", local=True, description="thrust, constant in a flight", role=ParameterRole.CONSTANT)
+    return replace(model, inputs=inputs).plus(terms={"ax": f"{TRIM}/m"}, parameters=[unknown])
+
+
+def with_untold(result: Result) -> Result:
+    """The result with what an unknown thrust takes the place of as not told."""
+    if TRIM not in result.model.parameter_names or UNTOLD not in result.parameters:
+        return result
+    why = "thrust was not measured: the record tells thrust less drag, and not one of them"
+    names = [n for n in (UNTOLD, TRIM) if n in result.parameters]
+    blind = {n: replace(result.parameters[n], identifiable=False, why=why) for n in names}
+    return replace(result, parameters={**result.parameters, **blind})
 
 
 def _started(model: Model, flights: Sequence[Flight]) -> Model:

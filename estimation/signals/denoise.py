@@ -119,13 +119,15 @@ def _piecewise_mean(y: Array, order: int, draws: int, rng: np.random.Generator) 
     fits = Fits(y, order, longest)
     log_stay, log_break = np.log1p(-BREAK_RATE), np.log(BREAK_RATE)
     prior = log_break + np.arange(longest) * log_stay  # of a piece of each length, given that it begins
-    # score[e, :, n-1]: of the piece of n samples that ends before e; begin[s, :, n-1]: of the one that begins at s.
+    # score[e, :, n-1]: of the piece of n samples that ends before e. `weight` has, behind it and backwards in time,
+    # that of the one that begins there.
     # Raised by 1/2 per sample, the usual loss of a good fit, so that the recursions stay within double precision.
     score = fits.evidence + (prior + 0.5 * np.arange(1, longest + 1))
-    begin = by_length(count, signals, longest)
+    weight = np.zeros((count, 2 * signals, longest))
+    np.exp(score[1:], out=weight[:, :signals])
     for n in range(1, longest + 1):
-        begin[: count - n + 1, :, n - 1] = score[n:, :, n - 1]
-    sums = _recursion(np.exp(np.concatenate([score[1:], begin[::-1]], axis=1)))  # in one loop over the samples
+        weight[n - 1 :, signals:, n - 1] = weight[n - 1 :, :signals, n - 1][::-1]
+    sums = _recursion(weight)  # in one loop over the samples
     forward, backward = sums[:, :signals], sums[::-1, signals:]
     mean = fits.average(forward, backward, score)
     return mean, fits.draw(forward, score, draws, rng) - mean if draws else np.zeros((0, *mean.shape))

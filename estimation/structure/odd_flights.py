@@ -1,12 +1,10 @@
-"""What else a fit says of a lacking model: a flight of a joint fit that differs, and process noise that follows the controls.
+"""A flight of a joint fit that differs from the others.
 
 Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say (leave-one-out). Where
 it does not, what would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one
 coefficient, one derivative, or one of the things tested beside every fit.
 
-Innovations of a right filter have nothing in common with what the controls did before, however rough the air and whoever
-steers: they are what could not be foretold. Where a term, a lag or a scale is missing, they repeat at every movement of a
-control (`follows_controls`). Long flights are tested by their first part (`excerpt`): what a model lacks shows in minutes, and an
+Long flights are tested by their first part (`excerpt`): what a model lacks shows in minutes, and an
 hour would take longer than its fit.
 """
 
@@ -22,7 +20,6 @@ from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.result import FlightFit, Result, finite_or_none
 from estimation.estimators.uncertainty import input_movement, inputs_beside
 from estimation.models.base import Model, ParameterRole
-from estimation.models.dependence import force_states
 from estimation.prepare.flight_data import FlightData, Segment
 from estimation.structure.candidates import CandidateKind, force_lines
 from estimation.structure.linearised import LinearisedFit
@@ -57,57 +54,6 @@ def _part(data: FlightData, fit: FlightFit) -> tuple[FlightData, FlightFit]:
 
 
 Array = NDArray[np.float64]
-
-STEPS = 8  # samples of the past that count: what lacks shows within half a second of a movement
-FOLLOWS = 0.08
-"""Share of the innovations of one output that past movements of the controls foretell: 0.03 at most in plain and gusty
-flights, 0.13 to 0.35 with a late vane, a late rudder or another product of inertia (random aeroplanes, docs/validation.md)."""
-FOLLOWS_BY_CHANCE = 1e-6  # probability of so much by chance
-
-
-def follows_controls(result: Result, data: Sequence[FlightData]) -> str:
-    """A sentence on the output whose innovations follow the controls most; empty where none does beyond FOLLOWS.
-
-    result: of a filter error; data: its flights, prepared for its model.
-    """
-    from scipy.stats import chi2
-
-    controls = [i for i, s in enumerate(result.model.inputs) if s.control]
-    kinematic = set(result.model.state_names) - set(force_states(result.model, result.model.free_names))
-    largest, name = 0.0, ""
-    for c, output in enumerate(result.model.output_names):
-        if output in kinematic or not controls:
-            continue
-        history, rest = _rows(result, data, controls, c)
-        if len(rest) < 4 * history.shape[1] or not rest.any():
-            continue
-        unexplained = rest - history @ np.linalg.lstsq(history, rest, rcond=1e-9)[0]
-        share = 1.0 - float(unexplained @ unexplained) / float(rest @ rest)
-        if share > max(largest, FOLLOWS) and chi2.sf(len(rest) * share, history.shape[1]) < FOLLOWS_BY_CHANCE:
-            largest, name = share, output
-    if not name:
-        return ""
-    return (
-        f"its process noise is no gusts: what the controls did before foretells {largest:.0%} of its innovations of {name}, where"
-        f" in rough air they foretell {FOLLOWS:.0%} at most; the model, a channel or the record of a control lacks something"
-    )
-
-
-def _rows(result: Result, data: Sequence[FlightData], controls: list[int], output: int) -> tuple[Array, Array]:
-    """(N, controls STEPS) past movements and (N,) innovations of one output, over all flights."""
-    history, rest = [np.zeros((0, len(controls) * STEPS))], [np.zeros(0)]
-    for fit, flight in zip(result.flights, data, strict=True):
-        for s in flight.segments:
-            movements = np.diff(s.u[:, controls], axis=0, prepend=s.u[:1, controls])
-            if len(s) <= 2 * STEPS:
-                continue
-            rows = np.concatenate([movements[STEPS - k : len(s) - k] for k in range(STEPS)], axis=1)
-            e = fit.residuals[s.first + STEPS : s.first + len(s), output]
-            measured = np.isfinite(e)
-            history.append(rows[measured])
-            rest.append(e[measured] - e[measured].mean() if measured.any() else e[measured])
-    return np.concatenate(history), np.concatenate(rest)
-
 
 CHANCE = 1e-4
 """Probability below which a flight differs: of a hundred joint fits of ten flights, one in ten would name one by chance."""

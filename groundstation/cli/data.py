@@ -16,7 +16,7 @@ from daq.utilities.outputs import tried_file, tried_folder
 if TYPE_CHECKING:
     from groundstation.flight import Flight
 
-JSON_OPTION = json_option("Write the same as JSON.", "report")
+JSON_OPTION = json_option(name="report")
 
 
 def write_json(report: Path | None, content: Any) -> None:

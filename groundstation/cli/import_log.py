@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Mapping file: columns, units, signs, time; or the name of an example, such as ardupilot-elevon.",
 )
-@aircraft_option("Built-in aircraft or an AIRCRAFT.toml that the flight is of and carries", "")
+@aircraft_option("Built-in aircraft or an AIRCRAFT.toml that goes into the flight", "")
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True, max=1000), help="Resample to so many Hz.")
 @click.option("--accept-implausible", is_flag=True, help="Import values that look like another unit, with a note.")
 @click.option(

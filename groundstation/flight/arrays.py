@@ -10,6 +10,8 @@ Mask = NDArray[np.bool_]
 
 WINDOW = 4.0  # [s]: the drift of an integrated rate or acceleration is a straight line in it
 FEWEST_IN_WINDOW = 10  # samples
+MOST_WINDOWS = 300
+"""Of one signal, even over a long record: 20 minutes tell a scale or a sign to a hundredth of what is asked of it."""
 
 
 def true_runs(mask: Mask, parts: Iterable[slice] | None = None) -> list[tuple[int, int]]:
@@ -32,12 +34,13 @@ def integral(time: Array, rate: Array) -> Array:
 
 
 def windows(time: Array, *signals: Array) -> Iterator[tuple[Array, ...]]:
-    """Time and signals over each WINDOW in which all is measured and time rises."""
+    """Time and signals over each WINDOW in which all is measured and time rises; of a long record over MOST_WINDOWS of them."""
+    every = max(WINDOW, float(np.ptp(time)) / MOST_WINDOWS) if time.size else WINDOW
     start = 0
     while start < time.size - FEWEST_IN_WINDOW:
         stop = int(np.searchsorted(time, time[start] + WINDOW))
         window = [v[start:stop] for v in (time, *signals)]
-        start = max(stop, start + 1)
+        start = max(int(np.searchsorted(time, time[start] + every)), start + 1)
         measured = all(np.all(np.isfinite(v)) for v in window)
         if window[0].size >= FEWEST_IN_WINDOW and measured and np.all(np.diff(window[0]) > 0):
             yield tuple(window)

@@ -38,6 +38,12 @@ def density_at_pressure(p_static: Array) -> Array:
     return density(p_static, standard_temperature(p_static))
 
 
+def pressure_at_altitude(altitude: Array) -> Array:
+    """Static pressure [Pa] of the standard atmosphere at an altitude [m]."""
+    share = 1.0 - LAPSE_RATE / SEA_LEVEL_TEMPERATURE * altitude
+    return np.asarray(SEA_LEVEL_PRESSURE * np.maximum(share, 0.0) ** _EXPONENT)
+
+
 def density_at_altitude(altitude: Array) -> Array:
     """Density [kg/m3] at an altitude above mean sea level [m]."""
     share = 1.0 - LAPSE_RATE / SEA_LEVEL_TEMPERATURE * altitude

@@ -34,7 +34,7 @@ AIRCRAFT_FILE = "aircraft_file"
 CHANNELS = "channels"  # key of a provenance's detail: where each column comes from, see `Flight.channels`
 CHANNEL_KINDS = ("measured", "computed", "assumed")
 """By a sensor, by a program of others, or by nobody at the place and time."""
-HELD, INTERVAL = "held", "interval_s"
+HELD, INTERVAL, BACK = "held", "interval_s", "dated_back_s"
 """Keys of a channel's entry: it is a command, which holds until the next one; how far apart its records are [s]."""
 RECONSTRUCTED = "reconstructed"
 """Key of a provenance's detail: which columns were not measured but found from the others, from what, how sure."""
@@ -213,6 +213,11 @@ class Flight:
         channel = self.channels.get(column, {})
         interval = channel.get(INTERVAL)
         return float(interval) if channel.get(HELD) is True and isinstance(interval, float | int) else None
+
+    def dated_back(self, column: str) -> float:
+        """Time [s] by which an import dated a command back from its record; 0 where it did not, or the flight does not say."""
+        back = self.channels.get(column, {}).get(BACK)
+        return float(back) if isinstance(back, float | int) else 0.0
 
     @property
     def known_columns(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ WORTH = 1.1  # times narrower, from which a bound counts as gained by a point
 LEAST_PEAK = math.radians(0.5)  # of a control that counts as flown
 LINE = 99  # letters of a line on the link: two messages of STATUSTEXT
 EXCITED = math.radians(0.5)  # rad rms of the last seconds from which a control counts as being moved
-FIRST = "a doublet of each control: nothing can be told before both have moved"
+FIRST = "a doublet of each control: nothing can be identified before both have moved"
 
 
 def short_line(state: LiveState) -> str:
@@ -26,7 +26,7 @@ def short_line(state: LiveState) -> str:
     reached_count = sum(state.to_go.get(d.name, math.inf) == 0.0 for d in told_derivatives)
     surest = sorted(told_derivatives, key=lambda d: d.std / max(abs(d.estimate), 1e-12))[:SAID]
     numbers = ", ".join(f"{d.name} {number(d)}" for d in surest)
-    counts = f"{len(told_derivatives)} of {len(state.aircraft.shown)} told, {reached_count} to the wanted bound"
+    counts = f"{len(told_derivatives)} of {len(state.aircraft.shown)} identified, {reached_count} to the wanted bound"
     return f"live: {counts}{': ' + numbers if numbers else ''}; next: {next_words(state)}"
 
 
@@ -74,7 +74,7 @@ def advice_lines(state: LiveState) -> Iterator[str]:
         yield f"{CONTROL_WORDS[signal]} {movement}"
     for pair in state.together:
         yield (
-            f"{pair.first} and {pair.second} are told only together (correlation {pair.correlation:+.2f}): "
+            f"{pair.first} and {pair.second} are identified only together (correlation {pair.correlation:+.2f}): "
             "trust their ratio more than either"
         )
     yield from point_lines(state)

@@ -15,7 +15,7 @@ from groundstation.flight.arrays import Array
 from groundstation.flight.contradictions.air import air_density
 from groundstation.flight.expression import parse
 from groundstation.flight.findings import Finding, FindingKind, unknown_columns
-from groundstation.flight.flight import HELD, INTERVAL
+from groundstation.flight.flight import BACK, HELD, INTERVAL
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.mapping import ColumnSource, Kind, Map
@@ -45,7 +45,7 @@ class ColumnOrigin:
         entry = {"from": self.source.formula, "kind": self.kind, "rate_hz": own_rate}
         if self.held is not None:
             dated_back = DATED_BACK * self.held if self.rate is not None else 0.0
-            entry |= {HELD: True, INTERVAL: self.held, "dated_back_s": dated_back, "servo_lag_s": self.lag}
+            entry |= {HELD: True, INTERVAL: self.held, BACK: dated_back, "servo_lag_s": self.lag}
         return entry | {"column": self.name}
 
 

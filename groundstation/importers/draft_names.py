@@ -16,7 +16,7 @@ from groundstation.flight.arrays import Array
 from groundstation.importers.units import UNITS, find_unit
 
 _MEANT: tuple[tuple[str, str], ...] = (
-    ("ax", r"(acc?(el(eration)?)?|specific_force|nx|imu_acc?)_?(x|lon\w*)|a_?x|(longitudinal|axial)_acc\w*"),
+    ("ax", r"(acc?(el(eration)?)?|specific_force|imu_acc?)_?(x|lon\w*)|a_?x|nx(_?lon\w*)?|(longitudinal|axial)_acc\w*"),
     ("ay", r"(acc?(el(eration)?)?|specific_force|imu_acc?)_?(y|lat\w*)|a_?y|ny|lateral_acc\w*"),
     ("az", r"(acc?(el(eration)?)?|specific_force|imu_acc?)_?(z|nor\w*|vert\w*)|a_?z|nz|(normal|vertical)_acc\w*"),
     ("p", r"p|roll_?rate(_p)?|(gyr(o)?|omega|w|ang\w*vel\w*)_?x|rollspeed"),

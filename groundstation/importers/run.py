@@ -34,6 +34,8 @@ DEFAULT_RATE = 50.0
 """Highest rate [Hz] of the common time base of a log whose series have times of their own, unless stated."""
 _NEEDED_BY_NONE = frozenset({"mx", "my", "mz"})
 """Columns that no model and no reconstruction reads: odd values of theirs become notes, and stop nothing."""
+_MOTION = frozenset({"p", "q", "r", "ay", "az", "delta_e", "delta_a", "delta_r"})
+"""Columns whose rate decides what a flight tells of fast modes."""
 ENTRY_POINTS = "sideslip.importers"
 
 
@@ -102,11 +104,12 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
             "write a mapping file (--map)"
         )
     notes = [*log.notes, *imported.notes, *value_notes]
-    if mapping.title.startswith(EXAMPLE):
+    if mapping.title.startswith(EXAMPLE) and mapping.servos:
         notes.append("surfaces by the trim and travel of an example map: copy it and write down those of this aircraft")
     if no_output:
         notes.append(f"servo outputs named in the mapping and not in the file: {listed(no_output)}")
     notes += outputs_elsewhere(log, mapping.servos)
+    notes += _coarser(imported, rate)
     suspected = suspicions(time, columns)
     harmless = [s for s in suspected if set(s.columns) <= _NEEDED_BY_NONE]
     serious = [s.text for s in suspected if s not in harmless]
@@ -118,6 +121,18 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
     provenance = _provenance(path, log, mapping, imported, time, resampled)
     segment = _segment(log, mapping, rate)
     return Flight.build(path.stem, time, columns, segment=segment, provenance=provenance, notes=notes)
+
+
+def _coarser(imported: ImportedColumns, rate: float | None) -> list[str]:
+    """What a time base that was asked for takes from motion and surfaces that the log has at twice its rate or more."""
+    rates = {n: c.rate for n, c in imported.origins.items() if n in _MOTION and c.rate is not None}
+    fast = {n: own for n, own in rates.items() if rate is not None and own >= 2.0 * rate}
+    if rate is None or not fast:
+        return []
+    return [
+        f"{listed(fast)} logged at {max(fast.values()):.3g} Hz, averaged to the {rate:g} Hz asked for: what fast modes and edges "
+        "of surfaces tell is lost, and bounds are wider than at the log's own rate"
+    ]
 
 
 def _provenance(

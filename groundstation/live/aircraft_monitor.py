@@ -223,7 +223,9 @@ class AircraftMonitor:
             )
         if self._backfill is not None:
             b = self._backfill
-            lines.append(f"- in full here: {b.held} of {b.wanted} scans{', air and ground agree' if b.agreed else ''}")
+            lines.append(
+                f"- backfill: {b.held} of {b.wanted} scans here in full{', air and ground agree' if b.agreed else ''}"
+            )
         lines += [f"- disk here: {self._disk}"] if self._disk else []
         in_force = self._alarms.in_force()
         lines.append("")

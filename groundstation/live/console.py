@@ -32,7 +32,7 @@ live              derivatives by now, with their bounds, and what to fly next
 ack               acknowledge alarms that are over
 mark              mark an event in the recording on board
 start | stop      begin or end the recording on board
-fly DIGEST        start the armed manoeuvre (six digits, told when it was armed); signed links only
+fly DIGEST        start the armed manoeuvre (six digits, printed when it was armed); signed links only
 send FILE         send a manoeuvre (sideslip design) up to the sequencer; signed links only, the pilot's switch at off
 release           end the manoeuvre under way: the pilot gets the aircraft
 rate HZ           scans a second on the radio; 0: as configured on board
@@ -146,7 +146,7 @@ class Console:
         match words:
             case ["status"]:
                 for number in systems:
-                    self._echo(f"aircraft {number}: {self._station.monitor(number).status_page()}")
+                    self._echo(f"aircraft {number}: {self._station.monitor(number).status_page().replace('**', '')}")
             case ["live"]:
                 for number in systems:
                     state = self._station.identifications.state(number)

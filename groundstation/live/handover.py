@@ -10,7 +10,7 @@ from numpy.linalg import LinAlgError
 from daq.contract.recordings.recording import RecordingError
 from daq.utilities.errors import UserError
 from daq.utilities.outputs import write_json
-from groundstation.calibration.recording import calibrate_recording
+from groundstation.calibration.recording import calibrate_opened, open_recording
 from groundstation.calibration.schema import CalibrationError
 from groundstation.flight import Flight, FlightError, write_flight
 from groundstation.flight.findings import Finding
@@ -68,13 +68,16 @@ def hand_over(
     Raises HandoverError when the recording holds no usable flight.
     """
     try:
+        opened, notes = open_recording(recording, salvage=True)
         try:
-            flight = calibrate_recording(recording, salvage=True)
+            flight = calibrate_opened(opened, salvage=True)
         except CalibrationError:
             # The aircraft's own calibration has not come down: the station's set stands in, and the flight says so.
-            flight = calibrate_recording(recording, fallback_calibration, salvage=True)
+            flight = calibrate_opened(opened, fallback_calibration, salvage=True)
             note = f"calibrated with the station's set {fallback_calibration!r}: the aircraft's own is not in the recording"
-            flight = flight.with_notes(note)
+            notes = [*notes, note]
+        del opened  # some kilobytes a second of flight
+        flight = flight.with_notes(*notes)
     except (FlightError, CalibrationError, RecordingError, LinAlgError) as error:  # the last: times no aircraft has
         raise HandoverError(f"{recording}: no flight can be made of it: {error}") from error
     manoeuvres = find_manoeuvres(flight)
@@ -112,6 +115,7 @@ def hand_over_sessions(station: "Station", folder: Path, say: Callable[[str], No
         source, origin = (
             (recorder.path, "telemetry and backfill") if onboard is None else (onboard, "the onboard recording")
         )
+        say(f"{session.name}: a flight is made of {recorder.journal.total} scans from {origin}")
         try:
             handovers.append(
                 hand_over(

@@ -159,7 +159,7 @@ class LiveIdentifications:
         derivatives = state.estimates.derivatives
         for name in (n for n in state.aircraft.shown if n not in run.announced and derivatives[n].told):
             run.announced.add(name)
-            run.monitor.note("INFO", f"live: {name} is told now: {number(derivatives[name])}")
+            run.monitor.note("INFO", f"live: {name} identified: {number(derivatives[name])}")
         if run.announced and state.time >= run.next_line_s:
             run.next_line_s = state.time + self._config.lines_every_s
             run.monitor.note("INFO", short_line(state))

@@ -165,6 +165,8 @@ class Station:
         """Write recordings and close every file and port; what failed is told."""
         with self.receiver.findings.guard(NOBODY, "live identification"):
             self.identifications.finish()
+        if scans := sum(r.journal.total for r in self.receiver.session_recorders().values()):
+            self._echo(f"the session ends: {scans} scans are written as recordings")
         self.receiver.close()
         for event in self.receiver.faults.changes(self._clock.monotonic_ns()):
             self._dispatch(event)

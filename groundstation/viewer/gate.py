@@ -14,8 +14,11 @@ import socket
 import socketserver
 import sys
 import threading
+import time
+from collections import Counter
 from collections.abc import Mapping
 from http import HTTPStatus
+from typing import Any
 
 from daq.utilities.errors import UserError
 
@@ -24,7 +27,8 @@ HERE = frozenset({"127.0.0.1", "localhost", "::1"})
 """Names of this computer that a page of it can be asked by."""
 
 MOST_CONNECTIONS = 64
-HEAD_S = 5.0  # in which a request's head has to have come
+MOST_OF_ONE = 24  # from one other computer: a browser has six and its streams, and nobody is to keep all others out
+HEAD_S = 5.0  # in which a request's head has to have come, all of it
 IDLE_S = 600.0  # without a byte in either direction
 LONGEST_HEAD = 16384
 _BLOCK = 1 << 16
@@ -67,7 +71,8 @@ def hidden_address() -> str:
 
 def host_of(header: str) -> str:
     """The name in a Host or Origin, in small letters, without scheme, port and brackets."""
-    name = header.strip().lower().rpartition("//")[2]
+    name = header.strip().lower()
+    name = name.partition("//")[2] or name
     if name.startswith("["):
         return name[1:].partition("]")[0]
     return name.partition(":")[0]
@@ -78,10 +83,10 @@ def refusal(
 ) -> HTTPStatus | None:
     """Why a request is not answered; None where it is. headers: by their names in small letters. names: names that this
     server goes by; with a token any, for a strange name has no token. tokens: those that the request shows besides its cookie."""
-    host, origin = headers.get("host", ""), headers.get("origin", "null")
+    host, origin = headers.get("host", ""), headers.get("origin")
     if not token and host_of(host) not in names:
         return HTTPStatus.MISDIRECTED_REQUEST
-    if origin != "null" and host_of(origin) not in (names if not token else {host_of(host)}):
+    if origin is not None and host_of(origin) not in (names if not token else {host_of(host)}):
         return HTTPStatus.FORBIDDEN
     candidates = [*tokens, *_cookies(headers.get("cookie", ""))]
     if token and not any(hmac.compare_digest(token.encode(), word.encode("utf-8", "replace")) for word in candidates):
@@ -103,6 +108,8 @@ class BoundedServer(socketserver.ThreadingTCPServer):
 
     def __init__(self, address: tuple[str, int], handler: type[socketserver.BaseRequestHandler], name: str) -> None:
         self._room = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self._served: Counter[str] = Counter()  # connections by the computer that they come from
+        self._counting = threading.Lock()
         super().__init__(address, handler)
         self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), name=name, daemon=True)
         self._thread.start()
@@ -113,20 +120,28 @@ class BoundedServer(socketserver.ThreadingTCPServer):
         self.server_close()
         self._thread.join()
 
-    def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: object) -> None:
+    def _admitted(self, computer: str) -> bool:
+        with self._counting:
+            crowded = computer != LOOPBACK and self._served[computer] >= MOST_OF_ONE
+            if crowded or not self._room.acquire(blocking=False):
+                return False
+            self._served[computer] += 1
+            return True
+
+    def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
         """Serve, or close where there are too many."""
-        if not self._room.acquire(blocking=False):
+        if not self._admitted(str(client_address[0])):
             self.shutdown_request(request)
             return
-        super().process_request(request, client_address)  # type: ignore[arg-type]
+        super().process_request(request, client_address)
 
-    def process_request_thread(
-        self, request: socket.socket | tuple[bytes, socket.socket], client_address: object
-    ) -> None:
+    def process_request_thread(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
         try:
-            super().process_request_thread(request, client_address)  # type: ignore[arg-type]
+            super().process_request_thread(request, client_address)
         finally:
-            self._room.release()
+            with self._counting:
+                self._served -= Counter([str(client_address[0])])  # and forgets who has none left
+                self._room.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
         """A connection that breaks is no news."""
@@ -203,9 +218,10 @@ def single_request(head: bytes) -> bytes:
 
 def _head(client: socket.socket) -> bytes | None:
     """The bytes of a connection up to the end of the first head, and what came with it; None where that does not come."""
-    client.settimeout(HEAD_S)
+    deadline = time.monotonic() + HEAD_S
     data = b""
     while b"\r\n\r\n" not in data:
+        client.settimeout(max(0.001, deadline - time.monotonic()))  # bytes that drip gain nothing
         piece = client.recv(4096)
         data += piece
         if not piece or len(data) > LONGEST_HEAD:

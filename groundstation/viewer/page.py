@@ -8,6 +8,7 @@ sees them, and a Content-Security-Policy makes the browser refuse whatever were 
 import contextlib
 import re
 import socket
+import threading
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -15,6 +16,7 @@ from collections.abc import Sequence
 from http.server import BaseHTTPRequestHandler
 from typing import ClassVar
 
+from groundstation.viewer import gate
 from groundstation.viewer.gate import COOKIE, HERE, LOOPBACK, BoundedServer, pump, refusal
 
 TOKEN = "token"
@@ -109,6 +111,25 @@ class _Handler(BaseHTTPRequestHandler):
     headers_of_page: ClassVar[dict[str, str]] = {}
     timeout = _ASK_S
     server_version = "sideslip"
+
+    def setup(self) -> None:
+        super().setup()
+        self._head_late = threading.Timer(gate.HEAD_S, self._hang_up)
+        self._head_late.start()
+
+    def finish(self) -> None:
+        self._head_late.cancel()
+        super().finish()
+
+    def parse_request(self) -> bool:
+        """The head has come."""
+        parsed = super().parse_request()
+        self._head_late.cancel()
+        return parsed
+
+    def _hang_up(self) -> None:
+        with contextlib.suppress(OSError):
+            self.connection.shutdown(socket.SHUT_RDWR)
 
     def do_GET(self) -> None:
         path, _, query = self.path.partition("?")

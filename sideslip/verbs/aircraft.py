@@ -11,7 +11,7 @@ from daq.utilities.options import json_option, path_option
     epilog="Example: sideslip aircraft new glider, then fill in glider.toml and: sideslip aircraft check glider.toml"
 )
 def aircraft() -> None:
-    """Describe an aircraft of one's own in one file (docs/aircraft.md)."""
+    """Describe your aircraft in one file (docs/aircraft.md)."""
 
 
 @aircraft.command(epilog="Example: sideslip aircraft new glider -o aircraft/glider.toml")
@@ -27,7 +27,7 @@ def new(name: str, output: Path | None) -> None:
 
 @aircraft.command(epilog="Example: sideslip aircraft check glider.toml --json glider.json")
 @click.argument("file")
-@json_option("Write the same as JSON.")
+@json_option()
 def check(file: str, json_path: Path | None) -> int:
     """Say what in FILE (or a built-in aircraft) is missing, doubtful, or enough for which method.
 

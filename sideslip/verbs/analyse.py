@@ -13,9 +13,9 @@ _PATH = click.Path(path_type=Path)
 
 @click.command(epilog=EXAMPLE)
 @flights_argument("logs", "LOG...")
-@aircraft_option("Built-in aircraft or an AIRCRAFT.toml; without one: what can be said all the same", "")
+@aircraft_option("Built-in aircraft or an AIRCRAFT.toml; without one: what the logs alone allow", "")
 @path_option("--map", "mapping", text="Mapping file, as of 'sideslip import'.")
-@path_option("--holdout", text="A log kept out of every fit; may be repeated.", multiple=True, metavar="LOG")
+@path_option("--holdout", text="A log used in no fit; may be repeated.", multiple=True, metavar="LOG")
 @json_option()
 @path_option("-o", "--output", text="Folder for index.html, answer.json and stages.", tried=tried_folder, required=True)
 def analyse(

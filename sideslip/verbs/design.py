@@ -27,7 +27,7 @@ EXAMPLE = "Example: sideslip design --model lateral --aircraft cdfp --kind multi
 @click.option("--kind", default="optimal", show_default=True, help="doublet, 121, 3211, chirp, multisine or optimal.")
 @click.option("--time", "duration", type=float, required=True, help="How long it takes [s].")
 @path_option("--limits", text="What it may do (LIMITS.toml).")
-@click.option("--separate", default="", help="Two effects of the gap catalogue, or parameters, to be told apart: A,B.")
+@click.option("--separate", default="", help="Two effects of the gap catalogue, or parameters, to separate: A,B.")
 @click.option(
     "--criterion", default="worst", show_default=True, help="Of kind optimal: worst, D, A, or the name of a parameter."
 )
@@ -51,7 +51,7 @@ def design(
     report_folder: Path | None,
     **options: Any,
 ) -> int:
-    """Design the inputs of a manoeuvre of --time seconds, under limits, and say what it will tell."""
+    """Design the inputs of a manoeuvre of --time seconds, under limits, and predict the bounds that it brings."""
     from estimation.answers import designs
     from sideslip.verbs.delivery import deliver
 

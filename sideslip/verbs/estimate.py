@@ -57,19 +57,19 @@ def _able(extra: Extra) -> str:
 )
 @flag_option(
     "--keep-held",
-    text="Take the repeated values of slow and stuck sensors for measurements; without it they are left out, and said.",
+    text="Take the repeated values of slow and stuck sensors for measurements; by default they are excluded, with a note.",
 )
 @click.option(
     "--hold-initial",
     default="",
     metavar="NAMES",
-    help="Comma-separated states whose initial values are held: as measured, or NAME=VALUE; all.",
+    help="Comma-separated states whose initial values are fixed as measured, or NAME=VALUE; all.",
 )
 @click.option(
     "--free-initial",
     default="",
     metavar="NAMES",
-    help="Comma-separated states whose initial values are estimated though the model holds them; all.",
+    help="Comma-separated states whose initial values are estimated though the model fixes them; all.",
 )
 @flag_option("--stepwise", text=f"Keep only the terms that a partial F ratio finds ({_able(Extra.STEPWISE)}).")
 @json_option()

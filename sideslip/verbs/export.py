@@ -19,30 +19,30 @@ from daq.utilities.outputs import check_file, check_folder, tried_folder
     "target",
     type=click.Choice(["ardupilot", "gazebo", "neutral", "jsbsim", "model"]),
     help="ardupilot: a linear model or aircraft file as a .json that ArduPilot's SITL flies. gazebo: as a folder for Gazebo"
-    " with PX4. neutral: any model as JSON for a simulator of one's own. All are proved on the spot. jsbsim: write a model found"
+    " with PX4. neutral: any model as JSON for a simulator of your own. All are proved on the spot. jsbsim: write a model found"
     " on a JSBSim aircraft back into the aircraft, and prove it by flying both. model: write a"
     " JSBSim aircraft as MODEL.toml (FILE is jsbsim:NAME or jsbsim:FOLDER, for which this is the default).",
 )
-@path_option("--out", text="Of --to jsbsim: the folder to write into.", tried=tried_folder)
+@path_option("--out", text="For --to jsbsim: the folder to write into.", tried=tried_folder)
 @click.option(
-    "--aircraft-from", help="Of --to jsbsim: jsbsim:NAME or jsbsim:FOLDER  [default: what the model was found on]."
+    "--aircraft-from", help="For --to jsbsim: jsbsim:NAME or jsbsim:FOLDER  [default: what the model was found on]."
 )
-@click.option("--rate", default=120.0, show_default=True, help="Of --to jsbsim: JSBSim's steps per second.")
+@click.option("--rate", default=120.0, show_default=True, help="For --to jsbsim: JSBSim's steps per second.")
 @click.option(
     "--aircraft",
-    help="Of --to ardupilot, gazebo, neutral: aircraft with what the model lacks (beliefs, throws, thrust).",
+    help="For --to ardupilot, gazebo, neutral: aircraft with what the model lacks (beliefs, throws, thrust).",
 )
 @click.option(
     "--throw",
     "throws",
     multiple=True,
     metavar="SURFACE=ANGLE",
-    help="Of the same: deflection at full stick, delta_e=25deg (rad without deg); may be repeated.",
+    help="For the same: deflection at full stick, delta_e=25deg (rad without deg); may be repeated.",
 )
-@click.option("--thrust", type=float, help="Of the same: static thrust [N]; 0 for a glider.")
-@click.option("--alpha-stall", type=float, help="Of --to ardupilot, gazebo: angle of attack of the stall [rad].")
-@flag_option("--force", text="Of --to ardupilot, gazebo, neutral: replace files that exist.")
-@flag_option("--prove", text="Of the same: write nothing, hold the output that exists against FILE.")
+@click.option("--thrust", type=float, help="For the same: static thrust [N]; 0 for a glider.")
+@click.option("--alpha-stall", type=float, help="For --to ardupilot, gazebo: angle of attack of the stall [rad].")
+@flag_option("--force", text="For --to ardupilot, gazebo, neutral: replace files that exist.")
+@flag_option("--prove", text="For the same: write nothing, compare the existing output with FILE.")
 @json_option("Write what was written, and the proof, as JSON.")
 @flag_option("--units-row", text="CSV: a second line with the units.")
 @flag_option("--raw", text="Of a raw recording: counts as recorded, not calibrated columns.")

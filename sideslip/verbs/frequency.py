@@ -26,9 +26,9 @@ EXAMPLE = "Example: sideslip frequency sweep.mcap --input delta_a --output p --f
 @click.option(
     "--with",
     "with_",
-    help="Comma-separated inputs whose share is taken off; none for none  [default: all other surfaces that moved].",
+    help="Comma-separated inputs whose share is removed; none: remove nothing  [default: all other surfaces that moved].",
 )
-@flag_option("--fit", text="Fit a transfer function with delay, and tell what it says.")
+@flag_option("--fit", text="Fit a transfer function with delay, and print what it means.")
 @click.option(
     "--form",
     help="Fit this form: roll, dutch-roll, short-period, or orders like 1/2  "

@@ -44,7 +44,7 @@ class _ManyHoldouts(click.Command):
 @flights_argument()
 @path_option(
     "--holdout",
-    text="Flights kept out of every fit, to confirm what is found; several may follow.",
+    text="Flights used in no fit, to confirm what is found; several may follow.",
     multiple=True,
     metavar="FLIGHT...",
 )

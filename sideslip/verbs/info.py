@@ -20,7 +20,7 @@ AFTER_A_LOG = "sideslip import {file} -o flight.mcap"
 
 @click.command(epilog="Example: sideslip info recordings/cdfp_ld1_raw.mcap --json info.json")
 @click.argument("file", type=click.Path(path_type=Path))
-@json_option("Write the same as JSON.")
+@json_option()
 def info(file: Path, json_path: Path | None) -> int:
     """What is in FILE: a raw recording, the directory of its segments, a flight, or a log of an autopilot."""
     content = content_of(file)

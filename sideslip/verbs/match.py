@@ -35,7 +35,7 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 )
 @segments_option()
 @histories_option("predicts")
-@aircraft_option("For a built-in model or a class of one's own")
+@aircraft_option("For a built-in model or a class of your own")
 @simulation_option()
 @json_option("Write the fit as JSON.")
 @figure_option("Write a figure of measured and predicted histories.")

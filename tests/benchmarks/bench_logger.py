@@ -6,11 +6,12 @@ so that no simulator runs in it; on hardware add the system calls of some 45 bus
 
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,8 @@ from tests.support.paths import ROOT
 SECONDS = float(os.environ.get("LOGGER_BENCH_S", "60"))
 WARM_UP_S = 5.0
 SCANS_HZ = 20.0
+MOST_OF_BARE = {20.0: 4.0, 50.0: 4.0, 100.0: 5.0}
+MEMORY_OF_BARE = 3.5
 LOGGER_MOST = 0.12
 """Of the reference's time for a scan: half as much again as the 0.08 measured; the reference itself varies by a quarter."""
 
@@ -54,7 +57,7 @@ def record_answers(folder: Path) -> Path:
     return path
 
 
-def bench_config(folder: Path, recordings: Path, identifying: bool = False) -> Path:
+def bench_config(folder: Path, recordings: Path, identifying: bool = False, rate_hz: float = SCANS_HZ) -> Path:
     """The example configuration, written into `folder`, recording into `recordings`; identifying: on board too."""
     text = (ROOT / "daq/configs/cdfp.toml").read_text()
     calibration = f'calibration = "{NOMINAL_DIRECTORY / "cdfp"}"' if identifying else ""
@@ -62,7 +65,7 @@ def bench_config(folder: Path, recordings: Path, identifying: bool = False) -> P
     text += "\n[identification]\n" if identifying else ""
     text = text.replace("/var/lib/sideslip/recordings", str(recordings))
     path = folder / "bench.toml"
-    path.write_text(text)
+    path.write_text(re.sub(r"(?m)^rate_hz = .*", f"rate_hz = {rate_hz:g}", text, count=1))
     return path
 
 
@@ -90,11 +93,16 @@ class Look:
 
 
 def measure(
-    folder: Path, seconds: float, recordings: Path | None = None, *, identifying: bool = False
+    folder: Path,
+    seconds: float,
+    recordings: Path | None = None,
+    *,
+    identifying: bool = False,
+    rate_hz: float = SCANS_HZ,
 ) -> dict[str, object]:
     """Run the logger for a time and watch it; it records into `recordings`, on another card than `folder` perhaps."""
     answers = record_answers(folder)
-    config = bench_config(folder, recordings or folder / "recordings", identifying)
+    config = bench_config(folder, recordings or folder / "recordings", identifying, rate_hz)
     arguments = [str(config), str(answers), str(seconds + 60.0)]
     command = [sys.executable, str(ROOT / "tests/benchmarks/logger_process.py"), *arguments]
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
@@ -127,6 +135,21 @@ def measure(
         "load_average": [first.load, last.load],
         **json.loads(said),
     }
+
+
+def measure_bare_loop(answers: Path, seconds: float, rate_hz: float) -> Look:
+    """The bare loop at a rate: what it took in all, its start included, and its memory at the end."""
+    arguments = [str(answers), str(seconds), str(rate_hz), str(answers.with_suffix(".mcap"))]
+    command = [sys.executable, str(ROOT / "tests/benchmarks/bare_loop.py"), *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        time.sleep(WARM_UP_S)
+        first = Look.at(process.pid)
+        time.sleep(max(seconds - 2.0 * WARM_UP_S, WARM_UP_S))
+        last = Look.at(process.pid)
+        process.communicate(timeout=60 + seconds)
+    assert process.returncode == 0
+    return replace(last, running_s=(last.running_s - first.running_s) / (last.at_s - first.at_s))
 
 
 def children(pid: int) -> list[int]:
@@ -162,6 +185,29 @@ def test_logger_in_real_time(tmp_path: Path, against_reference: Against) -> None
     resident = result["resident_mb"]
     assert result["resident_most_mb"] < 80.0  # type: ignore[operator]
     assert resident[-1] - resident[0] < 2.0, "resident memory must be flat"  # type: ignore[index]
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(2 * SECONDS + 240)
+@pytest.mark.parametrize(("rate_hz", "most"), MOST_OF_BARE.items())
+def test_logger_beside_a_bare_loop(tmp_path: Path, compared: Against, rate_hz: float, most: float) -> None:
+    """The same transfers at the same rate, read and written by the least of programs, one after the other."""
+    result = measure(tmp_path, SECONDS, rate_hz=rate_hz)
+    bare = measure_bare_loop(tmp_path / "answers.json", SECONDS, rate_hz)
+    share = {"bare_percent": round(100 * bare.running_s, 2), "bare_mb": round(bare.resident_mb, 1)}
+    print(json.dumps({"rate_hz": rate_hz, **result, **share}, indent=1))
+    assert verify(Path(str(result["directory"]))).ok
+    assert result["written"] == result["slots"]
+    compared(
+        f"processor of the logger / bare loop at {rate_hz:g} Hz",
+        float(str(result["cpu_percent"])) / share["bare_percent"],
+        most,
+    )
+    compared(
+        f"memory of the logger / bare loop at {rate_hz:g} Hz",
+        float(str(result["resident_most_mb"])) / bare.resident_mb,
+        MEMORY_OF_BARE,
+    )
 
 
 @pytest.mark.benchmark

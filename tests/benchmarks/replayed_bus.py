@@ -108,7 +108,8 @@ class ReplayedBus:
     def __init__(self, path: Path) -> None:
         kept = json.loads(path.read_text())
         self._setup: Answers = {tuple(key): answers for key, answers in kept["setup"]}
-        self._scans: Answers = {**self._setup, **{tuple(key): answers for key, answers in kept["steady"] if answers}}
+        self.scan_answers: Answers = {tuple(key): answers for key, answers in kept["steady"] if answers}
+        self._scans: Answers = {**self._setup, **self.scan_answers}
         self._next = _in_turn(self._setup)
 
     def scans_begin(self) -> None:

@@ -9,11 +9,13 @@ import pytest
 
 import sideslip
 from estimation.aircraft import load_aircraft
+from estimation.compatibility.air_data import reconstruct_air, with_air
 from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.world import simulate_many
 from groundstation.flight import read_flight
 from groundstation.importers.formats.ulog_scan import MAGIC
+from groundstation.importers.run import import_data
 from tests.chain.autopilot_logs import BOOT, dataflash, ulog
 from tests.cli.docs.blocks import commands_of, files_of, write_files
 
@@ -114,3 +116,21 @@ def test_estimates_are_within_their_bounds(followed: tuple[Path, dict[str, np.nd
     assert np.abs(away).max() < 5.0
     assert found["Cl_p"]["std_coloured"] < 0.1 * abs(truth["Cl_p"])
     assert found["Cn_beta"]["std_coloured"] < 0.1 * abs(truth["Cn_beta"])
+
+
+@pytest.mark.long
+def test_a_grid_finer_than_the_log_adds_no_information(
+    followed: tuple[Path, dict[str, np.ndarray], str],
+) -> None:
+    """The log has motion at 50 Hz, attitude at 25, air data at 10, velocity at 5: bounds at 50 and 100 Hz are the same."""
+    folder, bounds = followed[0], []
+    for rate in (50.0, 100.0):
+        flight = import_data(folder / "log.bin", folder / "surfaces.toml", rate_hz=rate)
+        flight = with_air(flight, reconstruct_air(flight))
+        answer = sideslip.estimate(flight, "lateral", aircraft="cdfp", method="ml").to_json()
+        found = answer["flights"][0]["methods"]["ml"]["parameters"]
+        bounds.append({n: found[n] for n in LATERAL if not n.endswith("_0")})
+    coarse, fine = bounds
+    for kind in ("std", "std_coloured"):
+        ratios = np.array([fine[n][kind] / coarse[n][kind] for n in coarse])
+        assert np.abs(np.log(ratios)).max() < 0.1, dict(zip(coarse, ratios, strict=True))

@@ -8,9 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import sideslip
+from groundstation.flight import Flight, Provenance, write_flight
 from sideslip.cli import VERBS
 from sideslip.first_hour import AFTER_A_FAILED_CHECK, NEXT, next_line
 from tests.support.paths import RECORDINGS
@@ -88,8 +90,27 @@ def test_every_verb_says_what_to_do_next_and_quiet_does_not(capsys: pytest.Captu
     assert "missing" in next_line(["aircraft", "check", RAW], failed=True)
     drafted = next_line(["import", RAW, "--draft-map", "-o", "map.toml"], failed=False)
     assert drafted.endswith(f"then sideslip import {RAW} --map map.toml -o flight.mcap")
+    assert (
+        next_line(["check", "--aircraft", RAW, "my.mcap"], failed=False) == f"sideslip estimate FLIGHT --aircraft {RAW}"
+    )
+    held = next_line(["match", "lateral", RAW], failed=True)
+    assert held.startswith(f"sideslip gap {RAW} --model lateral,")
+    assert next_line(["watch", RAW], failed=True) == ""
+    assert "alarm" in next_line(["watch", RAW], failed=False)
+    assert "report" not in next_line(["campaign", "a.mcap", "--no-report", "--out", "c"], failed=False)
     right = next_line(["check", RAW, "--write", "right"], failed=False)
     assert right == f"sideslip estimate right/{Path(RAW).stem}.mcap"
+
+
+@pytest.mark.parametrize(("aircraft", "words"), [("", " --aircraft AIRCRAFT.toml"), ("cdfp", "")])
+def test_the_next_step_names_the_aircraft_that_an_estimate_needs(aircraft: str, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "a.mcap"
+    time = np.arange(40) / 20
+    write_flight(
+        Flight.build("a", time, {"p": np.sin(time)}, provenance=Provenance(source="imported", aircraft=aircraft)), file
+    )
+    assert next_line(["check", str(file)], failed=False) == f"sideslip estimate {file}{words}"
+    assert next_line(["frequency", str(file), "--aircraft", "mine.toml"], failed=False).endswith("--aircraft mine.toml")
 
 
 def test_info_names_the_one_step_that_suits_the_file(capsys: pytest.CaptureFixture[str]) -> None:

@@ -167,9 +167,9 @@ def test_a_scenario_cannot_name_a_folder_elsewhere(tmp_path: Path, capsys: pytes
     "word", [r"\input{/etc/passwd}", r"\write18{rm x}", "a_b^c#1 50% & $x$ ~{}", "\u202egnp", "x\n\\end{table}"]
 )
 def test_words_of_strangers_are_no_commands_of_latex(word: str) -> None:
-    from estimation.report.tables import _latex_text
+    from estimation.report.tables import latex_text
 
-    made = _latex_text(word)
+    made = latex_text(word)
     bare = re.sub(r"\\(textbackslash|textasciicircum)\{\}|\$\\sim\$|\\[_#%&${}]", "", made)
     assert not set(bare) & set("\\#%&$^_~{}\n\u202e"), made
 

@@ -5,7 +5,7 @@ decoded by a message class made here from them.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -26,6 +26,13 @@ _CELLS = 12_000_000
 _CELLS_PER_BYTE = 0.75
 """Cells a table may have: as many as any file (96 MB), more where the file is larger. A cell takes nine bytes in a row before
 compression, more than one after it where values are measured; absent cells are nearly free, and so they are what is forged."""
+
+_FIXED64 = 1
+"""Wire type of a double in protobuf."""
+_KEY_BITS = 21
+"""Of the key of a column below MAX_COLUMNS, in groups of seven."""
+_MOST_LAYOUTS = 16
+"""Of rows of one length that are decoded in bulk; what is left is decoded row by row."""
 
 
 class FlightRowsError(UserError):
@@ -65,14 +72,63 @@ def flight_rows(segment: RecordingWalk) -> FlightRows:
     cls = _message_class(numbers)
     column = {number: i for i, number in enumerate(numbers.values())}
     values = np.full((len(rows), len(numbers)), np.nan)
-    for i, data in enumerate(rows):
+    for i in _rows_in_bulk(rows, column, values):
         try:
-            row = cls.FromString(data)
+            row = cls.FromString(rows[i])
         except DecodeError as error:
             raise FlightRowsError(f"{segment.path}: row {i} of the flight is none ({error})") from error
         for field, value in row.ListFields():
             values[i, column[field.number]] = value
     return FlightRows(tuple(numbers), values)
+
+
+def _rows_in_bulk(rows: Sequence[bytes], column: Mapping[int, int], values: NDArray[np.float64]) -> list[int]:
+    """Fills in rows that set the same columns in the same order, many at once; those that are left, in rising order.
+
+    A row of doubles alone is a key and eight bytes for each: rows as long as one of them, with its keys at the same places, are
+    laid out as it is.
+    """
+    by_length: dict[int, list[int]] = {}
+    for i, data in enumerate(rows):
+        by_length.setdefault(len(data), []).append(i)
+    rest: list[int] = []
+    by_length.pop(0, None)  # rows that set nothing
+    for length, numbers in by_length.items():
+        remaining = np.array(numbers)
+        for _ in range(_MOST_LAYOUTS):
+            layout = _layout(rows[remaining[0]], column)
+            if layout is None:
+                break
+            table = np.frombuffer(b"".join([rows[i] for i in remaining.tolist()]), np.uint8).reshape(-1, length)
+            keys = np.ones(length, bool)
+            for place, _ in layout:
+                keys[place : place + 8] = False
+            alike = np.all(table[:, keys] == table[0, keys], axis=1)
+            for place, name in layout:
+                values[remaining[alike], name] = np.ascontiguousarray(table[alike, place : place + 8]).view("<f8")[:, 0]
+            remaining = remaining[~alike]
+            if not remaining.size:
+                break
+        rest += remaining.tolist()
+    return sorted(rest)
+
+
+def _layout(row: bytes, column: Mapping[int, int]) -> list[tuple[int, int]] | None:
+    """Place of each double of a row, and its column; None where the row is not laid out as we write it."""
+    layout, place = [], 0
+    while place < len(row):
+        key, shift = 0, 0
+        while place < len(row) and shift < _KEY_BITS:
+            byte = row[place]
+            key, shift, place = key | (byte & 0x7F) << shift, shift + 7, place + 1
+            if byte < 0x80:
+                break
+        number = key >> 3
+        if key & 7 != _FIXED64 or byte >= 0x80 or number not in column or place + 8 > len(row):
+            return None
+        layout.append((place, column[number]))
+        place += 8
+    return layout
 
 
 def _columns(segment: RecordingWalk) -> dict[str, int]:

@@ -210,20 +210,21 @@ class Walk:
 
     def _chunk(self, record: McapRecord) -> Iterator[RecordedMessage]:
         content = memoryview(self._expanded(record))
-        offset = 0
-        while offset < len(content):
-            if offset + RECORD_HEAD > len(content):
+        offset, size = 0, len(content)
+        while offset < size:
+            if offset + RECORD_HEAD > size:
                 raise Bad("its content breaks off")
             self._effort.record()
             opcode, length = struct.unpack_from("<BQ", content, offset)
-            if offset + RECORD_HEAD + length > len(content):
+            end = offset + RECORD_HEAD + length
+            if end > size:
                 raise Bad("its content breaks off")
-            inner = McapRecord(offset, opcode, content[offset + RECORD_HEAD : offset + RECORD_HEAD + length])
+            body = content[offset + RECORD_HEAD : end]
             if opcode == MESSAGE:
-                yield self._message(inner.body)
+                yield self._message(body)
             elif opcode in (SCHEMA, CHANNEL):
-                self._declare(inner)
-            offset = inner.end
+                self._declare(McapRecord(offset, opcode, body))
+            offset = end
 
     def _expanded(self, record: McapRecord) -> bytes | memoryview:
         if self._content[0] != record.at:

@@ -27,6 +27,7 @@ from estimation.estimators.result import FlightFit, Result, judge_status
 from estimation.estimators.uncertainty import TIED, judge_estimates
 from estimation.models import load_model
 from estimation.models.base import Model
+from estimation.models.dependence import require_states
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.prepare.pipeline import FlightsToFit, prepare_all
 from estimation.signals.curves import Complex
@@ -201,7 +202,7 @@ def frequency_output_error(model: Model | str, flights: FlightsToFit, options: F
 
     Raises DataError or MissingColumnError for a flight that cannot feed the model; a fit that fails is a Result that says so.
     """
-    loaded = load_model(model)
+    loaded = require_states(load_model(model), "ml-frequency")
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights))
     band = _band(data, options)
     data = [_long_enough(d, band) for d in data]

@@ -1,5 +1,5 @@
 """Models before and after as a lineage of files: what was added to which parent, on which flights, with what evidence; and
-columns of the wrong sign or unit that the first model's fit gives away."""
+columns of the wrong sign, unit or time that the first model's fit gives away."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -8,10 +8,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from daq.utilities.outputs import write_json
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.result import Estimate
 from estimation.gap.answer.result import EffectStep, GapResult
 from estimation.gap.fit.baseline import Baseline
+from estimation.gap.records.candidate_model import GYROS, TIMING, TOGETHER, timing_of
 from estimation.gap.search.state import AcceptedEffect
 from estimation.gap.shapes.search import CoefficientShape
 from estimation.models.base import Model
@@ -23,6 +27,8 @@ from estimation.session.sanity_checks import (
     turned_side_force,
 )
 from groundstation.flight import Flight
+
+RARE = 0.9  # of a sample: a command recorded more rarely than that is late by a time to tell
 
 
 def with_values(model: Model, values: Mapping[str, float]) -> Model:
@@ -96,6 +102,31 @@ def turned_signs(baseline: Baseline) -> list[str]:
         *turned_controls(base, estimates),
         *controls_of_another_unit(base, estimates),
     ]
+
+
+def late_commands(flights: Sequence[Flight], baseline: Baseline) -> str:
+    """A sentence on controls that are commands a log has no oftener than the motion: how long before their record they moved, by
+    what the gyros show; nothing where there are none."""
+    fit, shift = baseline.fit, dict[str, float]()
+    intervals, back = list[float](), list[float]()
+    for signal in (s for s in baseline.clean.inputs if s.control and not s.computed):
+        interval = max((f.held(signal.source) or 0.0 for f in flights), default=0.0)
+        if interval > RARE * max(f.sample_interval for f in flights):
+            intervals.append(interval)
+            back.append(float(np.mean([f.dated_back(signal.source) for f in flights])))
+            shift[signal.name] = timing_of(signal.name, fit.values)
+    if not shift:
+        return ""
+    weight = {TOGETHER: -1.0, GYROS: 1.0} | {f"{TIMING}{n}": -1.0 / len(shift) for n in shift}
+    share = np.array([weight.get(n, 0.0) for n in fit.free])
+    before = np.mean(back) - np.mean(list(shift.values())) + fit.values.get(GYROS, 0.0)
+    bound = np.sqrt(max(share @ pseudo_inverse(fit.hessian)[0] @ share, 0.0))
+    are, they = ("are commands", "they") if len(shift) > 1 else ("is a command", "it")
+    return (
+        f"{' and '.join(shift)} {are} that the log has every {1e3 * max(intervals):.0f} ms, recorded "
+        f"{1e3 * before:.0f} +- {1e3 * bound:.0f} ms after {they} moved by what the gyros show, each move by another time "
+        "within that interval: counted."
+    )
 
 
 def with_models(result: GapResult, flights: Sequence[Flight], seed: int, folder: Path) -> GapResult:

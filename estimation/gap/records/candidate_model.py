@@ -6,6 +6,8 @@ differs from the others by a few hundredths), of what an attitude filter makes o
 and the rounding of rolling edges by straight lines between samples, at most h^2/12 times the angular acceleration), and of what
 its plumb line makes of slipping: it takes the side acceleration of a changing sideslip for gravity, an error in bank that follows
 sideslip (V/(g T) of it where nothing is done against that, T the memory; a few hundredths with airspeed or GPS velocity).
+A simulation of fixed steps is not free of their length: one that steps rates by the moments of the last step, and attitudes by
+the rates of the last, has gyros half a step early and moments a step late (JSBSim as it is set: 2.5 and 5 ms at 200 Hz).
 An attitude that a log has with times of its own is a tenth of its own interval off, be it a filter's or not. All are estimated
 with priors of that width, so that none is mistaken for an effect.
 
@@ -26,6 +28,8 @@ from groundstation.flight import Flight
 
 TIMING = "timing_"  # of what moves late
 TOGETHER = TIMING + "controls"  # all of them
+GYROS, MOMENTS = TIMING + "gyros", TIMING + "moments"
+STATIC_MOMENTS = {"Cl": "beta", "Cn": "beta", "Cm": "alpha"}  # coefficient -> the angle by which it holds the aircraft
 RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it
 DISTURBANCE = "disturbance_{}"
 
@@ -48,7 +52,7 @@ def with_nuisance(
     bias_names = {f"bias_{n}" for n in biased}
     extended = model.with_biases(*biased)
     extended = extended.with_prior(**{f"bias_{n}": (0.0, criteria.bias_share * noise[n]) for n in biased})
-    extended = _timed(extended, sample_interval, criteria)
+    extended = _stepped(_timed(extended, sample_interval, criteria), sample_interval, criteria)
     for attitude, interval in stamped.items():
         width = criteria.timing_share * max(sample_interval, interval)
         extended = _shown(extended, attitude, {f"{TIMING}{attitude}": (f"{attitude}_dot", "s", width)})
@@ -89,6 +93,25 @@ def _timed(model: Model, sample_interval: float, criteria: Criteria) -> Model:
         parameters=[nuisance_parameter(f"{TIMING}{name}", "s", width * sample_interval) for name in controls],
         transforms=[InputTransform("delay", name, (f"{TIMING}{name}",)) for name in controls],
     )
+
+
+def _stepped(model: Model, sample_interval: float, criteria: Criteria) -> Model:
+    """`model` with what simulations of fixed steps make of motion: gyros that show the turning of a moment before or after the
+    other channels do, and moments that act on the incidence of a moment ago."""
+    rates = [n for n in RATE_OF.values() if n in model.output_names and f"{n}_dot" in model.definitions]
+    late = {
+        c: f"-{MOMENTS}*{c}_{angle}*{angle}_dot"
+        for c, angle in STATIC_MOMENTS.items()
+        if c in model.definitions and f"{angle}_dot" in model.definitions and f"{c}_{angle}" in model.parameter_names
+    }
+    width = criteria.timing_share * sample_interval
+    if 0 < len(rates) < len(model.output_names) and GYROS not in model.parameter_names:
+        model = model.plus(
+            outputs={n: f"{n} + {GYROS}*{n}_dot" for n in rates}, parameters=[nuisance_parameter(GYROS, "s", width)]
+        )
+    if late and MOMENTS not in model.parameter_names:
+        model = model.plus(terms=late, parameters=[nuisance_parameter(MOMENTS, "s", width)])
+    return model
 
 
 def timing_of(control: str, values: Mapping[str, float]) -> float:

@@ -19,7 +19,7 @@ from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
 from estimation.gap.records.candidate_model import RATE_OF
-from estimation.gap.records.sampling import unseen_paths
+from estimation.gap.records.sampling import command_times, unseen_paths
 from estimation.models.base import Model, Signal
 from estimation.prepare.flight_data import AS_USUAL, FlightData
 from estimation.prepare.inputs import has_pitch_rate
@@ -319,11 +319,14 @@ def _draws(
 def _with_unseen_paths(
     model: Model, flight: Flight, segment: Segment, wrong: dict[str, NDArray[np.float32]], criteria: Criteria
 ) -> dict[str, NDArray[np.float32]]:
-    """The draws, with where controls may have been at samples that they lack."""
+    """The draws, with where controls may have been at samples that they lack, and when commands may have moved."""
     span = slice(segment.first, segment.first + len(segment))
     for signal in (s for s in model.inputs if s.control and s.name in wrong and flight.measured(s.source)):
         rng = np.random.default_rng([PATHS, segment.first])
-        paths = unseen_paths(flight.columns[signal.source][span], len(wrong[signal.name]), rng, criteria)
+        course, draws = flight.columns[signal.source][span], len(wrong[signal.name])
+        paths, interval = unseen_paths(course, draws, rng, criteria), flight.held(signal.source)
+        if interval is not None and np.isfinite(course).all():
+            paths = paths + command_times(course, flight.sample_interval, interval, draws, rng)
         if paths.any():
             wrong[signal.name] = wrong[signal.name] + paths.astype(np.float32)
     return wrong

@@ -111,6 +111,17 @@ def unseen_moves(control: Array, criteria: Criteria) -> NDArray[np.bool_]:
     return unseen
 
 
+def command_times(control: Array, step: float, interval: float, draws: int, rng: np.random.Generator) -> Array:
+    """(draws, N) what may be wrong with a command (N,) recorded every `interval` [s], in samples `step` [s] apart: each of its
+    moves began anywhere within one interval, and is as much early or late from its beginning to the next one's."""
+    change = np.abs(np.diff(control, prepend=control[:1]))
+    begins = np.zeros(control.size, bool)  # a sample before the change grows: the slope there is the move's
+    begins[1:-1] = (change[2:] > change[1:-1]) & (change[1:-1] <= change[:-2])
+    move = np.cumsum(begins)
+    late = rng.uniform(-0.5 * interval, 0.5 * interval, (draws, int(move[-1]) + 1))
+    return np.asarray(-late[:, move] * np.gradient(control, step))
+
+
 def unseen_paths(control: Array, draws: int, rng: np.random.Generator, criteria: Criteria) -> Array:
     """(draws, N) what may be wrong with straight lines across unseen moves: the step may have been anywhere between the samples
     on either side."""

@@ -3,7 +3,7 @@
 Each suspicion names the column, what is seen, and the unit or sign that would explain it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -206,13 +206,14 @@ def _others(time: Array, c: Columns) -> Iterator[Finding]:
 def _attitude_rate(time: Array, c: Columns) -> Iterator[Finding]:
     """Attitude against what the gyro turns: their ratio is 1, or 57.3 where one is in degrees, or -1; one ratio of all three that
     is another is the clock's."""
-    ratio = _clock_ratio(time, c)
+    slopes = {a: _angle_slope(time, c, a) for a, rate in GYROS.items() if a in c and rate in c}
+    ratio = _clock_ratio([s or 0.0 for s in slopes.values()])
     if ratio is not None:
         words = f"runs {max(ratio, 1 / ratio):.3g} times too {'slowly' if ratio < 1 else 'fast'}"
         yield _suspect("time", f"{words} for attitude to be what the gyros turn: check the time unit")
         return
-    for angle, rate in GYROS.items():
-        slope = _angle_slope(time, c, angle) if angle in c and rate in c else None
+    for angle, slope in slopes.items():
+        rate = GYROS[angle]
         if slope is None:
             continue
         if 0.5 < abs(slope) / RADIAN < 2:
@@ -223,10 +224,9 @@ def _attitude_rate(time: Array, c: Columns) -> Iterator[Finding]:
             yield _suspect(rate, f"turns against {angle}; one of them has the wrong sign (sign = -1)")
 
 
-def _clock_ratio(time: Array, c: Columns) -> float | None:
-    """How many times too fast time runs by every angle and its gyro alike; None where they do not agree on one, or it is a ratio
-    that another unit of the angles makes."""
-    slopes = [_angle_slope(time, c, angle) or 0.0 for angle, rate in GYROS.items() if angle in c and rate in c]
+def _clock_ratio(slopes: Sequence[float]) -> float | None:
+    """How many times too fast time runs by the slopes of every angle against its gyro alike; None where they do not agree on one,
+    or it is a ratio that another unit of the angles makes."""
     positive = [s for s in slopes if s > 0.0]
     if len(positive) < 2 or max(positive) > 1.2 * min(positive):
         return None

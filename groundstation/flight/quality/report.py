@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.utilities.constants import RADIAN
 from groundstation.flight.arrays import Array, Mask, longest_run, true_runs
-from groundstation.flight.contradictions import contradictions
+from groundstation.flight.contradictions import Contradiction, contradictions
 from groundstation.flight.findings import Finding, FindingKind, Severity
 from groundstation.flight.flight import GAP_FACTOR, Flight
 from groundstation.flight.manoeuvres import CONTROLS, find_manoeuvres
@@ -40,13 +40,14 @@ STILLRADIAN = 0.1  # rms of a control that moves less than this tells nothing
 MOVED = 10.0  # rms movement, in noise levels, that counts though it stays within 1 deg
 
 
-def quality_report(flight: Flight) -> tuple[Finding, ...]:
-    """All checks of a flight, in a fixed order."""
+def quality_report(flight: Flight, contradicted: Sequence[Contradiction] | None = None) -> tuple[Finding, ...]:
+    """All checks of a flight, in a fixed order. contradicted: what `contradictions` says of it, where that is known already."""
     checks: tuple[Callable[[Flight], Finding], ...] = (
         *(time_order, time_gaps, sample_interval, dropouts, stale_samples, clipping, spikes, plausible_values),
         *(calibrated_range, time_skew, noise_level, excitation),
     )
-    return (*(check(flight) for check in checks), *contradiction_findings(flight))
+    contradicted = contradictions(flight) if contradicted is None else contradicted
+    return (*(check(flight) for check in checks), *contradiction_findings(contradicted))
 
 
 def _finding(check: str, sentences: Sequence[str], good: str, severity: Severity = "warn") -> Finding:
@@ -281,11 +282,11 @@ def _skew_words(skew: Skew) -> str:
     return f"{skew.late} after {skew.early} {skew.delay * 1e3:+.0f} ms (+-{skew.std * 1e3:.0f})"
 
 
-def contradiction_findings(flight: Flight) -> tuple[Finding, ...]:
-    """What the flight says twice and differently, one finding each: fail where it moves derivatives. None where nothing does."""
+def contradiction_findings(contradicted: Sequence[Contradiction]) -> tuple[Finding, ...]:
+    """What a flight says twice and differently, one finding each: fail where it moves derivatives. None where nothing does."""
     return tuple(
         Finding("contradictions", f"{c.text}{f' (moves {c.moves})' if c.moves else ''}", "fail" if c.stops else "warn")
-        for c in contradictions(flight)
+        for c in contradicted
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.flight.arrays import Array, integral, true_runs
+from groundstation.flight.arrays import MOST_WINDOWS, Array, integral, true_runs
 from groundstation.flight.flight import Flight
 from groundstation.flight.kinematics import EULER_RATES, GYROS
 
@@ -53,13 +53,15 @@ def control_skew(flight: Flight) -> tuple[Skew, ...]:
 
 
 def _windows(flight: Flight, late: Array, early: Array) -> Iterator[tuple[Array, Array, Array]]:
-    """Unbroken stretches of at most _WINDOW seconds of both columns."""
+    """Unbroken stretches of at most _WINDOW seconds of both columns, of a long record over MOST_WINDOWS of them."""
+    every = max(_WINDOW, float(np.ptp(flight.time)) / MOST_WINDOWS)
     for start, stop in true_runs(np.isfinite(late) & np.isfinite(early), flight.segments):
         while start < stop:
             end = start + int(np.searchsorted(flight.time[start:stop], flight.time[start] + _WINDOW, side="right"))
             if end - start >= 20:
                 yield flight.time[start:end], late[start:end], early[start:end]
-            start = end
+            following = int(np.searchsorted(flight.time, flight.time[start] + every, side="right"))
+            start = max(end, following) if every > _WINDOW else end
 
 
 def _corrected_integral(t: Array, rate: Array) -> Array:
@@ -122,9 +124,9 @@ def _correlation_delay(parts: list[tuple[Array, Array, Array]]) -> tuple[float, 
     samples, curvature = 0, 0.0
     for t, response, command in parts:
         scale = float(np.std(response) / np.std(command)) if np.std(command) > 0 else 1.0
-        for i, lag in enumerate(lags):
-            shifted = scale * np.interp(t - lag, t, command)
-            cost[i] += float(np.sum((response - response.mean() - shifted + shifted.mean()) ** 2))
+        shifted = scale * np.interp(t - lags[:, None], t, command)
+        left_over = response - response.mean() - shifted + shifted.mean(axis=1, keepdims=True)
+        cost += np.sum(left_over**2, axis=1)
         samples += t.size
         curvature += float(np.sum((scale * np.gradient(command, t)) ** 2))
     lowest = int(np.argmin(cost))

@@ -19,11 +19,11 @@ from daq.contract.recordings.recording import (
     RecordedMessage,
     RecordingInfo,
     RecordingWriter,
+    entry_of,
     message_entry,
-    scan_entry,
     utc_of,
 )
-from daq.contract.scan import decode_scan
+from daq.contract.scan import SCAN_TOPIC
 from daq.utilities.durable import replacing
 from groundstation.receiver import events as ev
 from groundstation.receiver.storage.papers import MAX_EVENTS, Papers, parse_archive, parse_papers
@@ -190,13 +190,14 @@ class SessionRecorder:
         return path
 
     def _write(self, path: Path) -> None:
-        odd = out_of_line((e.sequence, e.log_time_ns) for e in self._scan_entries())
+        stamps = [e._replace(data=b"") for e in self._scan_entries()]
+        odd = out_of_line((e.sequence, e.log_time_ns) for e in stamps)
         notes = self._notes
         if odd:
             text = f"{len(odd)} scans left out: their time contradicts their number"
             notes = [*notes, encode(EventMessage(self._last_ns, 0, self._last_number, RECEIVER, text))]
         with path.open("wb") as stream:
-            writer = ReceivedWriter(stream, self.info(), utc_of(self._scan_entries(odd)))
+            writer = ReceivedWriter(stream, self.info(), utc_of(e for e in stamps if e.sequence not in odd))
             for entry in self._scan_entries(odd):
                 writer.write(entry)
             for event in sorted(_decoded([*self._events, *notes]), key=lambda e: e.time_monotonic_ns):
@@ -206,7 +207,7 @@ class SessionRecorder:
             writer.finish()
 
     def _scan_entries(self, odd: Container[int] = ()) -> Iterator[RecordedMessage]:
-        entries = (scan_entry(decode_scan(data), data) for data in self.journal.scans())
+        entries = (entry_of(SCAN_TOPIC, data) for data in self.journal.scans())
         return (e for e in entries if e.sequence not in odd)
 
     def close(self) -> None:

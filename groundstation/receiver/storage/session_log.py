@@ -95,9 +95,14 @@ class SessionLog:
         return sum(kind in (RecordKind.RECEIVED, RecordKind.COMPLETE) for kind in kinds)
 
     @property
+    def total(self) -> int:
+        """Scans that it has, in the file or waiting for it."""
+        return len(self.complete) + len(self.received.minus(self.complete))
+
+    @property
     def on_disk(self) -> int:
         """Scans whose record is in the file."""
-        return len(self.complete) + len(self.received.minus(self.complete)) - self.scans_waiting
+        return self.total - self.scans_waiting
 
     def _note(self, kind: RecordKind, number: int) -> None:
         if kind is RecordKind.RECEIVED:

@@ -257,3 +257,15 @@ def test_filter_and_smoother_agree_with_the_joint_distribution() -> None:
     for k in range(count):
         block = left[k * STATES : (k + 1) * STATES, k * STATES : (k + 1) * STATES]
         np.testing.assert_allclose(found.covariances[k], block, atol=2e-6)
+
+
+def test_density_of_altitude_counts_a_measured_temperature_unless_it_is_a_board_s() -> None:
+    from estimation.prepare.columns import with_derived
+
+    time = np.arange(40) / 20
+    columns = {"altitude": np.full(40, 300.0)}
+    pressure = 101325.0 * (288.15 - 0.0065 * 300.0) ** 5.255876 / 288.15**5.255876
+    for temperature, used in ((298.0, 298.0), (273.0, 273.0), (330.0, 288.15 - 0.0065 * 300.0)):
+        flight = Flight.build("f", time, columns | {"temperature": np.full(40, temperature)})
+        made = with_derived(flight, ["rho"])["rho"]
+        assert made == pytest.approx(pressure / (287.053 * used), rel=1e-4)

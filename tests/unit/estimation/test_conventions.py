@@ -63,3 +63,8 @@ def test_a_group_that_ends_in_cannot_tell_says_only_that() -> None:
     (line,) = (text for text in table.latex().splitlines() if "cannot tell" in text)
     assert "0.12" not in line
     assert "0.13" in line
+
+
+def test_sentences_break_in_a_latex_table() -> None:
+    table = ReportTable("t", "c", ("what", "how"), (("axes", "x forward " * 20),), symbols=False, texts=(1,))
+    assert r"\begin{tabular}{lp{" in table.latex()

@@ -3,6 +3,7 @@
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,6 +26,8 @@ def test_csv_and_json_hold_every_parameter_with_unit_and_source(model: Path, tmp
     parameters = load_model("lateral", "cdfp").parameters
     assert [r["parameter"] for r in rows] == [p.name for p in parameters]
     assert {r["parameter"]: r["unit"] for r in rows}["Cl_p"] == "1/rad"
+    assert {r["identifiable"] for r in rows} == {"True"}
+    assert all(None not in r for r in rows)  # no cell beyond the header
     content = json.loads((tmp_path / "m.json").read_text())
     assert [p["value"] for p in content["parameters"]] == [p.start for p in parameters]
 
@@ -73,3 +76,45 @@ def test_never_onto_itself(model: Path) -> None:
 )
 def test_rounding_to_the_bound(value: float, bound: float | None, texts: tuple[str, str]) -> None:
     assert rounded(value, bound) == texts
+
+
+def recommended_estimate(method: str) -> dict[str, Any]:
+    numbers = {"ml": -0.41, "ls": -0.37}
+    methods = {
+        m: {
+            "parameters": {
+                "Cl_p": {
+                    "estimate": v,
+                    "std": 0.01,
+                    "std_coloured": 0.01,
+                    "reference": -0.5,
+                    "reference_source": "flight",
+                }
+            }
+        }
+        for m, v in numbers.items()
+    }
+    verdict = {"method": method, "why": "rough_air & 3 % of it"}
+    return {
+        "aircraft": "a_1",
+        "model": "lateral",
+        "flights": [{"name": "f_1", "methods": dict(reversed(methods.items())), "recommended": verdict}],
+        "conventions": {"units": "derivatives per rad"},
+        "priors": {"Cl_p": {"mean": -0.5, "std": 0.06}},
+    }
+
+
+def exported(content: dict[str, Any], folder: Path) -> str:
+    (folder / "e.json").write_text(json.dumps(content))
+    export_model(folder / "e.json", folder / "e.tex")
+    return (folder / "e.tex").read_text()
+
+
+def test_the_table_is_of_the_recommended_method_with_priors_and_conventions(tmp_path: Path) -> None:
+    text = exported(recommended_estimate("ml"), tmp_path)
+    assert "$-0.410$" in text
+    assert "-0.370" not in text
+    assert r"$-0.5$ $\pm$ $0.06$ (flight, prior)" in text
+    for words in (r"Aircraft a\_1", "method ml", r"f\_1", r"rough\_air \& 3 \% of it", "derivatives per rad"):
+        assert words in text
+    assert "Nothing is recommended" in exported(recommended_estimate("none"), tmp_path)

@@ -67,6 +67,30 @@ def test_gusts_recommend_the_filter_and_output_error_alone_is_not_believed(rough
     assert "--method ml,fem,ls" in alone.recommended.why
 
 
+def test_a_record_without_noise_has_no_process_noise(rough: Mapping[str, Result]) -> None:
+    """What a filter takes up where output error leaves less than any instrument's noise; not where it leaves more, nor where the
+    two differ."""
+
+    def without_noise(result: Result, size: float, r2: float) -> Result:
+        flights = tuple(
+            replace(f, residuals=size * f.residuals, fit={n: replace(m, r2=r2) for n, m in f.fit.items()})
+            for f in result.flights
+        )
+        return replace(result, flights=flights)
+
+    ml = rough["ml"]
+    agreeing = moved(rough["fem"], **{n: e.estimate for n, e in ml.parameters.items()})
+
+    def recommended(fem: Result, size: float = 0.05, r2: float = 0.999) -> str:
+        return verdict({"ml": without_noise(ml, size, r2), "fem": without_noise(fem, size, r2)}).recommended.method
+
+    assert recommended(agreeing) == "ml"
+    assert recommended(agreeing, size=1.0) == "fem"
+    assert recommended(agreeing, r2=0.9) == "fem"
+    bound = math.hypot(ml.parameters["Cl_p"].std_coloured, agreeing.parameters["Cl_p"].std_coloured)
+    assert recommended(moved(agreeing, Cl_p=ml.parameters["Cl_p"].estimate + 4.0 * bound)) == "fem"
+
+
 def test_a_filter_of_few_numbers_is_not_believed(rough: Mapping[str, Result]) -> None:
     """Residuals at every twentieth sample: fewer than eight for each parameter and gain."""
     fem = rough["fem"]

@@ -6,8 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
 
 from groundstation.flight import Flight, FlightError, MissingColumnError, Provenance, read_flight, write_flight
+from groundstation.flight.writing import FLIGHT_SCHEMA, _encoded_rows, _schema
 from tests.support.paths import ROOT
 
 HEADER = "time,p,q\n"
@@ -32,6 +36,21 @@ def test_round_trip(tmp_path: Path, rng: np.random.Generator, suffix: str) -> No
     if suffix != ".csv":
         assert after.provenance.source == "simulated"
         assert after.provenance.calibration == {"pitot.toml": "ab"}
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(0, 3), (1, 1), (40, 17), (9, 2101)])
+def test_rows_are_encoded_as_protobuf_encodes_them(rows: int, columns: int, rng: np.random.Generator) -> None:
+    """Tags of one to three bytes; any value, and none."""
+    table = rng.normal(size=(rows, columns)) * 10.0 ** rng.integers(-300, 300, (rows, columns))
+    table[rng.random(table.shape) < 0.3] = np.nan
+    table[rng.random(table.shape) < 0.1] = -0.0
+    table[rng.random(table.shape) < 0.1] = np.inf
+    names = [f"column_{i}" for i in range(columns)]
+    pool = DescriptorPool()
+    pool.Add(FileDescriptorSet.FromString(_schema(names)).file[0])
+    made = GetMessageClass(pool.FindMessageTypeByName(FLIGHT_SCHEMA))
+    expected = [made(**{n: v for n, v in zip(names, row, strict=True) if v == v}) for row in table.tolist()]
+    assert list(_encoded_rows(table)) == [message.SerializeToString(deterministic=True) for message in expected]
 
 
 def test_a_time_jump_splits_and_is_said(tmp_path: Path) -> None:

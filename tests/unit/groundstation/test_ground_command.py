@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import sideslip
@@ -14,6 +15,10 @@ from estimation.models import load_model
 from estimation.models.load import write_model
 from groundstation.cli.live import _estimate
 from groundstation.cli.services import Services
+from groundstation.live.config import GroundConfig
+from groundstation.live.handover import hand_over_sessions
+from groundstation.live.station import Station
+from tests.support.link_rig import Rig, random_scan
 
 
 def ended(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:
@@ -109,3 +114,19 @@ def test_an_estimate_is_made_by_what_the_command_is_given(tmp_path: Path) -> Non
     flights = [tmp_path / "m.mcap", tmp_path / "g.mcap"]
     assert asked == [(flights, model, "ml", tmp_path / "report") for model in ("lateral", "none")]
     assert told == ["recommended: ml", "the estimate could not be made: no such model"]
+
+
+def test_the_end_of_a_session_says_what_it_does(tmp_path: Path) -> None:
+    rig, rng, lines = Rig(tmp_path), np.random.default_rng(83), list[str]()
+    station = Station(GroundConfig(), rig.ground, rig.clock, tmp_path, echo=lines.append)
+    rig.look = station.step  # type: ignore[method-assign]
+    rig.fly(40, lambda n: random_scan(n, rng, time_ns=rig.clock.monotonic_ns()))
+    (journal,) = (r.journal for r in rig.ground.session_recorders().values())
+    rig.link.close()
+    station.close()
+    hand_over_sessions(station, tmp_path, lines.append)
+    assert f"the session ends: {journal.total} scans are written as recordings" in lines
+    begun = next(
+        i for i, line in enumerate(lines) if f"a flight is made of {journal.total} scans from telemetry" in line
+    )
+    assert lines.index(f"the session ends: {journal.total} scans are written as recordings") < begun

@@ -11,7 +11,7 @@ import pytest
 
 from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
 from estimation.aircraft import load_aircraft
-from estimation.answers.designs import with_effects, write_manoeuvre
+from estimation.answers.designs import _against_doublets, _known, with_effects, write_manoeuvre
 from estimation.design import measured_inputs
 from estimation.design.design import DesignTask, InputDesign, design
 from estimation.design.limits import Limits, load_limits, trimmed, usual_limits
@@ -231,3 +231,24 @@ class TestFile:
         assert content["predicted"]["Cl_p"]["std"] > 0
         assert set(content["peak_factor"]) == {"delta_a", "delta_r"}
         assert content["limits"]["beta"]["used"] < content["limits"]["beta"]["allowed"]
+
+
+def test_an_estimate_brings_the_aircraft_it_was_made_with(tmp_path: Path) -> None:
+    one = {"estimate": -0.4, "identifiable": True}
+    methods = {"ml": {"parameters": {"Cl_p": one}, "R": {"p": 1e-4}}}
+    file = "[geometry]\nspan = 2.1\narea = 0.6\nchord = 0.3\n[mass]\nmass = 4.0\n"
+    content = {
+        "model": "lateral",
+        "aircraft": "lark",
+        "aircraft_file": file,
+        "joint": {},
+        "flights": [{"methods": methods}],
+    }
+    (tmp_path / "e.json").write_text(json.dumps(content))
+    craft = _known(tmp_path / "e.json")["aircraft"]
+    assert (craft.name, craft.span, craft.mass) == ("lark", 2.1, 4.0)
+
+
+def test_an_input_worse_than_doublets_is_called_worse() -> None:
+    assert _against_doublets(2.0) == "2.00 times smaller"
+    assert _against_doublets(0.8) == "1.25 times larger"

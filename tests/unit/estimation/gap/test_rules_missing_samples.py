@@ -9,9 +9,15 @@ from estimation.gap.answer.result import Gap
 from estimation.gap.answer.shape import HeldInstrument
 from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.lineage import late_commands
 from estimation.gap.decision.unnamed import held_instrument, held_step
 from estimation.gap.fit.spectra import NoisePart, NoiseSource, Shapes, as_seen, estimate_noise, whitener
 from estimation.gap.fit.whitener import spectrum_of
+from estimation.gap.records.candidate_model import with_nuisance
+from estimation.gap.records.sampling import command_times
+from estimation.models.load import load_model
+from groundstation.flight import Flight, Provenance
+from tests.unit.estimation.gap.candidates_by_hand import stub
 
 COUNT, STEP = 1200, 0.05
 GUST = NoisePart(NoiseSource.RATE, "p")
@@ -86,3 +92,52 @@ def test_an_instrument_that_holds_its_values_is_an_unknown_and_no_term_of_the_mo
     assert "beta holds its values: a new one comes every 0.3 s" in text
     assert "83%" in text
     assert "no model term is wrong" in text
+
+
+def test_a_command_may_have_moved_within_the_interval_of_its_record() -> None:
+    """Against moves that are drawn anew by hand: each edge, drawn out by a servo's lag, at a time of its own."""
+    step, lag, rng = 0.04, 0.05, np.random.default_rng(81)
+    time = step * np.arange(200)
+
+    def flown(starts: tuple[float, float]) -> np.ndarray:
+        moves = zip((0.1, -0.2), starts, strict=True)
+        return np.asarray(sum(a * (1.0 - np.exp(-np.maximum(time - t, 0.0) / lag)) for a, t in moves))
+
+    starts = (2.011, 5.003)
+    errors = command_times(flown(starts), step, step, 400, rng)
+    by_hand = np.array([flown((starts[0] - a, starts[1] - b)) for a, b in rng.uniform(-step / 2, step / 2, (400, 2))])
+    scatter = np.sqrt(np.mean((by_hand - flown(starts)) ** 2, axis=0))
+    assert np.sqrt(np.mean(errors**2, axis=0)).sum() == pytest.approx(scatter.sum(), rel=0.25)
+    first, second = errors[:, (time > 1.9) & (time < 2.6)], errors[:, (time > 4.9) & (time < 5.6)]
+    assert np.corrcoef(first[:, 4], first[:, 6])[0, 1] > 0.95, "one move is early or late as a whole"
+    assert abs(np.corrcoef(first[:, 4], second[:, 4])[0, 1]) < 0.15, "two moves each by themselves"
+    assert not command_times(np.full(50, 0.1), step, step, 3, rng).any()
+
+
+def logged(interval: float) -> Flight:
+    """A flight at 25 Hz whose ailerons are a command that the log has every `interval` and the import dated half of it back."""
+    channel = {
+        "from": "RCOU.C1",
+        "kind": "computed",
+        "held": True,
+        "interval_s": interval,
+        "dated_back_s": 0.5 * interval,
+    }
+    columns = {n: np.zeros(50) for n in ("delta_a", "delta_r", "p")}
+    detail = {"channels": {"delta_a": channel}}
+    return Flight.build("f", np.linspace(0.0, 1.96, 50), columns, provenance=Provenance(detail=detail))
+
+
+def test_commands_recorded_late_are_told_with_their_time_by_the_gyros() -> None:
+    model = with_nuisance(load_model("lateral", "cdfp"), {}, 0.04, AS_SET)
+    values = dict.fromkeys(model.parameter_names, 0.0) | {
+        "timing_controls": 0.011, "timing_delta_a": 0.001, "timing_gyros": 0.008,
+    }  # fmt: skip
+    free = ("Cl_p", "timing_controls", "timing_delta_a", "timing_gyros")
+    fit = stub(values=values, free=free, hessian=np.diag([1.0, 1e6, 1e6, 2e6]))
+    said = late_commands([logged(0.04)], stub(clean=model, fit=fit))
+    assert said.startswith("delta_a is a command that the log has every 40 ms, recorded 16 +- 2 ms after it moved"), (
+        said
+    )
+    assert late_commands([logged(0.01)], stub(clean=model, fit=fit)) == "", "new in every sample"
+    assert late_commands([replace(logged(0.04), provenance=Provenance())], stub(clean=model, fit=fit)) == ""

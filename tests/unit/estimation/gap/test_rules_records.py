@@ -108,7 +108,17 @@ def test_nuisances_are_as_wide_as_what_no_flight_is_free_of() -> None:
     made = with_nuisance(base, noise, STEP, AS_SET, ("phi",))
     widths = {
         n: made.parameter(n).prior_std
-        for n in ("bias_beta", "timing_controls", "timing_delta_a", "timing_delta_r", "timing_phi", "plumb_phi", "Cl_p")
+        for n in (
+            "bias_beta",
+            "timing_controls",
+            "timing_delta_a",
+            "timing_delta_r",
+            "timing_phi",
+            "timing_gyros",
+            "timing_moments",
+            "plumb_phi",
+            "Cl_p",
+        )
     }
     assert widths == pytest.approx(
         {
@@ -117,6 +127,8 @@ def test_nuisances_are_as_wide_as_what_no_flight_is_free_of() -> None:
             "timing_delta_a": 0.0015,
             "timing_delta_r": 0.0015,
             "timing_phi": 0.005,
+            "timing_gyros": 0.005,
+            "timing_moments": 0.005,
             "plumb_phi": 0.02,
             "Cl_p": 0.3,
         }

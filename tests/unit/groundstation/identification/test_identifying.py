@@ -46,7 +46,7 @@ def kept(flown: Path) -> Mapping[str, Any]:
 def test_the_log_says_what_is_told_and_what_helps(flown: Path) -> None:
     said = (flown / "events.log").read_text()
     assert "live identification of cdfp begins" in said
-    assert "live: Cn_dr is told now: " in said
+    assert "live: Cn_dr identified: " in said
     assert "; next: " in said
 
 

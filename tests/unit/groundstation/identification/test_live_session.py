@@ -205,7 +205,7 @@ def test_words_name_what_rests_and_what_helps(in_order: InOrder) -> None:
     assert "Cl_p" in late
     assert "wind tunnel" in late
     assert "next: " in late
-    assert " told, " in short_line(states[-1])
+    assert " identified, " in short_line(states[-1])
     assert states[-1].estimates.derivatives["Cn_dr"].told
 
 

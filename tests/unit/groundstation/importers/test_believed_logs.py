@@ -45,6 +45,14 @@ def off(flight: Flight, column: str, truth: np.ndarray, times: np.ndarray) -> fl
     return float(np.sqrt(np.nanmean((flight[column] - np.interp(flight.time - autopilots.BOOT, times, truth)) ** 2)))
 
 
+def test_a_rate_that_takes_information_from_the_log_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "log.bin"
+    path.write_bytes(autopilots.dataflash(autopilots.ardupilot(autopilots.flight())))
+    assert "averaged to the 10 Hz asked for" in said(import_data(path, rate_hz=10.0))
+    for rate in (None, 40.0, 100.0):
+        assert "asked for" not in said(import_data(path, rate_hz=rate))
+
+
 # ------------------------------------------------------------------------------------------------------------ ArduPilot
 
 

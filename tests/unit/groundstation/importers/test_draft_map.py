@@ -37,6 +37,20 @@ def test_names_and_the_units_in_them() -> None:
     ]
 
 
+def test_load_factors_are_the_specific_forces() -> None:
+    assert candidate_columns(["Nx (g)", "Ny (g)", "Nz (g)"]) == {"ax": ["Nx (g)"], "ay": ["Ny (g)"], "az": ["Nz (g)"]}
+
+
+def test_a_draft_without_servos_says_nothing_of_an_example_s_trim(tmp_path: Path) -> None:
+    time = 0.05 * np.arange(60)
+    rows = np.column_stack([time, 20 * np.sin(time), 5 * np.cos(time)])
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,Roll Rate (deg/s),Ail (deg)", comments="")
+    (tmp_path / "map.toml").write_text(draft_map([tmp_path / "log.csv"]))
+    flight = import_data(tmp_path / "log.csv", load_map(tmp_path / "map.toml"))
+    assert flight.measured("delta_a")
+    assert not any("example" in note.text for note in flight.notes)
+
+
 def test_what_rises_evenly_is_time_whatever_its_name() -> None:
     rng = np.random.default_rng(2)
     clock = 812.0 + 0.02 * np.arange(400) + 0.001 * rng.uniform(size=400)

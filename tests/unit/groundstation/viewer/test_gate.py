@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from groundstation.viewer import gate
-from groundstation.viewer.gate import HERE, host_of, refusal, single_request
+from groundstation.viewer.gate import HERE, ViewerGate, host_of, refusal, single_request
 from groundstation.viewer.live import LiveView, ViewOptions, free_port
 from groundstation.viewer.window import WebPage
 
@@ -79,7 +79,10 @@ def test_a_rebound_name_reads_nothing_from_either_port(view: tuple[LiveView, int
         assert len(body) < 1000
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "https://127.0.0.1.evil.example:9876"])
+@pytest.mark.parametrize(
+    "origin",
+    ["http://evil.example", "https://127.0.0.1.evil.example:9876", "null", "http://evil.example//localhost"],
+)
 def test_another_site_that_asks_by_the_right_name_reads_nothing(
     view: tuple[LiveView, int], page: int, origin: str
 ) -> None:
@@ -128,6 +131,45 @@ def test_a_crowd_of_idle_connections_delays_nobody_and_does_not_stay(
     assert sum(t.name.startswith("Thread") for t in threading.enumerate()) < 20
     for one in crowd:
         one.close()
+
+
+def test_a_head_that_drips_is_not_waited_for(
+    view: tuple[LiveView, int], page: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gate, "HEAD_S", 0.6)
+    for port in (view[1], page):
+        with socket.create_connection(("127.0.0.1", port), 5) as client:
+            client.sendall(b"GET / HTTP/1.1\r\n")
+            client.settimeout(0.2)
+            with contextlib.suppress(ConnectionError):
+                for _ in range(50):
+                    client.sendall(b"X: y\r\n")
+                    with contextlib.suppress(TimeoutError):
+                        if client.recv(1) == b"":
+                            break
+                else:
+                    pytest.fail(f"port {port} waited")
+        assert asked(port, Host="evil.example")[0] == 421
+
+
+def test_one_computer_does_not_keep_the_others_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """127.0.0.2 stands for another computer."""
+    monkeypatch.setattr(gate, "MOST_OF_ONE", 3)
+    port = free_port()
+    server = ViewerGate(port, ("127.0.0.1", 9))
+    with contextlib.ExitStack() as opened:
+        opened.callback(server.close)
+
+        def connect(source: str) -> bool:
+            client = opened.enter_context(socket.create_connection(("127.0.0.1", port), 5, (source, 0)))
+            client.settimeout(0.3)
+            try:
+                return client.recv(1) != b""
+            except TimeoutError:
+                return True
+
+        assert [connect("127.0.0.2") for _ in range(5)] == [True, True, True, False, False]
+        assert all(connect(source) for source in ("127.0.0.3", *["127.0.0.1"] * 5))
 
 
 def test_with_a_token_only_who_has_the_address_gets_in(view: tuple[LiveView, int]) -> None:

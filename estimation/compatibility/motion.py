@@ -1,0 +1,101 @@
+"""The motion that accelerations and rates make, without looking at what it is compared with: Figure 7 of the paper.
+
+Only the start of each piece is fitted: noise of the inertial sensors integrates to a drift of metres a second within a minute or
+so, so a long record is shown in pieces.
+"""
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from estimation.compatibility.kalman import FilterRecord
+from estimation.engine.compiled import Chain
+from estimation.engine.trace import rk4, trace
+from estimation.models.base import Model
+from estimation.models.parts import ModelStructure
+from groundstation.flight import Array
+
+PIECE_S = 30.0
+MOTION = ("u", "v", "w", "phi", "theta", "psi")
+_ROUNDS = 4
+_STEP = 1e-4  # of each state, for differences: m/s or rad
+_FITTED = 1e-6  # a round that lowers the sum of squares by a smaller part moves the motion by a thousandth of its error
+
+
+def integrated_motion(model: Model, record: FilterRecord, p: Array, states: Array, spread: Array) -> Array:
+    """(N, ny) outputs of a record integrated from its inputs.
+
+    p: (n,) parameters. states: (N, nx) of the filter, for the starts. spread: (ny,) by which each output is expected to
+    differ: weights of the fit of the starts.
+    """
+    count = len(record.time)
+    pieces = max(1, int(np.ceil(count * record.step / PIECE_S)))
+    edges = np.linspace(0, count, pieces + 1).astype(int)
+    outputs = [
+        _Piece(model, record, slice(a, b), p).fitted(states[a], spread)
+        for a, b in zip(edges[:-1], edges[1:], strict=True)
+    ]
+    return np.vstack(outputs)
+
+
+class _Piece:
+    """Some rows of a record, integrated from any start."""
+
+    def __init__(self, model: Model, record: FilterRecord, rows: slice, p: Array) -> None:
+        self.model, self.time, self.z = model, record.time[rows], record.z[rows]
+        u = record.u[rows]
+        self._inputs = np.hstack([u, np.vstack([u[1:], u[-1:]])])
+        self._fixed = np.concatenate([p, [model.constants[n] for n in model.structure.constants_kept], [record.step]])
+        self._late = [
+            (model.output_names.index(o), float(p[model.parameter_names.index(d)]))
+            for o, d in model.output_delays.items()
+        ]
+
+    def fitted(self, start: Array, spread: Array) -> Array:
+        """(N, ny) outputs from the start that fits the measured ones best. start: (nx,) the first one tried."""
+        states = [i for i, s in enumerate(self.model.state_names) if s in MOTION]
+        x0 = np.zeros_like(start)  # errors of the attitude filter are no motion
+        x0[states] = start[states]
+        measured = np.isfinite(self.z)
+        y = self.motion(x0)
+        residual = ((self.z - y) / spread)[measured]
+        if not np.isfinite(residual).all():
+            return y
+        # the motion is all but linear in its start, so that the slopes of the first one serve every round
+        slopes = [((self.motion(x) - y) / _STEP / spread)[measured] for x in x0 + _STEP * np.eye(x0.size)[states]]
+        columns = np.column_stack(slopes)
+        for _ in range(_ROUNDS):
+            change, *_ = np.linalg.lstsq(columns, residual, rcond=1e-8)
+            trial = x0.copy()
+            trial[states] += change
+            outputs = self.motion(trial)
+            left = ((self.z - outputs) / spread)[measured]
+            before, after = float(residual @ residual), float(left @ left)
+            if not np.isfinite(outputs).all() or after > before:
+                break
+            x0, y, residual = trial, outputs, left
+            if before - after < _FITTED * before:
+                break
+        return y
+
+    def motion(self, x0: Array) -> Array:
+        """(N, ny) outputs from a start (nx,); NaN from where they run away."""
+        rows = _chain(self.model.structure).run(x0, self._inputs, self._fixed)
+        y = np.full(self.z.shape, np.nan)
+        y[: len(rows)] = rows
+        for j, delay in self._late:
+            y[:, j] = np.interp(self.time - delay, self.time, y[:, j])
+        return y
+
+
+@lru_cache(maxsize=16)
+def _chain(structure: ModelStructure) -> Chain:
+    traced = trace(structure)
+    nx, nu, np_, _ = traced.sizes
+    x, u0, u1 = ca.SX.sym("x", nx), ca.SX.sym("u0", nu), ca.SX.sym("u1", nu)
+    p, h = ca.SX.sym("p", np_), ca.SX.sym("h")
+    (next_state,) = rk4(lambda states, u: (traced.rates(*states, u, p),), (x,), (u0, (u0 + u1) / 2, u1), h)
+    fixed = ca.vertcat(p, h)
+    shown = ca.cse([ca.densify(e) for e in (next_state, traced.outputs(x, u0, p))])
+    return Chain(ca.Function("integrate", [x, ca.vertcat(u0, u1), fixed], shown))
