@@ -134,9 +134,10 @@ def _ratio_to_slope(flight: Flight, rate: str, angle: str) -> float | None:
     dt = np.diff(flight.time)
     same_segment = np.diff(flight.segment) == 0
     with np.errstate(invalid="ignore", over="ignore"):  # infinities of both signs side by side are left out below
-        slope = np.diff(flight[angle]) / dt
+        jump = np.diff(flight[angle])
+        slope = jump / dt
         mean = 0.5 * (flight[rate][1:] + flight[rate][:-1])
-    usable = same_segment & np.isfinite(slope) & np.isfinite(mean) & (np.abs(np.diff(flight[angle])) < 1.0 * np.pi)
+    usable = same_segment & np.isfinite(slope) & np.isfinite(mean) & (np.abs(jump) < np.pi)
     if usable.sum() < 2 * STUCK_SAMPLES:
         return None
     a, b = slope[usable] - slope[usable].mean(), mean[usable] - mean[usable].mean()

@@ -269,7 +269,9 @@ def test_infinities_of_both_signs_side_by_side_end_without_a_warning(recwarn: py
     time = np.arange(200) * 0.05
     p = np.cos(time)
     p[[50, 51]] = np.inf, -np.inf
-    flight = Flight.build("f", time, {"p": p, "phi": np.sin(time)})
+    phi = np.sin(time)
+    phi[[90, 91]] = np.inf
+    flight = Flight.build("f", time, {"p": p, "phi": phi})
     ratio = _ratio_to_slope(flight, "p", "phi")
     assert ratio == pytest.approx(1.0, rel=0.02)
     assert not recwarn.list
