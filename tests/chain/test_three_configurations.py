@@ -21,7 +21,7 @@ SMALL = 0.05
 """Or so much of the largest derivative of a coefficient: angles without vanes are known to so much of their scale."""
 SCENARIO = """
 [flight]
-duration_s = 34.0
+duration_s = 60.0
 manoeuvres = "rich"
 seed = 53
 """

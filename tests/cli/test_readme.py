@@ -47,7 +47,7 @@ def test_the_page_has_commands(page: str) -> None:
     assert len(commands_of(page)) >= (8 if page == "README.md" else 2)
 
 
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", PAGES)
 def test_commands_run_in_order(page: str, folder: Path) -> None:
     elsewhere = commands_of("README.md") if page != "README.md" else []

@@ -6,6 +6,7 @@ import os
 import shlex
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 INSTALL = (
@@ -23,7 +24,13 @@ def run_here(words: list[str], folder: Path) -> tuple[int, str]:
     from sideslip import main
 
     printed, status = io.StringIO(), 0
-    with contextlib.chdir(folder), contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(printed),
+        contextlib.redirect_stderr(printed),
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("default")  # as in a process of its own
         try:
             main(words)
         except SystemExit as ended:

@@ -79,7 +79,7 @@ def test_two_names_that_imitate_a_memory_are_withdrawn() -> None:
         for i, c in enumerate(truth.fly(asked))
     ]
     effects = [e for e in catalogue() if e.name in NEAR]
-    result = run_gap(load_model("lateral", "cdfp"), flights[:2], flights[2:], effects, Options(seed=1, nulls=20))
+    result = run_gap(load_model("lateral", "cdfp"), flights[:2], flights[2:], effects, Options(seed=1, nulls=40))
     assert result.verdict is GapVerdict.UNKNOWN
     assert [s.effect for s in result.steps] == ["unknown"]
     shape = result.steps[0].shape
