@@ -35,7 +35,16 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN and threading.current_threa
 LOCAL_FAMILIES = {socket.AF_UNIX}
 
 # Pools that libraries keep for the life of the process, by the prefix of their thread names.
-LIBRARY_THREADS = ("pytest_timeout", "execnet", "tokio", "rerun", "asyncio_", "ThreadPoolExecutor-rerun", "Dummy-")
+LIBRARY_THREADS = (
+    "pytest_timeout",
+    "fsspecIO",
+    "execnet",
+    "tokio",
+    "rerun",
+    "asyncio_",
+    "ThreadPoolExecutor-rerun",
+    "Dummy-",
+)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -24,5 +24,9 @@ MODEL_LINES = 1000
 """Equations of a model; six degrees of freedom with every effect of the catalogue have 120."""
 MODEL_DEPTH = 100
 """Equations that use one another in a chain; ours have 9."""
+SILENCE_S = 20.0
+"""Of a server that a flight is fetched from: then the flight counts as not to be had, and the others go on."""
+SLOWEST_BYTES_PER_S = 1000
+"""What it gives in the mean, from the first SILENCE_S on: a modem's rate."""
 PROTOCOLS = frozenset("file http https ftp sftp ssh s3 s3a gs gcs az abfs abfss adl hdfs webhdfs memory".split())
 """Of addresses of flights. fsspec knows others that unpack, chain, cache or run what a file of somebody else says."""

@@ -5,11 +5,12 @@ import glob
 import hashlib
 import io
 import stat
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -156,8 +157,18 @@ def _filesystem(url: str) -> tuple[Any, str]:
         raise CampaignError(
             f"{url[:200]}: flights are read by {protocols}, one at a time; copy it to where one of them leads"
         )
-    files, path = url_to_fs(url)
+    files, path = url_to_fs(url, **_patience(protocol))
     return files, str(path)
+
+
+def _patience(protocol: str) -> dict[str, Any]:
+    """What makes a web server that says nothing an error: by itself it is waited for, five minutes a question."""
+    if protocol not in ("http", "https"):
+        return {}
+    timeout = optional("aiohttp", "a flight by URL").ClientTimeout(
+        total=None, connect=limits.SILENCE_S, sock_read=limits.SILENCE_S
+    )
+    return {"client_kwargs": {"timeout": timeout}, "block_size": 0}  # 0: in one go, with the size known or not
 
 
 def _remote(url: str, conditions: RecordConditions) -> CampaignFlight:
@@ -176,10 +187,25 @@ def fetched(url: str) -> bytes:
         size = files.size(path)
         if size is not None and size > limits.DATA_BYTES:
             raise CampaignError(f"{url}: {size} bytes long; at most {limits.DATA_BYTES} are read")
-        data: bytes = files.cat_file(path)
+        if "file" in files.protocol:
+            return read_bytes(Path(path), "flight", CampaignError)
+        with files.open(path, "rb") as stream:
+            return b"".join(_pieces(stream, url))
     except REMOTE_ERRORS as error:
         raise CampaignError(f"{url}: cannot be read ({error}); check address and access") from error
-    return data
+
+
+def _pieces(stream: IO[bytes], url: str) -> Iterator[bytes]:
+    """All that a server gives; CampaignError where that is too much, or comes too slowly to end."""
+    begun, received = time.monotonic(), 0
+    while piece := stream.read(CHUNK):
+        received += len(piece)
+        if received > limits.DATA_BYTES:
+            raise CampaignError(f"{url}: longer than the {limits.DATA_BYTES} bytes that are read")
+        seconds = time.monotonic() - begun
+        if seconds > limits.SILENCE_S and received < seconds * limits.SLOWEST_BYTES_PER_S:
+            raise CampaignError(f"{url}: {received} bytes in {seconds:.0f} s; copy it to where it can be read faster")
+        yield piece
 
 
 # ---------------------------------------------------------------------------------------------- simulated

@@ -67,7 +67,7 @@ class Criteria:
     # ---- what every fit carries along
     bias_share: float = criterion(1.0, "noise of the channel", "prior width of an instrument's bias on one flight")
     timing_share: float = criterion(0.1, "sample intervals",
-        "prior width of the time at which a surface or a filtered attitude moves",
+        "prior width of the time at which a surface or a filtered attitude moves, gyros show turning, or moments act",
         "raised from 0.05 with the first benchmark (2026-11-21), reason not on record")
     own_timing_share: float = criterion(0.03, "sample intervals",
         "prior width of the same for one surface beside the others, where there are several",

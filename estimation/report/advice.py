@@ -97,6 +97,9 @@ def _distinct(items: Iterable[str]) -> tuple[str, ...]:
 
 
 def manoeuvre(model: "Model", parameter: str, why: str) -> str:
+    """What to fly, behind the word "fly", so that a parameter can be told."""
+    if why.startswith("thrust was not measured"):
+        return "with a record of thrust, by a load cell or a map of motor and propeller"
     for control in sorted(inputs_beside(model, parameter)):
         if control in CONTROL_WORDS:
             word = CONTROL_WORDS[control]

@@ -30,6 +30,11 @@ OF_SLENDER: Mapping[str, tuple[float, float]] = {"CL_alpha": (0.8, 5.0), "Cl_p":
 
 MARGIN = (-0.4, 1.5)  # of the chord: static margin of canards and relaxed stability, of tails far aft
 
+FIN_ARM = 0.6
+"""Of the span, the longest arm of a fin: side force by yaw rate is that of a fin which sideslip pushes with CY_beta at most
+(Roskam, Airplane Design VI, 10.2.8: CY_r = 2 l_v/b a_v). The tables above and 47 aircraft of JSBSim have 0.44 at most."""
+WING = 0.1  # of CY_r, what wing and body may add
+
 CONTROLS = {"da": "delta_a", "dr": "delta_r", "de": "delta_e"}
 
 
@@ -42,6 +47,7 @@ def implausible_derivatives(result: Result, aspect: float = math.nan) -> Iterato
         if name in ranges and e.identifiable and (text := _beyond(e, *ranges[name])):
             yield f"{text}{_hint(name, e)}"
     yield from _static_margin(result)
+    yield from _fin_arm(result)
 
 
 def _beyond(e: Estimate, low: float, high: float) -> str:
@@ -67,3 +73,16 @@ def _static_margin(result: Result) -> Iterator[str]:
     room = SURE * pitch.std_coloured / lift.estimate
     if not MARGIN[0] - room <= margin <= MARGIN[1] + room:
         yield f"static margin {margin:.2g} of the chord is no aeroplane's ({MARGIN[0]:g} to {MARGIN[1]:g})"
+
+
+def _fin_arm(result: Result) -> Iterator[str]:
+    """A damper that moves the rudder behind its record makes of the aeroplane one whose fin is farther aft than any."""
+    side, by_rate = result.parameters.get("CY_beta"), result.parameters.get("CY_r")
+    if side is None or by_rate is None or not (side.identifiable and by_rate.identifiable):
+        return
+    most = 2.0 * FIN_ARM * (abs(side.estimate) + SURE * side.std_coloured) + WING
+    if abs(by_rate.estimate) - SURE * by_rate.std_coloured > most:
+        yield (
+            f"CY_r = {by_rate.estimate:.3g} +- {by_rate.std_coloured:.2g} is no fin's beside CY_beta = {side.estimate:.3g}"
+            f" ({most:.2g} at most): does something move the rudder behind its record, such as a yaw damper?"
+        )

@@ -47,8 +47,9 @@ MAY_LACK: Mapping[str, tuple[str, ...]] = {
 }
 """Built-in model -> columns of which its flights may lack one."""
 
-TRIM = "thrust_trim"
+THRUST = "thrust"
 UNTOLD = "CD_0"
+UNUSED = Finding(FindingKind.NOT_MEASURED, "thrust is not used, as other flights lack it: estimate those by themselves")
 STEADY_THROTTLE = 0.05
 """Standard deviation of a recorded throttle (0 to 1) up to which thrust passes for constant: a fifth of the thrust of level
 flight of a small propeller aeroplane at half throttle, the size of its zero-lift drag's usual bound."""
@@ -73,14 +74,15 @@ def without_sensor(model: Model, flights: Sequence[Flight]) -> tuple[Model, Sequ
         for f, names in zip(flights, absent, strict=True)
     ]
     slim = replace(model, outputs=outputs, states=states)
-    if "thrust" in columns:
+    if THRUST in columns:
         slim = _without_thrust(slim, [f for f, names in zip(flights, absent, strict=True) if names])
+        noted = [f if names else f.with_notes(UNUSED) for f, names in zip(noted, absent, strict=True)]
     blind = [f for f, names in zip(noted, absent, strict=True) if "beta" in names]
     return (_started(slim, blind) if blind else slim), noted
 
 
 def _without_thrust(model: Model, flights: Sequence[Flight]) -> Model:
-    """The model with an unknown force along x in each flight in place of thrust. Raises DataError where the throttle moves."""
+    """The model with thrust as an unknown of each flight in place of an input. Raises DataError where the throttle moves."""
     for f in flights:
         moves = float(np.nanstd(f["throttle"])) if f.measured("throttle") else 0.0
         if moves > STEADY_THROTTLE:
@@ -88,17 +90,17 @@ def _without_thrust(model: Model, flights: Sequence[Flight]) -> Model:
                 f"{f.name}: thrust is not measured and the throttle moves (by {moves:.2f} of its range, one sigma), "
                 "so that thrust cannot be taken as constant; add the column thrust, or choose a stretch at constant throttle"
             )
-    inputs = tuple(replace(s, optional=True) if s.name == "thrust" else s for s in model.inputs)
-    unknown = Parameter(TRIM, "N", local=True, description="thrust, constant in a flight", role=ParameterRole.CONSTANT)
-    return replace(model, inputs=inputs).plus(terms={"ax": f"{TRIM}/m"}, parameters=[unknown])
+    unknown = Parameter(THRUST, "N", local=True, description="constant in a flight", role=ParameterRole.CONSTANT)
+    inputs = tuple(s for s in model.inputs if s.name != THRUST)
+    return replace(model, inputs=inputs, parameters=(*model.parameters, unknown))
 
 
 def with_untold(result: Result) -> Result:
     """The result with what an unknown thrust takes the place of as not told."""
-    if TRIM not in result.model.parameter_names or UNTOLD not in result.parameters:
+    if THRUST not in result.model.parameter_names or UNTOLD not in result.parameters:
         return result
     why = "thrust was not measured: the record tells thrust less drag, and not one of them"
-    names = [n for n in (UNTOLD, TRIM) if n in result.parameters]
+    names = [n for n in (UNTOLD, THRUST) if n in result.parameters]
     blind = {n: replace(result.parameters[n], identifiable=False, why=why) for n in names}
     return replace(result, parameters={**result.parameters, **blind})
 

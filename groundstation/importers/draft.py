@@ -47,7 +47,8 @@ def draft_map(paths: Sequence[Path]) -> str:
         raise ImportDataError("no file to draft a mapping for")
     path = paths[0]
     check_file(path, error=ImportDataError)
-    lines = _of_table(path) if path.suffix.lower() in TABLES and path.suffix.lower() != ".mat" else _of_log(path)
+    table = _table(path) if path.suffix.lower() in TABLES else None
+    lines = _of_log(path) if table is None else _of_table(path, table)
     text = "\n".join([*lines, ""])
     return text + "\n".join(_tried(path, text)) + "\n"
 
@@ -101,11 +102,10 @@ def _toml_value(value: object) -> str:
     return '"' + str(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def _of_table(path: Path) -> list[str]:
+def _of_table(path: Path, table: "ImportedTable") -> list[str]:
     """A table, whose columns are recognised by their names and values."""
     from groundstation.importers.formats.tables import header_map
 
-    table = _table(path)
     by_header, _ = header_map(table)
     header_time = by_header.time.column if by_header.time is not None else None
     by_name = header_time or time_column([*table.numeric, *table.words, *table.dates])
@@ -125,7 +125,8 @@ def _of_table(path: Path) -> list[str]:
         guess = unit_of(column, columns, table.numeric, time)
         header_unit = by_header.columns[column][0].unit if column in by_header.columns else None
         name_unit = unit_in_name(name)
-        if header_unit:
+        bare = name == column and guess.sure  # a flight column's bare name states no unit, and the values tell it
+        if header_unit and not bare:
             guess = UnitGuess(header_unit, f"by its header; {guess.why}", True)
         elif table.units.get(name):
             guess = UnitGuess(table.units[name], f"by the row of units; {guess.why}", True)
@@ -165,10 +166,17 @@ def _seconds(table: "ImportedTable", name: str) -> Array | None:
         return None
 
 
-def _table(path: Path) -> "ImportedTable":
-    """The table with the column that is its time, as numbers or as words; without one, its numbers alone."""
+def _table(path: Path) -> "ImportedTable | None":
+    """The table with the column that is its time, as numbers or as words; without one, its numbers alone. Of a MATLAB file the
+    first record, None where it holds the topics of an autopilot's log."""
     from groundstation.importers.formats.tables import read_table
 
+    if path.suffix.lower() == ".mat":
+        from groundstation.importers.formats.matlab import read_variables, tables_of
+        from groundstation.importers.formats.matlab_topics import topics_of
+
+        variables, excluded = read_variables(path)
+        return tables_of(path, variables, excluded, FileFormat())[0] if topics_of(variables) is None else None
     try:
         return read_table(path, FileFormat(), None)
     except ImportDataError:

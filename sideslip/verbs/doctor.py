@@ -63,7 +63,7 @@ def examined() -> dict[str, Any]:
         "ports": [
             {
                 "name": p.device,
-                "what": p.description,
+                "what": p.description if p.description != "n/a" else "serial port",
                 "allowed": os.access(p.device, os.R_OK | os.W_OK) or os.name == "nt",
             }
             for p in list_ports.comports()

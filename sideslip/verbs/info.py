@@ -97,10 +97,14 @@ def lines_of(file: Path, content: dict[str, Any]) -> Iterator[str]:
 
 
 def _log_lines(content: dict[str, Any]) -> Iterator[str]:
+    from groundstation.importers.endings import BAGS
+
     boots = content["boots"]
     boot_note = f", {len(boots)} boots" if len(boots) > 1 else ""
     duration = f"{content['duration_s']:.2f} s{boot_note}"
-    yield f"{content['file']}: {content['kind']} log, {duration}; 'sideslip import' makes a flight of it"
+    kind = content["kind"]
+    kind = f"bag of {kind} messages" if str(content["file"]).endswith(BAGS) and kind != "bag" else f"{kind} log"
+    yield f"{content['file']}: {kind}, {duration}; 'sideslip import' makes a flight of it"
     yield from (f"  note: {note}" for note in content.get("notes", []))
     yield from (
         f"  mode {m['mode']:<16} {m['from']:10.2f} to {m['to']:.2f} s" for m in content.get("modes", [])[:MOST_SAID]

@@ -162,7 +162,7 @@ def start(boot: Boot, answers: Path) -> list[str]:
             while (at_s := time.monotonic() - begin) < SECONDS and process.poll() is None:
                 bench.turn(at_s)
                 time.sleep(0.02)
-            process.send_signal(signal.SIGINT)
+            process.send_signal(signal.SIGTERM)  # as systemd does
             process.wait(60.0)
             reader.join()
         return list(_wrong(boot, folder, process.returncode, output[0], bench.radio.heard))

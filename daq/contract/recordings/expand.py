@@ -89,19 +89,26 @@ def expand(compression: str, stored: memoryview | bytes, size: int, effort: Effo
     if size > MAX_CHUNK:
         raise Bad("its size was altered")
     effort.expand(size)
+    return expand_within(compression, stored, size, MAX_CHUNK)
+
+
+def expand_within(compression: str, stored: memoryview | bytes, size: int, most: int) -> bytes:
+    """The `size` bytes, no more than `most`, that were compressed into `stored`. Bad for anything else."""
+    if size > most:
+        raise Bad(f"{size} bytes of content; at most {most} are read")
     if compression == "zstd":
-        return _expand_zstd(stored, size)
+        return _expand_zstd(stored, size, most)
     if compression == "lz4":
         return _expand_lz4(stored, size)
     raise Bad(f"unknown compression {compression[:16]!r}")
 
 
-def _expand_zstd(stored: memoryview | bytes, size: int) -> bytes:
+def _expand_zstd(stored: memoryview | bytes, size: int, most: int) -> bytes:
     import zstandard
 
     # a reader with a limit of its own: what the frame's head claims decides nothing, neither memory nor the loop
     try:
-        with zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).stream_reader(stored, closefd=False) as reader:
+        with zstandard.ZstdDecompressor(max_window_size=most).stream_reader(stored, closefd=False) as reader:
             content = reader.read(size + 1)
     except (zstandard.ZstdError, MemoryError) as error:
         raise Bad(f"cannot be decompressed ({error})") from error

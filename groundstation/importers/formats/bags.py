@@ -14,8 +14,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+from daq.contract.recordings.expand import Bad, expand_within
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.bag_series import Topic, numbers_of
 
@@ -24,7 +25,13 @@ OURS = "sideslip"  # profile of the recordings and flights that this program wri
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 HEADER_OPCODE, HEADER_AT = 1, 17  # the header record, and where its profile begins
 HEAD_BYTES = 4096  # read to find the profile
-LARGEST_RECORD = 256 << 20  # bytes of one record of an MCAP file: a chunk of a bag has a few megabytes
+LARGEST_RECORD = (
+    64 << 20
+)  # bytes of one record of an MCAP file, and of a chunk unpacked: a chunk of a bag has a few megabytes
+LONGEST_MESSAGE = (
+    1 << 20
+)  # bytes of a message that is decoded: pictures and clouds of points are longer, and hold no series
+LONGEST_DEFINITION = 1 << 16  # bytes of the definition of a message, with those it uses: px4_msgs' longest has 10 kB
 _DAMAGE = (ValueError, LookupError, TypeError, AttributeError, OverflowError, EOFError, MemoryError, struct.error)
 Decode = Callable[[bytes], Any]
 
@@ -56,6 +63,9 @@ class Bag:
 
     def add_message(self, name: str, kind: str, time_ns: int, data: bytes, decode: Decode) -> None:
         """Decode and keep a message."""
+        if len(data) > LONGEST_MESSAGE:
+            self.unread[name] = f"messages of {len(data)} bytes; at most {LONGEST_MESSAGE} are read"
+            return
         try:
             row = numbers_of(decode(data))
         except Exception as error:  # noqa: BLE001 - protobuf and struct raise classes of their own for damaged bytes
@@ -112,8 +122,6 @@ def mcap_profile(path: Path) -> str | None:
 
 def _mcap(path: Path) -> Bag:
     from mcap.exceptions import McapError
-    from mcap.stream_reader import StreamReader
-    from zstandard import ZstdError
 
     bag = Bag()
     schemas: dict[int, Any] = {}
@@ -121,8 +129,7 @@ def _mcap(path: Path) -> Bag:
     decoders: dict[int, Decode | None] = {}
     try:
         with path.open("rb") as file:
-            records: Iterator[Any] = StreamReader(file, record_size_limit=LARGEST_RECORD).records
-            for record in records:
+            for record in _mcap_records(file):
                 match type(record).__name__:
                     case "Schema":
                         schemas[record.id] = record
@@ -138,13 +145,28 @@ def _mcap(path: Path) -> Bag:
                         if decode is not None:
                             kind = schema.name if schema else ""
                             bag.add_message(channel.topic, kind, record.log_time, record.data, decode)
-    except (McapError, ZstdError, RuntimeError, *_DAMAGE) as error:
+    except (McapError, Bad, RuntimeError, *_DAMAGE) as error:
         if not bag.topics:
             raise ImportDataError(
                 f"{path}: not an MCAP file, or its first chunk is cut off or damaged ({error})"
             ) from error
         bag.notes.append(f"the file is cut off or damaged ({type(error).__name__}); the whole messages before are used")
     return bag
+
+
+def _mcap_records(file: IO[bytes]) -> Iterator[Any]:
+    """The records of an MCAP file, those in its chunks among them, each within LARGEST_RECORD whatever its head claims."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    for record in StreamReader(file, emit_chunks=True, record_size_limit=LARGEST_RECORD).records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        if record.compression:
+            record.data = expand_within(record.compression, record.data, record.uncompressed_size, LARGEST_RECORD)
+            record.compression = ""
+        yield from breakup_chunk(record)
 
 
 def _mcap_decoder(channel: Any, schema: Any) -> Decode:
@@ -161,6 +183,8 @@ def _mcap_decoder(channel: Any, schema: Any) -> Decode:
 def _cdr(name: str, definition: str) -> Decode:
     from mcap_ros2.decoder import generate_dynamic
 
+    if len(definition) > LONGEST_DEFINITION:
+        raise UnknownSchemaError(f"a definition of {len(definition)} letters; at most {LONGEST_DEFINITION} are read")
     with contextlib.redirect_stderr(io.StringIO()):  # it says there what it raises
         decoders: Mapping[str, Decode] = generate_dynamic(name, definition)
     return decoders[name] if name in decoders else decoders[name.replace("/msg/", "/")]
@@ -182,9 +206,15 @@ def _sqlite(path: Path) -> Bag:
     bag = Bag()
     try:
         with sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True) as file:
-            tables = {row[0] for row in file.execute("select name from sqlite_master where type = 'table'")}
+            # Neither views nor virtual tables, which have no pages: what they hold is computed.
+            tables = {
+                row[0] for row in file.execute("select name from sqlite_master where type = 'table' and rootpage")
+            }
             if not {"topics", "messages"} <= tables:
                 raise ImportDataError(f"{path}: an SQLite file, but no ROS 2 bag: it has no tables topics and messages")
+            computed = "select count(*) from pragma_table_xinfo('messages') where hidden"
+            if file.execute(computed).fetchone()[0]:
+                raise ImportDataError(f"{path}: its messages are computed as they are read, which no ROS 2 bag does")
             query = "select topic_type, encoded_message_definition from message_definitions where encoding = 'ros2msg'"
             definitions: dict[str, str] = dict(file.execute(query)) if "message_definitions" in tables else {}
             topics = {number: (name, kind) for number, name, kind in file.execute("select id, name, type from topics")}

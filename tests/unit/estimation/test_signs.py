@@ -1,13 +1,16 @@
 """Signs and units that a fit gives away: channels against the model of the others, controls against what was believed."""
 
 from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
-from estimation.estimators.result import Estimate
+from estimation.estimators.result import Estimate, Result
 from estimation.gap.workflow import Options, run_gap
 from estimation.models import load_model
+from estimation.session.plausible_derivatives import implausible_derivatives
 from estimation.session.sanity_checks import (
     controls_of_another_unit,
     turned_controls,
@@ -85,3 +88,11 @@ def test_a_turned_column_is_told_before_what_the_gap_workflow_makes_of_it() -> N
         "Before any of this, look at the flights: ay: pushes the aircraft into the wind (CY_beta = 0.1"
     )
     assert any(n.startswith("ay: pushes the aircraft into the wind") for n in result.notes)
+
+
+@pytest.mark.parametrize(("CY_r", "told"), [(0.2, True), (0.6, True), (1.4, True), (1.4, False)])
+def test_side_force_by_yaw_rate_is_a_fins(CY_r: float, told: bool) -> None:
+    side, by_rate = Estimate("CY_beta", -0.5, 0.01, 0.02), Estimate("CY_r", CY_r, 0.02, 0.05, identifiable=told)
+    result = cast(Result, SimpleNamespace(model=LATERAL, parameters={"CY_beta": side, "CY_r": by_rate}))
+    texts = list(implausible_derivatives(result))
+    assert [("yaw damper" in text) for text in texts] == ([True] if CY_r > 1.0 and told else [])

@@ -11,6 +11,7 @@ from estimation.aircraft import Aircraft, load_aircraft
 from estimation.errors import DataError
 from estimation.estimators.result import Result
 from estimation.models import load_model
+from estimation.report.answer import leading_answer, next_steps
 from estimation.session import runner
 from estimation.session.session import EstimationSession
 from estimation.session.structured import StructureWish
@@ -118,6 +119,7 @@ def test_pitching_motion_without_thrust_tells_all_but_the_drag_at_no_lift(lackin
         assert not fitted.parameters["CD_0"].identifiable
         assert "thrust less drag" in fitted.parameters["CD_0"].why
     assert any("thrust not measured" in n.text for n in result.flights[0].notes)
+    assert any(s.startswith("Fly with a record of thrust") for s in next_steps(session, leading_answer(session)))
     session.to_json()
 
 
@@ -125,13 +127,16 @@ def test_thrust_that_is_measured_is_used_and_one_that_moves_unseen_is_refused() 
     flights, aircraft, truth = pitching(2)
     model = load_model("longitudinal", aircraft)
     result = runner.estimate(model, flights[:1], aircraft, ["ml"], structure=StructureWish.OFF).flights[0].results["ml"]
-    assert "thrust_trim" not in result.parameters
+    assert "thrust" not in result.parameters
     assert abs(result.parameters["CD_0"].estimate - truth["CD_0"]) < 4.0 * result.parameters["CD_0"].std_coloured
     blind = [f.with_columns(thrust=np.full(len(f), np.nan), throttle=np.linspace(0.2, 0.8, len(f))) for f in flights]
     with pytest.raises(DataError, match="throttle moves"):
         without_sensor(model, blind)
     steady = [f.with_columns(throttle=np.full(len(f), 0.4)) for f in blind]
-    assert "thrust_trim" in without_sensor(load_model("six-dof", aircraft), steady)[0].parameter_names
+    assert "thrust" in without_sensor(load_model("six-dof", aircraft), steady)[0].parameter_names
+    mixed, noted = without_sensor(model, [flights[0], steady[1]])
+    assert "thrust" not in mixed.input_names
+    assert "thrust is not used" in noted[0].notes[-1].text
 
 
 SIDE_FORCE = """

@@ -1,14 +1,22 @@
 """A plan of somebody else: it runs no program unasked, and asks for no more than there is."""
 
+import contextlib
+import io
 import os
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import IO, cast
 
 import pytest
 
 import sideslip
 from daq.utilities import limits
 from estimation.campaign.plan import plan_from, read_plan
-from estimation.campaign.sources import entries_of, fetched
+from estimation.campaign.sources import _pieces, entries_of, fetched
 from estimation.campaign.tasks import CampaignError
 
 TRAP = "from pathlib import Path\nPath('sprung').write_text('x')\nclass Model: pass\nOWN = 1\n"
@@ -96,3 +104,91 @@ def test_a_flight_whose_name_is_no_text_is_a_flight(tmp_path: Path) -> None:
     (entry,) = entries_of(plan_from({"flights": [name]}, "p"), tmp_path)
     assert entry.source is not None
     assert entry.name == "fl\\udcffug"
+
+
+def test_a_file_by_its_address_is_an_ordinary_one(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "flight.csv").write_bytes(b"time,p\n0,0\n")
+    assert fetched(f"file://{tmp_path}/flight.csv") == b"time,p\n0,0\n"
+    for address in (f"file://{tmp_path}/pipe.csv", "file:///dev/zero"):
+        with pytest.raises(CampaignError, match="ordinary file"):
+            fetched(address)
+
+
+class Server(BaseHTTPRequestHandler):
+    """Gives a flight in order, with its length and without; one without end; drips; says nothing at all."""
+
+    def do_HEAD(self) -> None:
+        self.send_response(200 if "mute" not in self.path else 500)
+        if self.path == "/sized.csv":
+            self.send_header("Content-Length", "11")
+        self.end_headers()
+
+    def do_GET(self) -> None:
+        if self.path == "/mute.csv":
+            time.sleep(2.0)
+            return
+        self.do_HEAD()
+        with contextlib.suppress(OSError):
+            while self.path == "/endless.csv":
+                self.wfile.write(bytes(4096))
+            for _ in range(100 if self.path == "/dripping.csv" else 0):
+                self.wfile.write(b"0")
+                time.sleep(0.05)
+            self.wfile.write(b"time,p\n0,0\n")
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Nothing."""
+
+
+@pytest.fixture
+def server() -> Iterator[str]:
+    pytest.importorskip("aiohttp", reason="fsspec's way to web servers")
+    http = ThreadingHTTPServer(("127.0.0.1", 0), Server)
+    thread = threading.Thread(target=http.serve_forever, args=(0.05,))
+    thread.start()
+    yield f"http://127.0.0.1:{http.server_address[1]}"
+    http.shutdown()
+    http.server_close()
+    thread.join()
+
+
+@pytest.mark.parametrize("name", ["sized", "unsized"])
+def test_a_flight_comes_from_a_server(name: str, server: str) -> None:
+    assert fetched(f"{server}/{name}.csv") == b"time,p\n0,0\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("endless", "longer than the"), ("dripping", "bytes in"), ("mute", "cannot be")]
+)
+def test_a_server_is_not_waited_for_without_end(
+    name: str, words: str, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "DATA_BYTES", 1 << 20)
+    monkeypatch.setattr(limits, "SILENCE_S", 0.5)
+    begun = time.monotonic()
+    with pytest.raises(CampaignError, match=words):
+        fetched(f"{server}/{name}.csv")
+    assert time.monotonic() - begun < 8.0
+
+
+@dataclass
+class Dripping:
+    """A server's answer of a byte a read."""
+
+    seconds: float = 0.0
+
+    def read(self, size: int) -> bytes:
+        self.seconds += 1.0
+        return b"0"
+
+
+def test_what_drips_or_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = Dripping()
+    monkeypatch.setattr(time, "monotonic", lambda: stream.seconds)
+    with pytest.raises(CampaignError, match="21 bytes in 21 s"):
+        b"".join(_pieces(cast(IO[bytes], stream), "http://x/y.csv"))
+    monkeypatch.setattr(limits, "DATA_BYTES", 100)
+    with pytest.raises(CampaignError, match="longer than the 100 bytes"):
+        b"".join(_pieces(io.BytesIO(bytes(101)), "http://x/y.csv"))
+    assert b"".join(_pieces(io.BytesIO(bytes(100)), "http://x/y.csv")) == bytes(100)

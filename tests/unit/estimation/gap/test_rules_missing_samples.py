@@ -14,9 +14,11 @@ from estimation.gap.decision.unnamed import held_instrument, held_step
 from estimation.gap.fit.spectra import NoisePart, NoiseSource, Shapes, as_seen, estimate_noise, whitener
 from estimation.gap.fit.whitener import spectrum_of
 from estimation.gap.records.candidate_model import with_nuisance
+from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.records.sampling import command_times
 from estimation.models.load import load_model
 from groundstation.flight import Flight, Provenance
+from tests.studies import second_truth as truth
 from tests.unit.estimation.gap.candidates_by_hand import stub
 
 COUNT, STEP = 1200, 0.05
@@ -141,3 +143,23 @@ def test_commands_recorded_late_are_told_with_their_time_by_the_gyros() -> None:
     )
     assert late_commands([logged(0.01)], stub(clean=model, fit=fit)) == "", "new in every sample"
     assert late_commands([replace(logged(0.04), provenance=Provenance())], stub(clean=model, fit=fit)) == ""
+
+
+def test_records_know_when_a_command_may_have_moved() -> None:
+    """An edge of a held command is a tenth of a radian off for part of an interval; where the aileron rests nothing is."""
+    columns = truth.fly([truth.Request(811, 16.0, gust=0.0, duration=12.0)])[0]
+    time = columns["time"]
+    columns = {n: c for n, c in columns.items() if n != "time"}
+    columns["delta_a"] = np.where((time > 4.0) & (time < 6.0), 0.1, 0.0)
+    channel = {"from": "RCOU.C1", "kind": "computed", "held": True, "interval_s": 0.05, "dated_back_s": 0.025}
+    detail = {"channels": {"delta_a": channel}}
+    sensed = Flight.build("a", time, columns)
+    commanded = Flight.build("b", time, columns, provenance=Provenance(detail=detail))
+    wrong = {}
+    for flight in (sensed, commanded):
+        record = prepare_flights(load_model("lateral", "cdfp"), (), [flight], (), AS_SET).records[0]
+        wrong[flight.name] = record.wrong["delta_a"].std(axis=0)
+    edges = np.abs(record.time - 4.0) < 0.08
+    assert wrong["b"][edges].max() > 0.01
+    assert wrong["b"][edges].max() > 5.0 * wrong["a"][edges].max()
+    assert wrong["b"][record.time < 3.5].max() < 0.002

@@ -1,5 +1,6 @@
 """MCAP files and ROS 2 bags of other programs, written by rosbags: an implementation that has nothing to do with the reader."""
 
+import contextlib
 import json
 import sqlite3
 from pathlib import Path
@@ -7,12 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from groundstation.importers.about import is_foreign_log, log_info
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.formats.bags import is_bag
+from groundstation.importers.formats import bags
+from groundstation.importers.formats.bags import is_bag, read_bag
 from groundstation.importers.run import import_data
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -129,6 +133,63 @@ def test_a_bag_whose_damage_sqlite_quotes_in_bytes_that_are_no_text(tmp_path: Pa
     assert spoilt.read_bytes() != bag.read_bytes()
     with pytest.raises(ImportDataError, match=r"spoilt\.db3: damaged SQLite bag"):
         import_data(spoilt)
+
+
+COMPUTED = {
+    "a generated column": "create table messages(id integer, topic_id integer, timestamp integer,"
+    " data blob generated always as (zeroblob(900000000)) virtual)",
+    "a view": "create view messages as with recursive c(x) as (select 1 union all select x + 1 from c)"
+    " select 1 as topic_id, x as timestamp, x'00' as data from c",
+}
+
+
+@pytest.mark.parametrize("how", COMPUTED)
+def test_a_bag_whose_messages_are_computed_is_refused(how: str, tmp_path: Path) -> None:
+    bag = tmp_path / "endless.db3"
+    with contextlib.closing(sqlite3.connect(bag)) as file:
+        file.execute("create table topics(id integer, name text, type text)")
+        file.execute("insert into topics values(1, '/imu', 'sensor_msgs/msg/Imu')")
+        file.execute(COMPUTED[how])
+        if "table messages" in COMPUTED[how]:
+            file.execute("insert into messages(id, topic_id, timestamp) values(1, 1, 1)")
+        file.commit()
+    with pytest.raises(ImportDataError, match=r"endless\.db3: (its messages are computed|an SQLite file, but no)"):
+        import_data(bag)
+
+
+def mcap_of(path: Path, data: bytes, definition: str, compression: CompressionType, copies: int = 2) -> Path:
+    """An MCAP file of one topic, all in one chunk."""
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, chunk_size=1 << 40, compression=compression)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("a/msg/B", "ros2msg", definition.encode())
+        channel = writer.register_channel("/imu", "cdr", schema)
+        for n in range(copies):
+            writer.add_message(channel, n * 10**7, data, n * 10**7, n)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_chunk_is_unpacked_within_a_bound(
+    compression: CompressionType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bags, "LARGEST_RECORD", 1 << 16)
+    path = mcap_of(tmp_path / "b.mcap", bytes(40_000), "float64 x\n", compression)
+    assert path.stat().st_size < 1 << 12
+    with pytest.raises(ImportDataError, match="at most 65536 are read"):
+        import_data(path)
+    monkeypatch.setattr(bags, "LARGEST_RECORD", 1 << 17)
+    assert read_bag(path).topics["/imu"].time == [0.0, 0.01]
+
+
+def test_messages_and_definitions_have_a_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fields = "\n".join(f"float64 field_{n}" for n in range(bags.LONGEST_DEFINITION // 10))
+    with pytest.raises(ImportDataError, match=f"at most {bags.LONGEST_DEFINITION} are read"):
+        import_data(mcap_of(tmp_path / "d.mcap", bytes(64), fields, CompressionType.NONE))
+    monkeypatch.setattr(bags, "LONGEST_MESSAGE", 1000)
+    with pytest.raises(ImportDataError, match="/imu: messages of 1001 bytes; at most 1000 are read"):
+        import_data(mcap_of(tmp_path / "m.mcap", bytes(1001), "float64 x\n", CompressionType.NONE))
 
 
 def test_messages_of_px4_go_by_the_names_of_its_own_log(tmp_path: Path) -> None:

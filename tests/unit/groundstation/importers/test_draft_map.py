@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from click.testing import CliRunner
 
 from groundstation.importers.draft import draft_map
@@ -49,6 +50,23 @@ def test_a_draft_without_servos_says_nothing_of_an_example_s_trim(tmp_path: Path
     flight = import_data(tmp_path / "log.csv", load_map(tmp_path / "map.toml"))
     assert flight.measured("delta_a")
     assert not any("example" in note.text for note in flight.notes)
+
+
+def test_vectors_of_a_matlab_file_are_drafted_as_columns_of_a_table(tmp_path: Path) -> None:
+    time = np.arange(0.0, 6.0, 0.02)
+    phi = 20.0 * np.sin(time)
+    vectors = {"t": time, "p_dps": 20.0 * np.cos(time), "phi": phi, "tas": 20.0 + 0.1 * phi, "da": 3.0 * np.cos(time)}
+    scipy.io.savemat(tmp_path / "log.mat", vectors)
+    (tmp_path / "map.toml").write_text(draft_map([tmp_path / "log.mat"]))
+    columns = load_map(tmp_path / "map.toml").columns
+    assert {n: (s[0].column, s[0].unit) for n, s in columns.items()} == {
+        "p": ("p_dps", "dps"),
+        "phi": ("phi", "deg"),
+        "V": ("tas", "m/s"),
+        "delta_a": ("da", "deg"),
+    }
+    flight = import_data(tmp_path / "log.mat", load_map(tmp_path / "map.toml"))
+    assert np.nanmax(flight["phi"]) == pytest.approx(np.radians(20.0), rel=0.01)
 
 
 def test_what_rises_evenly_is_time_whatever_its_name() -> None:
