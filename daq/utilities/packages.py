@@ -13,7 +13,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "estimation": ("casadi", "jinja2", "markupsafe", "matplotlib", "pyarrow", "rich", "scipy", "threadpoolctl", "tomli_w"),
     "ground": ("foxglove_schemas_protobuf", "h5py", "mcap_protobuf", "mcap_ros2", "pymavlink", "pyulog", "rerun", "rerun_cli"),
     "ngn": ("torch",),
-    "campaign": ("dask", "distributed", "fsspec"),
+    "campaign": ("aiohttp", "dask", "distributed", "fsspec"),
     "jsbsim": ("jsbsim",),
     "notebook": ("pandas", "xarray"),
 }  # fmt: skip

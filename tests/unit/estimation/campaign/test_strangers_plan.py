@@ -143,7 +143,6 @@ class Server(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def server() -> Iterator[str]:
-    pytest.importorskip("aiohttp", reason="fsspec's way to web servers")
     http = ThreadingHTTPServer(("127.0.0.1", 0), Server)
     thread = threading.Thread(target=http.serve_forever, args=(0.05,))
     thread.start()
