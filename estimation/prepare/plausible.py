@@ -133,9 +133,11 @@ def _ratio_to_slope(flight: Flight, rate: str, angle: str) -> float | None:
     """Size of a rate over that of the slope of its angle; None where the two do not tell of each other."""
     dt = np.diff(flight.time)
     same_segment = np.diff(flight.segment) == 0
-    slope = np.diff(flight[angle]) / dt
-    mean = 0.5 * (flight[rate][1:] + flight[rate][:-1])
-    usable = same_segment & np.isfinite(slope) & np.isfinite(mean) & (np.abs(np.diff(flight[angle])) < 1.0 * np.pi)
+    with np.errstate(invalid="ignore", over="ignore"):  # infinities of both signs side by side are left out below
+        jump = np.diff(flight[angle])
+        slope = jump / dt
+        mean = 0.5 * (flight[rate][1:] + flight[rate][:-1])
+    usable = same_segment & np.isfinite(slope) & np.isfinite(mean) & (np.abs(jump) < np.pi)
     if usable.sum() < 2 * STUCK_SAMPLES:
         return None
     a, b = slope[usable] - slope[usable].mean(), mean[usable] - mean[usable].mean()

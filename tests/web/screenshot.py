@@ -89,7 +89,7 @@ def take(
 
         def wait_until(right: Callable[[Path], bool]) -> None:
             while time.monotonic() < deadline:
-                page.wait_for_timeout(1000)
+                page.wait_for_timeout(1500)
                 page.screenshot(path=str(target))
                 if right(target):
                     break

@@ -260,3 +260,18 @@ def test_a_short_stretch_without_any_measured_output_has_no_say_in_the_bounds() 
         session = runner.estimate(LATERAL, [split], load_aircraft("cdfp"), (method,), structure=StructureWish.OFF)
         parameters = session.flights[0].results[method].parameters
         assert abs(parameters["Cn_beta"].estimate - TRUE["Cn_beta"]) < 4.0 * parameters["Cn_beta"].std_coloured
+
+
+def test_infinities_of_both_signs_side_by_side_end_without_a_warning(recwarn: pytest.WarningsRecorder) -> None:
+    from estimation.prepare.plausible import _ratio_to_slope
+    from groundstation.flight import Flight
+
+    time = np.arange(200) * 0.05
+    p = np.cos(time)
+    p[[50, 51]] = np.inf, -np.inf
+    phi = np.sin(time)
+    phi[[90, 91]] = np.inf
+    flight = Flight.build("f", time, {"p": p, "phi": phi})
+    ratio = _ratio_to_slope(flight, "p", "phi")
+    assert ratio == pytest.approx(1.0, rel=0.02)
+    assert not recwarn.list

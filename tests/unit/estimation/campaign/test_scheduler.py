@@ -20,7 +20,7 @@ WORDS = (
     "--method",
     "ml",
     "--bootstrap",
-    "4",
+    "10",
     "--joint",
     "--match",
     "--envelope",

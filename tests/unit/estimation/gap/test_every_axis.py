@@ -221,7 +221,7 @@ def test_what_derivatives_carry_is_never_named_however_well_it_fits() -> None:
     assert not material(free, 0.05, {}, AS_SET).why_not
 
 
-QUICK = Options(seed=3, nulls=30, most=1)
+QUICK = Options(seed=3, nulls=20, most=1)
 # What the throttle, the elevator and the trims could be explained by; all 47 are asked by the benchmark.
 NEAR = {
     "propwash_elevator", "propwash_CL", "thrust_scale", "thrust_tilt", "thrust_lag", "thrust_z", "mass_error", "rho_error",
