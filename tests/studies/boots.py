@@ -51,7 +51,7 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True)
 class Boot:
-    """One start: part -> spans [s from the start] in which it is there. port: of the radio."""
+    """One start: part -> spans [s from when the logger first looks for its bus] in which it is there. port: of the radio."""
 
     number: int
     spans: Mapping[str, tuple[Span, ...]]
@@ -149,7 +149,7 @@ def start(boot: Boot, answers: Path) -> list[str]:
         for old, new in MADE_OVER.items():
             text = text.replace(old, new.format(folder=folder, radio=boot.port.format(folder=folder)))
         (folder / "logger.toml").write_text(text)
-        bench, begin = Bench(boot, folder), time.monotonic()
+        bench = Bench(boot, folder)
         command = [sys.executable, "-m", "tests.studies.boots", "record", str(answers), str(folder / "logger.toml")]
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         pipe = subprocess.PIPE
@@ -159,6 +159,10 @@ def start(boot: Boot, answers: Path) -> list[str]:
             output: list[str] = []
             reader = threading.Thread(target=lambda: output.append(process.stdout.read()))  # type: ignore[union-attr]
             reader.start()
+            while not (folder / "looked").exists() and process.poll() is None:
+                bench.turn(0.0)
+                time.sleep(0.02)
+            begin = time.monotonic()
             while (at_s := time.monotonic() - begin) < SECONDS and process.poll() is None:
                 bench.turn(at_s)
                 time.sleep(0.02)
@@ -200,6 +204,7 @@ def record(answers: Path, configuration: Path) -> None:
 
     class FileBus(ReplayedBus):
         def __init__(self, device: str) -> None:
+            Path(device).with_name("looked").touch()
             if not Path(device).exists():
                 raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), device)
             super().__init__(answers)
