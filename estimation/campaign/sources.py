@@ -102,15 +102,14 @@ def _flights_at(text: str, folder: Path, conditions: RecordConditions, send: boo
 
 
 def _paths(path: Path, text: str) -> Sequence[Path]:
-    """A file as it is named, all flights of a folder, or what a pattern matches."""
+    """A file as it is named, all flights of a folder, or those that a pattern matches."""
     if path.is_dir():
-        flight_files = sorted(
-            p for p in islice(path.iterdir(), limits.LOOKED_AT) if p.suffix.lower() in FLIGHT_SUFFIXES
-        )
+        files = sorted(islice(path.iterdir(), limits.LOOKED_AT))
     elif path.exists() or not glob.has_magic(text):
         return [path]
     else:
-        flight_files = matching(path, CampaignError)
+        files = matching(path, CampaignError)
+    flight_files = [p for p in files if p.suffix.lower() in FLIGHT_SUFFIXES]
     if not flight_files:
         raise CampaignError(f"{text}: no flight there; give files ending in {', '.join(FLIGHT_SUFFIXES)}")
     return flight_files
@@ -119,9 +118,11 @@ def _paths(path: Path, text: str) -> Sequence[Path]:
 def _local(path: Path, conditions: RecordConditions, send: bool) -> CampaignFlight:
     entry = CampaignFlight(str(path), conditions)
     try:
-        mode = path.stat().st_mode
-        if not stat.S_ISREG(mode):  # a pipe would be waited for, a device read without end
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):  # a pipe would be waited for, a device read without end
             return replace(entry, why=f"{path}: not a file that can be read again; copy the flight into one")
+        if status.st_size > limits.DATA_BYTES:
+            return replace(entry, why=f"{path}: {status.st_size} bytes long; at most {limits.DATA_BYTES} are read")
         digest = hashlib.sha256()
         with path.open("rb") as handle:
             while chunk := handle.read(CHUNK):

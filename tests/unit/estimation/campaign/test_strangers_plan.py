@@ -98,6 +98,20 @@ def test_addresses_of_odd_kinds_are_not_opened(address: str) -> None:
         fetched(address)
 
 
+def test_a_pattern_over_everything_names_flights_alone_and_nothing_endless_is_read(tmp_path: Path) -> None:
+    (tmp_path / "in" / "deeper.csv").mkdir(parents=True)
+    (tmp_path / "in" / "flight.csv").write_text("time,p\n0,0\n1,0\n")
+    (tmp_path / "in" / "kmsg").write_text("x")
+    with (tmp_path / "in" / "huge.csv").open("wb") as file:
+        file.truncate(limits.DATA_BYTES + 1)  # a hole: it takes no room, and hashing it would take a minute
+    entries = {Path(e.location).name: e for e in entries_of(plan_from({"flights": ["**/*"]}, "p"), tmp_path)}
+    assert set(entries) == {"deeper.csv", "flight.csv", "huge.csv"}
+    assert entries["flight.csv"].source is not None
+    assert "bytes long" in entries["huge.csv"].why
+    with pytest.raises(CampaignError, match="no flight there"):
+        entries_of(plan_from({"flights": ["**/km*"]}, "p"), tmp_path)
+
+
 def test_a_flight_whose_name_is_no_text_is_a_flight(tmp_path: Path) -> None:
     name = os.fsdecode(b"fl\xffug.csv")
     (tmp_path / name).write_text("time,p\n0,0\n1,0\n")
