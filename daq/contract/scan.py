@@ -211,4 +211,4 @@ def _groups(message: Any, is_set: Callable[[str], bool]) -> dict[str, GroupStatu
 
 def _sensor_state(number: int) -> SensorState:
     """What the number stands for, without the search of an enumeration. Raises ValueError for a number without meaning."""
-    return _STATES[number] if number < len(_STATES) else SensorState(number)
+    return _STATES[number] if 0 <= number < len(_STATES) else SensorState(number)
