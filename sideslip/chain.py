@@ -47,8 +47,6 @@ def fly_scenario(
     """
     from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
-    from groundstation.calibration.recording import calibrate_recording
-    from groundstation.flight import write_flight
     from groundstation.live.config import CalibrationConfig, GroundConfig
     from groundstation.live.station import Station
     from groundstation.receiver.ports import LinkConfig
@@ -93,26 +91,31 @@ def fly_scenario(
             backfill_agreed = agreed()
         station.close()
         summary = receiver.summary()
-    calibrated = calibrate_recording(folder / "onboard", salvage=True)
-    write_flight(calibrated, folder / "flight.mcap")
+    onboard = _onboard_flight(folder)
     origin = "telemetry and backfill" if backfill_agreed else "telemetry"
     ground, lines = _received_flight(ground_folder, receiver, station, origin)
     if ground is not None:
         summary["flight"] = str(ground)
     sequencer = _sequencer_words(folder / "onboard") if scenario.sequencer is not None else ()
-    return ChainFlight(folder / "flight.mcap", ground, files.truth, summary, backfill_agreed, lines, sequencer)
+    return ChainFlight(onboard, ground, files.truth, summary, backfill_agreed, lines, sequencer)
 
 
 def fly_onboard(scenario: "Scenario", folder: Path, *, seed: int | None = None) -> Path:
     """Fly one scenario of the CDFP through the real logger alone, with nobody at the ground; the flight's file."""
     from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
-    from groundstation.calibration.recording import calibrate_recording
-    from groundstation.flight import write_flight
 
     calibration = NOMINAL_DIRECTORY / "cdfp"
     with prepare_flight(scenario, folder, seed=seed, config_file=CONFIG_FILE, calibration=calibration) as flight:
         flight.run()
+    return _onboard_flight(folder)
+
+
+def _onboard_flight(folder: Path) -> Path:
+    """What was recorded on board, calibrated; the flight's file."""
+    from groundstation.calibration.recording import calibrate_recording
+    from groundstation.flight import write_flight
+
     write_flight(calibrate_recording(folder / "onboard", salvage=True), folder / "flight.mcap")
     return folder / "flight.mcap"
 

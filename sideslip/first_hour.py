@@ -94,13 +94,13 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
 def _whose(rest: Sequence[str], flight: str) -> str:
     """The --aircraft that an estimate of a flight needs: as given before, or to be written where the flight names none."""
     from daq.utilities.errors import UserError
-    from groundstation.flight import read_flight
+    from groundstation.flight.files.reading import named_aircraft
 
     named = next((b for a, b in zip(rest, rest[1:], strict=False) if a == "--aircraft"), "")
     if named or not Path(flight).is_file():
         return f" --aircraft {named}" if named else ""
     try:
-        return "" if read_flight(flight).provenance.aircraft else " --aircraft AIRCRAFT.toml"
+        return "" if named_aircraft(Path(flight)) else " --aircraft AIRCRAFT.toml"
     except UserError:
         return ""
 

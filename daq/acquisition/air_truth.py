@@ -17,22 +17,22 @@ from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
 from daq.sensors.mounting import Axis, Mounting, check_mounting
 from daq.sensors.ms4525do import indicated_airspeed, nominal_transfer
 from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, pitot_unrest, unrest
-from daq.utilities.constants import GRAVITY, SEA_LEVEL_DENSITY
+from daq.utilities.constants import (
+    FLYING_GROUND_SPEED,
+    GRAVITY,
+    LEAST_PITOT_PRESSURE,
+    LEAST_PITOT_SHARE,
+    SEA_LEVEL_DENSITY,
+)
 
 WINDOW_S = 5.0
 LOOK_S = 1.0
-MOVING_M_S = 8.0
-"""Ground speed that only flight gives: small aircraft lift off at it."""
 OFFSET_PA = 10.0
 """Pitot at rest further off than this is zeroed: 5 % of the dynamic pressure at 18 m/s, so 5 % of each derivative."""
 BROKEN_PA = 300.0
 """Further off than twice what makers and users report at rest, it is no zero but a fault: trapped pressure or a wrong range."""
 STEADY = 0.25
 """A pressure that spreads by less than this share of its mean is an offset, not wind (which has 0.4)."""
-NEGATIVE_PA = -20.0
-"""In flight no tube in front of its static port reads less: wake and zero error together are below it."""
-LEAST_SHARE = 0.1
-"""Of the dynamic pressure of the ground speed: less means a tail wind of two thirds of it, or a cover."""
 MOST_SHARE = 4.0
 """More means a head wind as fast as the ground speed, or pressure trapped in the tube."""
 FROZEN_COUNTS, FROZEN_ENCODER_COUNTS = 8.0, 2.0
@@ -206,7 +206,7 @@ class AirTruth:
     def _present(self) -> Iterator[SensorContradiction]:
         scans = list(self._scans)
         speeds = [s for s in map(ground_speed, scans) if s is not None]
-        if len(speeds) < 2 or min(speeds) < MOVING_M_S:
+        if len(speeds) < 2 or min(speeds) < FLYING_GROUND_SPEED:
             yield from self._still_zero(scans)
             return
         self._moved = True
@@ -238,11 +238,14 @@ class AirTruth:
         pressure = (fmean(pitot) - self._zero_count) * self._scales.pascal
         by_gps = SEA_LEVEL_DENSITY / 2 * speed**2
         gps = f"at GPS {speed:.0f} m/s"
-        if pressure < NEGATIVE_PA:
-            words = f"pitot pressure is negative in flight: {pressure:.0f} Pa {gps} (limit {NEGATIVE_PA:.0f}): tubes swapped?"
+        if pressure < LEAST_PITOT_PRESSURE:
+            limit = f"limit {LEAST_PITOT_PRESSURE:.0f}"
+            words = f"pitot pressure is negative in flight: {pressure:.0f} Pa {gps} ({limit}): tubes swapped?"
             yield SensorContradiction("pitot sign", words)
-        elif pressure < LEAST_SHARE * by_gps:
-            words = f"pitot reads {pressure:.0f} Pa {gps} (at least {LEAST_SHARE * by_gps:.0f}): covered or blocked?"
+        elif pressure < LEAST_PITOT_SHARE * by_gps:
+            words = (
+                f"pitot reads {pressure:.0f} Pa {gps} (at least {LEAST_PITOT_SHARE * by_gps:.0f}): covered or blocked?"
+            )
             yield SensorContradiction("pitot level", words)
         elif pressure > MOST_SHARE * by_gps:
             words = (

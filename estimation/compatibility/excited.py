@@ -47,10 +47,7 @@ def excited_pieces(records: list[FilterRecord]) -> tuple[list[FilterRecord], str
 
 def even_parts(record: FilterRecord, length: int) -> list[FilterRecord]:
     """Even pieces of a record, none much longer than so many samples."""
-    count = len(record.time)
-    edges = np.linspace(0, count, max(1, round(count / length)) + 1).astype(int).tolist()
-    parts = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    return [FilterRecord(record.first + s.start, record.time[s], record.u[s], record.z[s]) for s in parts]
+    return record.parts(max(1, round(len(record.time) / length)))
 
 
 def _movement(pieces: Sequence[FilterRecord]) -> Array:

@@ -9,6 +9,7 @@ one when model and noise levels are right: that is what the bounds rest on and w
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -38,6 +39,11 @@ class FilterRecord:
     def step(self) -> float:
         """Sample interval [s]."""
         return float(np.median(np.diff(self.time)))
+
+    def parts(self, count: int) -> list["FilterRecord"]:
+        """The record in so many even pieces."""
+        edges = np.linspace(0, len(self.time), count + 1).astype(int).tolist()
+        return [FilterRecord(self.first + a, self.time[a:b], self.u[a:b], self.z[a:b]) for a, b in pairwise(edges)]
 
 
 @dataclass(frozen=True)

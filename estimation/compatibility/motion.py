@@ -29,24 +29,18 @@ def integrated_motion(model: Model, record: FilterRecord, p: Array, states: Arra
     p: (n,) parameters. states: (N, nx) of the filter, for the starts. spread: (ny,) by which each output is expected to
     differ: weights of the fit of the starts.
     """
-    count = len(record.time)
-    pieces = max(1, int(np.ceil(count * record.step / PIECE_S)))
-    edges = np.linspace(0, count, pieces + 1).astype(int)
-    outputs = [
-        _Piece(model, record, slice(a, b), p).fitted(states[a], spread)
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
-    ]
-    return np.vstack(outputs)
+    pieces = record.parts(max(1, int(np.ceil(len(record.time) * record.step / PIECE_S))))
+    return np.vstack([_Piece(model, r, p, record.step).fitted(states[r.first - record.first], spread) for r in pieces])
 
 
 class _Piece:
-    """Some rows of a record, integrated from any start."""
+    """A piece of a record, integrated from any start. step: sample interval of the record [s]."""
 
-    def __init__(self, model: Model, record: FilterRecord, rows: slice, p: Array) -> None:
-        self.model, self.time, self.z = model, record.time[rows], record.z[rows]
-        u = record.u[rows]
+    def __init__(self, model: Model, record: FilterRecord, p: Array, step: float) -> None:
+        self.model, self.time, self.z = model, record.time, record.z
+        u = record.u
         self._inputs = np.hstack([u, np.vstack([u[1:], u[-1:]])])
-        self._fixed = np.concatenate([p, [model.constants[n] for n in model.structure.constants_kept], [record.step]])
+        self._fixed = np.concatenate([p, [model.constants[n] for n in model.structure.constants_kept], [step]])
         self._late = [
             (model.output_names.index(o), float(p[model.parameter_names.index(d)]))
             for o, d in model.output_delays.items()

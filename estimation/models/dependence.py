@@ -25,6 +25,16 @@ def force_states(model: Model, parameters: Collection[str] | None = None) -> tup
     return tuple(s for s in model.state_names if reach(f"{s}_dot", set()) & counted)
 
 
+def driven_outputs(model: Model) -> frozenset[str]:
+    """Outputs in which process noise shows: all but states that only kinematics moves, such as attitude.
+
+    Gusts and missing terms are forces and moments. Residuals of an attitude are coloured in any air, by the slow errors of the
+    filter that it comes from, which a filter error takes up as gladly.
+    """
+    kinematic = set(model.state_names) - set(force_states(model, model.free_names))
+    return frozenset(o for o in model.output_names if o not in kinematic)
+
+
 def require_states(model: Model, method: str) -> Model:
     """The model. ModelError where it has no states: what a filter corrects, or a frequency response belongs to, is not there."""
     if not model.states:

@@ -46,8 +46,7 @@ def select_segments(flight: Flight, text: str | None) -> Flight:
     where they make no sense."""
     if text is None:
         phase = airborne(flight)
-        labels = np.where(phase.flying, flight.segment, -1)
-        return _cut(flight, labels, (phase.text,)) if phase.stood and phase.flying.any() else flight
+        return _cut(flight, np.where(phase.flying, flight.segment, -1), (phase.text,)) if phase.stood else flight
     if not is_times(text):
         selection = stretches_where(flight, text)
         return _cut(flight, selection.label, selection.notes)

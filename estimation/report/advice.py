@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from estimation.estimators.uncertainty import inputs_beside
+from estimation.session.without_sensor import NO_THRUST
 
 if TYPE_CHECKING:
     from estimation.models.base import Model
@@ -98,7 +99,7 @@ def _distinct(items: Iterable[str]) -> tuple[str, ...]:
 
 def manoeuvre(model: "Model", parameter: str, why: str) -> str:
     """What to fly, behind the word "fly", so that a parameter can be told."""
-    if why.startswith("thrust was not measured"):
+    if why.startswith(NO_THRUST):
         return "with a record of thrust, by a load cell or a map of motor and propeller"
     for control in sorted(inputs_beside(model, parameter)):
         if control in CONTROL_WORDS:

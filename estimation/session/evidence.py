@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.estimators.result import Estimate, Result
-from estimation.models.base import Model, ParameterRole
-from estimation.models.dependence import force_states
+from estimation.models.base import ParameterRole
+from estimation.models.dependence import driven_outputs
 from groundstation.flight import RECONSTRUCTED, Array, Flight
 
 CHANCE = 0.999  # probability at which a gain is believed
@@ -82,16 +82,6 @@ def beneath_instruments(ml: Result) -> bool:
         if not explained or float(np.sqrt(np.mean(left**2))) > SENSOR_NOISE.get(output.source, 0.0):
             return False
     return True
-
-
-def driven_outputs(model: Model) -> frozenset[str]:
-    """Outputs in which process noise shows: all but states that only kinematics moves, such as attitude.
-
-    Gusts and missing terms are forces and moments. Residuals of an attitude are coloured in any air, by the slow errors of the
-    filter that it comes from, which a filter error takes up as gladly.
-    """
-    kinematic = set(model.state_names) - set(force_states(model, model.free_names))
-    return frozenset(o for o in model.output_names if o not in kinematic)
 
 
 def _channels(a: Result, b: Result) -> Iterator[tuple[Array, Array]]:

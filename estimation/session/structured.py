@@ -209,8 +209,9 @@ def _of_basis(
     scales = {
         f.name: {**scale_bounds(f), **attenuations(session.model, d)} for f, d in zip(task.flights, ready, strict=True)
     }
-    structure, odd = _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors, scales)
     trusted = _recommended_method(results)
+    moved = _moved_result(results.get(trusted, basis), basis)
+    structure, odd = _of_result(basis, moved, ready, session.aircraft.sensors, scales)
     follows = {
         m: not_gusts(usable[m], ready) if m == trusted else follows_controls(usable[m], ready)
         for m in FILTERS
@@ -219,9 +220,8 @@ def _of_basis(
     return replace(structure, follows={m: text for m, text in follows.items() if text}), odd
 
 
-def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
+def _moved_result(recommended: Result, basis: Result) -> Result:
     """The result whose bounds the moves are counted in: a filter's where it is trusted with rough air, else the basis."""
-    recommended = results.get(_recommended_method(results), basis)
     return recommended if set(recommended.names) == set(basis.names) else basis
 
 

@@ -49,6 +49,8 @@ MAY_LACK: Mapping[str, tuple[str, ...]] = {
 
 THRUST = "thrust"
 UNTOLD = "CD_0"
+NO_THRUST = "thrust was not measured"
+"""How the reason begins for which a parameter cannot be told without a record of thrust."""
 UNUSED = Finding(FindingKind.NOT_MEASURED, "thrust is not used, as other flights lack it: estimate those by themselves")
 STEADY_THROTTLE = 0.05
 """Standard deviation of a recorded throttle (0 to 1) up to which thrust passes for constant: a fifth of the thrust of level
@@ -99,7 +101,7 @@ def with_untold(result: Result) -> Result:
     """The result with what an unknown thrust takes the place of as not told."""
     if THRUST not in result.model.parameter_names or UNTOLD not in result.parameters:
         return result
-    why = "thrust was not measured: the record tells thrust less drag, and not one of them"
+    why = f"{NO_THRUST}: the record tells thrust less drag, and not one of them"
     names = [n for n in (UNTOLD, THRUST) if n in result.parameters]
     blind = {n: replace(result.parameters[n], identifiable=False, why=why) for n in names}
     return replace(result, parameters={**result.parameters, **blind})

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimation.engine.simulate import Simulator
 from estimation.estimators.result import Result
-from estimation.models.dependence import force_states
+from estimation.models.dependence import driven_outputs
 from estimation.prepare.flight_data import FlightData
 
 Array = NDArray[np.float64]
@@ -41,9 +41,9 @@ def not_gusts(result: Result, data: Sequence[FlightData]) -> str:
 
 
 def _driven(result: Result) -> list[int]:
-    """Outputs that forces move: all but states that only kinematics moves, such as attitude."""
-    kinematic = set(result.model.state_names) - set(force_states(result.model, result.model.free_names))
-    return [c for c, name in enumerate(result.model.output_names) if name not in kinematic]
+    """Columns of the outputs that forces move."""
+    outputs = driven_outputs(result.model)
+    return [c for c, name in enumerate(result.model.output_names) if name in outputs]
 
 
 def follows_controls(result: Result, data: Sequence[FlightData]) -> str:

@@ -107,7 +107,7 @@ def _in_mode(flight: Flight, name: str, modes: Iterable[FlightMode]) -> Array:
 @dataclass(frozen=True)
 class Airborne:
     """flying: (N,) samples on the wings. text: what was left out and why; empty where nothing was. stood: whether the record
-    begins or ends with the aircraft standing, by its airspeed and, where measured, its speed over ground."""
+    begins or ends with the aircraft standing, by its airspeed and, where measured, its speed over ground, and flies besides."""
 
     flying: Mask
     text: str
@@ -134,7 +134,7 @@ def airborne(flight: Flight) -> Airborne:
         f"{seconds:.1f} s on the ground, at lift-off or landing, or in a hover are left out: slower than {limit:.3g} m/s"
         + (f", or within {OFF_THE_GROUND:g} m of the ground before and after" if (rolls & ~slow).any() else "")
     )
-    return Airborne(flying, text, _stood(flight, speed, stands, flying))
+    return Airborne(flying, text, bool(flying.any()) and _stood(flight, speed, stands, flying))
 
 
 def _standing(speed: Array) -> float:

@@ -56,10 +56,8 @@ _TIME = re.compile(r"(?i)(irig_?)?(time|t|timestamp|stamp|clock|sec(onds)?)(_?(s
 
 _TIME_UNIT = re.compile(r"(?i)[\[( _](s|sec|ms|us|µs|ns)[\])]?$")
 FEWEST_STEPS = 20  # of a column that is taken for time by its values
-EVEN, MOSTLY_EVEN = (
-    0.5,
-    0.95,
-)  # share of a step by which steps differ, and of the steps that do not: gaps and jitter of loggers
+EVEN, MOSTLY_EVEN = 0.5, 0.95
+"""Share of a step by which steps may differ, and of the steps that do not: gaps and jitter of loggers."""
 
 ANGLES = {"p": "phi", "q": "theta", "r": "psi"}
 """Rate -> the angle that it turns."""

@@ -46,7 +46,7 @@ def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
     flight a pitot reads its noise and the wind on the ground, so that is left out.
     """
     phase = airborne(flight)
-    rows = phase.flying if phase.stood and phase.flying.any() else np.ones(len(flight), bool)
+    rows = phase.flying if phase.stood else np.ones(len(flight), bool)
     columns = {name: values[rows] for name, values in flight.columns.items()}
     airspeed = columns.pop("V_measured", None)
     if airspeed is not None and "V" in flight.reconstructed:

@@ -4,7 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from daq.utilities.constants import SEA_LEVEL_DENSITY
+from daq.utilities.constants import (
+    FLYING_GROUND_SPEED,
+    LEAST_PITOT_PRESSURE,
+    LEAST_PITOT_SHARE,
+    SEA_LEVEL_DENSITY,
+)
 from groundstation.flight.atmosphere import (
     density,
     density_at_altitude,
@@ -21,12 +26,7 @@ DENSITY_TOLERANCE = 0.08  # between two densities: 25 K of temperature, or a day
 SIGMAS = 4.0
 TELLS_APART = 9.0  # difference of chi-square by which the motion favours one scale of V over another: three sigmas
 CREDIBLE_SCALE = 0.1  # A scale of V further than this from the motion's (and its 2 sigma) is not the one it favours
-FLIES = 8.0  # [m/s] ground speed that only flight gives: small aircraft lift off at it
-NEGATIVE = (
-    -20.0
-)  # [Pa] in flight no tube in front of its static port reads less: wake and zero error together are below it
 LEAST_FAST = 0.1  # of a flight: fewer fast samples may be a taxi run, or errors of the fix
-LEAST_PRESSURE = 0.1  # of the dynamic pressure of the ground speed: less is a tail wind of two thirds of it, or a cover
 PRESSURE_ALTITUDE = 600.0  # [m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes
 
 
@@ -109,14 +109,14 @@ def pitot_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
     if not {"p_dynamic", "vn", "ve"} <= c.keys():
         return
     speed = np.hypot(c["vn"], c["ve"])
-    fast = (speed > FLIES) & np.isfinite(c["p_dynamic"])
+    fast = (speed > FLYING_GROUND_SPEED) & np.isfinite(c["p_dynamic"])
     if np.mean(fast) < LEAST_FAST:
         return
     pressure, ground = _median(c["p_dynamic"][fast]), _median(speed[fast])
     readings = f"p_dynamic is {pressure:.0f} Pa at a ground speed of {ground:.0f} m/s"
-    if pressure < NEGATIVE:
+    if pressure < LEAST_PITOT_PRESSURE:
         cure = "the tubes of the pitot are swapped: calibrate again with the slope in pitot.toml negative"
-    elif pressure < LEAST_PRESSURE * 0.5 * SEA_LEVEL_DENSITY * ground**2:
+    elif pressure < LEAST_PITOT_SHARE * 0.5 * SEA_LEVEL_DENSITY * ground**2:
         cure = "the pitot was covered or blocked: reconstruct V from GPS and attitude (sideslip reconstruct)"
     else:
         return

@@ -1,6 +1,7 @@
 """Flights from files: MCAP, CSV and Parquet, within bounds, with a note for whatever was not as it should be."""
 
 import hashlib
+import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -59,6 +60,35 @@ def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
     return Flight.build(
         path.stem, time, columns, segment=segment, provenance=provenance, notes=notes, gap_factor=gap_factor
     )
+
+
+def named_aircraft(path: Path) -> str:
+    """The aircraft that a flight's file names, empty where it names none; the rows of an .mcap and of a table are not read.
+
+    Raises FlightError as `read_flight`, or where the file is no flight.
+    """
+    match path.suffix.lower():
+        case ".csv":
+            return ""  # a table of numbers
+        case ".mcap":
+            return _provenance_from(_mcap_origin(path)).aircraft
+        case _:
+            return read_flight(path).provenance.aircraft
+
+
+def _mcap_origin(path: Path) -> dict[str, Any]:
+    """What a flight says of its origin."""
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            texts = [m.metadata.get("json", "") for m in make_reader(file).iter_metadata() if m.name == METADATA_NAME]
+    except (OSError, ValueError, struct.error, McapError) as error:
+        raise FlightError(f"{path}: its metadata cannot be read ({error})") from error
+    if not texts:
+        raise FlightError(f"{path}: no calibrated flight in this file")
+    return json_object(texts[0])
 
 
 def _read_csv(path: Path) -> _Read:

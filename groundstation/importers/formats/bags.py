@@ -25,12 +25,10 @@ OURS = "sideslip"  # profile of the recordings and flights that this program wri
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 HEADER_OPCODE, HEADER_AT = 1, 17  # the header record, and where its profile begins
 HEAD_BYTES = 4096  # read to find the profile
-LARGEST_RECORD = (
-    64 << 20
-)  # bytes of one record of an MCAP file, and of a chunk unpacked: a chunk of a bag has a few megabytes
-LONGEST_MESSAGE = (
-    1 << 20
-)  # bytes of a message that is decoded: pictures and clouds of points are longer, and hold no series
+LARGEST_RECORD = 64 << 20
+"""Bytes of one record of an MCAP file, and of a chunk unpacked: a chunk of a bag has a few megabytes."""
+LONGEST_MESSAGE = 1 << 20
+"""Bytes of a message that is decoded: pictures and clouds of points are longer, and hold no series."""
 LONGEST_DEFINITION = 1 << 16  # bytes of the definition of a message, with those it uses: px4_msgs' longest has 10 kB
 _DAMAGE = (ValueError, LookupError, TypeError, AttributeError, OverflowError, EOFError, MemoryError, struct.error)
 Decode = Callable[[bytes], Any]

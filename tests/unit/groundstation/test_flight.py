@@ -11,6 +11,7 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
 from groundstation.flight import Flight, FlightError, MissingColumnError, Provenance, read_flight, write_flight
+from groundstation.flight.files.reading import named_aircraft
 from groundstation.flight.writing import FLIGHT_SCHEMA, _encoded_rows, _schema
 from tests.support.paths import ROOT
 
@@ -51,6 +52,24 @@ def test_rows_are_encoded_as_protobuf_encodes_them(rows: int, columns: int, rng:
     made = GetMessageClass(pool.FindMessageTypeByName(FLIGHT_SCHEMA))
     expected = [made(**{n: v for n, v in zip(names, row, strict=True) if v == v}) for row in table.tolist()]
     assert list(_encoded_rows(table)) == [message.SerializeToString(deterministic=True) for message in expected]
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".parquet", ".csv"])
+@pytest.mark.parametrize("aircraft", ["", "glider"])
+def test_the_aircraft_of_a_file_is_that_of_the_flight_in_it(tmp_path: Path, aircraft: str, suffix: str) -> None:
+    time = np.arange(40) / 20
+    flight = Flight.build("a", time, {"p": np.sin(time)}, provenance=Provenance(aircraft=aircraft))
+    path = tmp_path / f"a{suffix}"
+    write_flight(flight, path)
+    assert named_aircraft(path) == read_flight(path).provenance.aircraft
+
+
+@pytest.mark.parametrize("content", [b"", b"no flight at all", b"\x89MCAP0\r\n" + bytes(60)])
+def test_of_what_is_no_flight_no_aircraft_is_read(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(FlightError):
+        named_aircraft(path)
 
 
 def test_a_time_jump_splits_and_is_said(tmp_path: Path) -> None:
