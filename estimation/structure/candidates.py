@@ -21,9 +21,10 @@ GRAVITY_OFF = {"ax": 0.005, "ay": 0.005, "az": 0.005}
 0.3 % at 200 m/s along the equator. A scale of an accelerometer as near to one as this is gravity, not the instrument."""
 DAMPED = {"delta_r": "r", "delta_e": "q"}
 """Control -> rate that a damper may feed back to it behind its record."""
-WASHOUT = 3.0
-"""s, in which such a damper forgets a steady turn: yaw dampers have 1 to 6 s (J. Roskam, Airplane Flight Dynamics II, 8.2.3), and
-what one of 1 or of 6 s does is found by this one too. Without a washout a damper is the aeroplane's own damping to any record."""
+WASHOUT, WASHOUT_SPREAD, WASHOUT_BOUNDS = 3.0, 2.0, (0.3, 20.0)
+"""s, in which such a damper forgets a steady turn, and the prior's standard deviation: yaw dampers have 1 to 6 s (J. Roskam,
+Airplane Flight Dynamics II, 8.2.3), and a score with 3 s finds one of 1 or of 6 s too. Without a washout a damper is the
+aeroplane's own damping to any record."""
 
 
 class CandidateKind(Enum):
@@ -81,8 +82,9 @@ def structure_candidates(model: Model) -> tuple[Candidate, ...]:
     return tuple(c for c in every_candidate if c.name not in model.parameter_names)
 
 
-def with_candidates(model: Model, wanted_candidates: Iterable[Candidate]) -> Model:
-    """The model with candidates as estimated parameters that start at their null values."""
+def with_candidates(model: Model, wanted_candidates: Iterable[Candidate], *, fitting: bool = False) -> Model:
+    """The model with candidates as estimated parameters that start at their null values. fitting: what has no effect at these
+    (the washout of a damper) is estimated besides."""
     selected = tuple(wanted_candidates)
     terms: dict[str, str] = {}
     dampers = [c for c in selected if c.kind is CandidateKind.DAMPER]
@@ -111,8 +113,8 @@ def with_candidates(model: Model, wanted_candidates: Iterable[Candidate]) -> Mod
         transforms=transforms,
         output_delays={c.channel: c.name for c in selected if c.kind is CandidateKind.LATE_SENSOR},
         states=[Signal(f"{c.term}_slow", "rad/s", start=c.term, held=True) for c in dampers],
-        lines=[f"{c.term}_slow_dot = ({c.term} - {c.term}_slow)/{WASHOUT}" for c in dampers],
-        parameters=[c.parameter for c in selected],
+        lines=[f"{c.term}_slow_dot = ({c.term} - {c.term}_slow)/washout_{c.channel}" for c in dampers],
+        parameters=[*(c.parameter for c in selected), *(_washout(c, fitting) for c in dampers)],
     )
 
 
@@ -260,3 +262,11 @@ def _effects_of(model: Model, control: str) -> Iterator[tuple[str, str]]:
         for names in products_in(text):
             if control in names and len(names) == 2 and (effect := names & derivatives):
                 yield line, next(iter(effect))
+
+
+def _washout(damper: Candidate, free: bool) -> Parameter:
+    low, high = WASHOUT_BOUNDS
+    return Parameter(
+        f"washout_{damper.channel}", "s", start=WASHOUT, lower=low, upper=high, prior_mean=WASHOUT,
+        prior_std=WASHOUT_SPREAD, fixed=not free, role=ParameterRole.NUISANCE,
+    )  # fmt: skip
