@@ -20,7 +20,6 @@ from groundstation.flight.atmosphere import (
 )
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Array, Columns, FitWithError, ratio_of, scale_by_ground
-from groundstation.flight.flight import Flight
 
 PRESSURE_TOLERANCE = 0.08  # of 2 p/(rho V^2): density of a guessed temperature is 5 % off, a pitot of its own 3 %
 SCALE_TOLERANCE = 0.08  # of V by motion: a pitot reads 3 % wrong, slips and lags of the fix make up some 3 %
@@ -129,12 +128,6 @@ def pitot_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
         return
     moves = "every derivative: V and the dynamic pressure are not those of the flight"
     yield Contradiction(("p_dynamic", "vn", "ve"), f"{readings}; {cure}", favoured="vn, ve", moves=moves, stops=True)
-
-
-def no_airspeed(flight: Flight) -> str:
-    """Why a flight's V is none, for the end of a sentence; empty where its ground speed does not tell."""
-    contradiction = next(pitot_against_ground(flight.time, flight.columns), None)
-    return "" if contradiction is None else f"; {contradiction.text}"
 
 
 def _by_ratio(

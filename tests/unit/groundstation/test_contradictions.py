@@ -5,8 +5,13 @@ import pytest
 
 from daq.utilities.constants import GRAVITY
 from groundstation.flight import Flight, Provenance, read_flight
-from groundstation.flight.contradictions import CONTRADICTIONS, Contradiction, contradictions, contradictions_of
-from groundstation.flight.contradictions.air import no_airspeed
+from groundstation.flight.contradictions import (
+    CONTRADICTIONS,
+    Contradiction,
+    contradictions,
+    contradictions_of,
+    no_airspeed,
+)
 from groundstation.flight.contradictions.fits import ratio_of
 from tests.unit.groundstation.turning import RHO, Columns, turning_flight
 
