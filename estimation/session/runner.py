@@ -180,12 +180,14 @@ def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
     return (
         *odd,
         *([slow] if slow else []),
-        *(
-            f"{c.text} (moves {c.moves})"
-            for c in contradictions(flight)
-            if c.stops and _matters(c, model_columns, flight)
-        ),
+        *contradicted_columns(model_columns, flight),
     )
+
+
+def contradicted_columns(model_columns: set[str], flight: Flight) -> tuple[str, ...]:
+    """The contradictions of a flight that let no estimate by a model of these columns be recommended, and what they move."""
+    stopping = [c for c in contradictions(flight) if c.stops and _matters(c, model_columns, flight)]
+    return tuple(f"{c.text} (moves {c.moves})" for c in stopping)
 
 
 def _matters(contradiction: Contradiction, model_columns: set[str], flight: Flight) -> bool:
