@@ -1,7 +1,7 @@
 """Bounds and errors of one record at its own 50 Hz and averaged to 10 Hz, as `import --rate 10` does it.
 
-`python -m tests.studies.two_rates run OUT.jsonl [FIRST LAST]`, then `table OUT.jsonl`: a flight of each of drawn aeroplanes, by `ml`.
-What is lost by averaging has to be lost from the errors as well as from the bounds: coverage stays, and errors grow as bounds do.
+`python -m tests.studies.two_rates run OUT.jsonl [FIRST LAST]`, then `table OUT.jsonl`: a flight of each of drawn aeroplanes.
+What is lost by averaging has to be lost from the errors as well: coverage stays, and errors grow as bounds do.
 """
 
 import json
@@ -70,9 +70,8 @@ def table(path: Path) -> Iterator[str]:
         inside = np.mean(np.abs(error) < 1.96 * bound, axis=0)
         wider = float(np.median(bound[:, 1] / bound[:, 0]))
         larger = float(np.median(np.abs(error[:, 1])) / np.median(np.abs(error[:, 0])))
-        yield (
-            f"| {name} | {len(pair)} | {rms[0]:.2f} | {rms[1]:.2f} | {inside[0]:.0%} | {inside[1]:.0%} | {wider:.2f} | {larger:.2f} |"
-        )
+        shares = f"{inside[0]:.0%} | {inside[1]:.0%}"
+        yield f"| {name} | {len(pair)} | {rms[0]:.2f} | {rms[1]:.2f} | {shares} | {wider:.2f} | {larger:.2f} |"
 
 
 def main(arguments: list[str]) -> None:
