@@ -132,7 +132,8 @@ def main() -> int:
                 cuts = pull_plugs(image, folder / "cuts", given.cuts, np.random.default_rng(given.seed), report.add)
                 print(table_of(cuts))
             if given.boots:
-                start_often(image, folder, given.boots, given.seed, report.add)
+                (folder / "starts").mkdir()
+                start_often(image, folder / "starts", given.boots, given.seed, report.add)
         except RigError as error:
             report.add("rig", False, str(error), time.monotonic() - started)
     failed = [r for r in report.rows if not r["passed"]]

@@ -182,11 +182,6 @@ class Machine:
         return line
 
 
-def _accelerated() -> list[str]:
-    """The host's own processor where the kernel lends it, or an emulated one."""
-    return ["-accel", "kvm", "-accel", "tcg,thread=multi,tb-size=512", "-cpu", "Nehalem"]
-
-
 def _command(
     image: Image, folder: Path, card: Path | None, read_only: bool, lean: bool, absent: Collection[str]
 ) -> list[str]:
@@ -194,7 +189,7 @@ def _command(
         return ["-chardev", f"socket,id={name},path={folder / name}"]
 
     words = ["nice", "-n", "5", "qemu-system-x86_64", "-nodefaults", "-vga", "none"]
-    words += [*_accelerated(), "-smp", "1"]
+    words += ["-accel", "tcg,thread=multi,tb-size=512", "-cpu", "Nehalem", "-smp", "1"]
     words += ["-m", str(MEMORY_MB), "-display", "none", "-monitor", "none", "-rtc", "base=utc"]
     words += ["-kernel", str(image.kernel), "-initrd", str(image.initrd)]
     masks = [f"systemd.mask={unit}" for unit in _LEFT_OUT] if lean else []
