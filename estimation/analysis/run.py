@@ -297,9 +297,7 @@ def _next(
             steps.append(
                 "say which servo output moves which surface: 'sideslip import LOG --draft-map -o map.toml', then --map map.toml"
             )
-    rough = [
-        f"{n} ({roughly(p):.0%})" for n, p in parameters_of(estimate).items() if roughly(p) and not n.endswith("_0")
-    ]
+    rough = [f"{n} ({roughly(p):.0%})" for n, p in parameters_of(estimate).items() if roughly(p) and is_coefficient(n)]
     if rough and recommendation.get("method", "none") != "none":
         steps.append(
             f"known to a quarter or worse: {', '.join(rough)}; larger inputs, or more flights of them, narrow that"
