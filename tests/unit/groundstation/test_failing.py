@@ -55,11 +55,11 @@ def test_nothing_fails_in_a_sound_flight(seed: int) -> None:
     ("names", "failure"),
     [
         ("V", holds), ("V", falls), ("beta", holds), ("beta", sticks), ("vn ve vd", holds), ("vn ve vd", sticks),
-        ("p q r", holds), ("p", sticks), ("r", falls), ("ax ay az", holds), ("ax ay az", falls), ("phi theta psi", sticks),
+        ("p q r", holds), ("p", sticks), ("beta", falls), ("ax ay az", holds), ("ax ay az", falls), ("phi theta psi", sticks),
     ],
 )  # fmt: skip
 def test_what_fails_is_named_with_its_times(names: str, failure: Failure, begin: float, end: float) -> None:
-    columns = swaying_flight(3) if names == "beta" else turning_flight(3, seconds=60.0, sway=0.4)
+    columns = swaying_flight(3) if names == "beta" else turning_flight(3, seconds=60.0, sway=0.25)
     del columns["p_dynamic"]
     found = [c for c in failing(columns, names, failure, begin, end) if set(c.failed) & set(names.split())]
     assert found, (names, failure)
@@ -131,7 +131,7 @@ def test_a_landing_after_the_fix_froze_is_no_failed_pitot() -> None:
 
 
 def test_a_push_over_is_no_failed_accelerometer() -> None:
-    columns = turning_flight(2, seconds=40.0)
+    columns = {n: v for n, v in turning_flight(2, seconds=40.0).items() if n not in ("vn", "ve", "vd")}
     over = (columns["time"] > 20.0) & (columns["time"] < 24.0)
     rng = np.random.default_rng(3)
     for axis in ("ax", "ay", "az"):
