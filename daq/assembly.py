@@ -171,7 +171,7 @@ def assemble(
             config.downlink,
             edge.radio,
             edge.clock,
-            papers=lambda: identity,
+            papers=lambda: replace(identity, details={**identity.details, **sampler.metadata()}),
             recordings=config.recorder.directories,
             boot=boot,
             turn_ns=min(TURN_NS, round(_UPLINK_SHARE * config.together * config.scan.period_ns)),

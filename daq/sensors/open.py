@@ -6,7 +6,7 @@ Everything behind it sees `daq.sensors.bus.I2cBus` and `daq.sensors.bus.SerialPo
 import errno
 import fcntl
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -92,7 +92,7 @@ class _Reopening:
         """After a call that raised: whether to let go of the device."""
         raise NotImplementedError
 
-    def _use(self, call: Callable[[Any], Any]) -> Any:
+    def _use(self, method: str, *arguments: Any) -> Any:
         if self._opened is None:
             now_ns = self._clock.monotonic_ns()
             if now_ns < self._retry_ns:
@@ -100,7 +100,7 @@ class _Reopening:
             self._retry_ns = now_ns + REOPEN_AFTER_NS
             self._opened = self._open()
         try:
-            return call(self._opened)
+            return getattr(self._opened, method)(*arguments)
         except OSError:
             self._failed()
             raise
@@ -126,19 +126,20 @@ class ReopeningBus(_Reopening):
         super().__init__(device, clock)
 
     def read_byte_data(self, i2c_addr: int, register: int, /) -> int:
-        return int(self._use(lambda bus: bus.read_byte_data(i2c_addr, register)))
+        return int(self._use("read_byte_data", i2c_addr, register))
 
     def write_byte_data(self, i2c_addr: int, register: int, value: int, /) -> None:
-        self._use(lambda bus: bus.write_byte_data(i2c_addr, register, value))
+        self._use("write_byte_data", i2c_addr, register, value)
 
     def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, /) -> list[int]:
-        return list(self._use(lambda bus: bus.read_i2c_block_data(i2c_addr, register, length)))
+        data: list[int] = self._use("read_i2c_block_data", i2c_addr, register, length)
+        return data
 
     def write_i2c_block_data(self, i2c_addr: int, register: int, data: Sequence[int], /) -> None:
-        self._use(lambda bus: bus.write_i2c_block_data(i2c_addr, register, data))
+        self._use("write_i2c_block_data", i2c_addr, register, data)
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
-        self._use(lambda bus: bus.i2c_rdwr(*i2c_msgs))
+        self._use("i2c_rdwr", *i2c_msgs)
 
     def _open(self) -> Any:
         from smbus2 import SMBus
@@ -189,13 +190,13 @@ class ReopeningPort(_Reopening):
 
     @property
     def in_waiting(self) -> int:
-        return int(self._use(lambda port: port.in_waiting))
+        return int(self._use("__getattribute__", "in_waiting"))  # a property
 
     def read(self, size: int = 1, /) -> bytes:
-        return bytes(self._use(lambda port: port.read(size)))
+        return bytes(self._use("read", size))
 
     def write(self, data: bytes, /) -> int | None:
-        accepted: int | None = self._use(lambda port: port.write(data))
+        accepted: int | None = self._use("write", data)
         return accepted
 
     def _open(self) -> Any:

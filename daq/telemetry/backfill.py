@@ -14,7 +14,7 @@ import struct
 import zlib
 from bisect import bisect_right
 from collections import OrderedDict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -187,8 +187,8 @@ class _Preparation:
 
     def __init__(self, papers: Callable[[], RecordingInfo | None]) -> None:
         self._papers = papers
-        self._info: RecordingInfo | None = None
-        self._papers_parts: tuple[int, bytes, bytes] | None = None  # papers: how many events, identity, archive
+        self._papers_parts: tuple[bytes, bytes] = b"", b""  # identity, archive
+        self._made_from: tuple[int, Mapping[str, str]] | None = None  # how many events, facts of the sensors
         self._answers: OrderedDict[tuple[int, int], _Answer] = OrderedDict()
 
     def scans(self, first: int, wanted: int, kept: Kept) -> _Answer:
@@ -206,14 +206,13 @@ class _Preparation:
         return answer
 
     def part(self, part: int, events_so_far: int, events: tuple[EventMessage, ...]) -> _Answer:
-        """A part of the papers: 0 the identity, then the archive."""
-        if self._info is None:
-            self._info = self._identity()
-        if self._info is None:
+        """A part of the papers: 0 the identity, then the archive. A sensor that joins late adds its facts."""
+        info = self._identity()
+        if info is None:
             return _answer(b"")
-        if self._papers_parts is None or self._papers_parts[0] != events_so_far:
-            self._papers_parts = (events_so_far, *papers_of(self._info, events))
-        _, identity, archive = self._papers_parts
+        if self._made_from != (events_so_far, info.details):
+            self._made_from, self._papers_parts = (events_so_far, info.details), papers_of(info, events)
+        identity, archive = self._papers_parts
         return _answer(identity if part == 0 else archive[(part - 1) * PAPERS_PART_BYTES : part * PAPERS_PART_BYTES])
 
     def _identity(self) -> RecordingInfo | None:

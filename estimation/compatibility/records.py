@@ -16,7 +16,7 @@ from estimation.prepare.conditioned import ConditionedFlight, condition_columns,
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
 from groundstation.flight.arrays import true_runs
-from groundstation.flight.contradictions.air import no_airspeed
+from groundstation.flight.contradictions import no_airspeed
 from groundstation.flight.findings import Finding, FindingKind
 
 SHORTEST = 40  # samples

@@ -81,7 +81,7 @@ def with_structure_tests(
         terms = [by_name[lack.names[0]] for lack in new if lack.names[0] in by_name]
         added_names += [t.name for t in terms]
         ambiguous += [lack for lack in new if lack.rivals]
-        tested = _tested(fitted(with_candidates(tested.model, _fresh(terms)), looked_at), task)
+        tested = _tested(fitted(with_candidates(tested.model, _fresh(terms), fitting=True), looked_at), task)
     if added_names and looked_at is not None:
         tested = _tested(fitted(tested.model, None), task)
     return _with_added(tested, added_names, ambiguous)

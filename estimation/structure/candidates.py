@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
+from estimation.models.base import InputTransform, Model, Parameter, ParameterRole, Signal
 from estimation.models.expressions import names_in, products_in
 
 LATE_OUTPUTS = ("alpha", "beta", "phi", "theta", "ax", "ay", "az")
@@ -19,6 +19,12 @@ SMALL_FLOW = ("alpha", "beta")
 GRAVITY_OFF = {"ax": 0.005, "ay": 0.005, "az": 0.005}
 """Part by which gravity in flight differs from the standard value of the models: 0.3 % between pole and equator, 0.3 % at 10 km,
 0.3 % at 200 m/s along the equator. A scale of an accelerometer as near to one as this is gravity, not the instrument."""
+DAMPED = {"delta_r": "r", "delta_e": "q"}
+"""Control -> rate that a damper may feed back to it behind its record."""
+WASHOUT, WASHOUT_SPREAD, WASHOUT_BOUNDS = 3.0, 2.0, (0.3, 20.0)
+"""s, in which such a damper forgets a steady turn, and the prior's standard deviation: yaw dampers have 1 to 6 s (J. Roskam,
+Airplane Flight Dynamics II, 8.2.3), and a score with 3 s finds one of 1 or of 6 s too. Without a washout a damper is the
+aeroplane's own damping to any record."""
 
 
 class CandidateKind(Enum):
@@ -30,6 +36,7 @@ class CandidateKind(Enum):
     LATE_SENSOR = "lag of a sensor"
     SCALE = "scale of a channel"
     PLACE = "place of the accelerometer"
+    DAMPER = "damper behind the record"
     INERTIA = "product of inertia"
 
 
@@ -38,6 +45,7 @@ UNITS = {
     CandidateKind.LATE_SENSOR: "s",
     CandidateKind.SCALE: "1",
     CandidateKind.PLACE: "m",
+    CandidateKind.DAMPER: "s",
     CandidateKind.INERTIA: "kg m2",
 }
 
@@ -70,16 +78,22 @@ class Candidate:
 
 def structure_candidates(model: Model) -> tuple[Candidate, ...]:
     """Everything that is tested beside a model."""
-    every_candidate = (*_terms(model), *_late_controls(model), *_sensors(model), *_inertia(model))
+    every_candidate = (*_terms(model), *_late_controls(model), *_sensors(model), *_inertia(model), *_dampers(model))
     return tuple(c for c in every_candidate if c.name not in model.parameter_names)
 
 
-def with_candidates(model: Model, wanted_candidates: Iterable[Candidate]) -> Model:
-    """The model with candidates as estimated parameters that start at their null values."""
+def with_candidates(model: Model, wanted_candidates: Iterable[Candidate], *, fitting: bool = False) -> Model:
+    """The model with candidates as estimated parameters that start at their null values. fitting: what has no effect at these
+    (the washout of a damper) is estimated besides."""
     selected = tuple(wanted_candidates)
     terms: dict[str, str] = {}
+    dampers = [c for c in selected if c.kind is CandidateKind.DAMPER]
     for c in (c for c in selected if c.line):
         terms[c.line] = f"{terms[c.line]} + {c.name}*{c.term}" if c.line in terms else f"{c.name}*{c.term}"
+    for c in dampers:
+        for line, effect in _effects_of(model, c.channel):
+            term = f"{c.name}*{effect}*({c.term} - {c.term}_slow)"
+            terms[line] = f"{terms[line]} + {term}" if line in terms else term
     output_expressions: dict[str, str] = {}
     for c in (
         c for c in selected if c.kind in (CandidateKind.SCALE, CandidateKind.PLACE) and c.channel in model.output_names
@@ -98,7 +112,9 @@ def with_candidates(model: Model, wanted_candidates: Iterable[Candidate]) -> Mod
         outputs=output_expressions,
         transforms=transforms,
         output_delays={c.channel: c.name for c in selected if c.kind is CandidateKind.LATE_SENSOR},
-        parameters=[c.parameter for c in selected],
+        states=[Signal(f"{c.term}_slow", "rad/s", start=c.term, held=True) for c in dampers],
+        lines=[f"{c.term}_slow_dot = ({c.term} - {c.term}_slow)/washout_{c.channel}" for c in dampers],
+        parameters=[*(c.parameter for c in selected), *(_washout(c, fitting) for c in dampers)],
     )
 
 
@@ -230,3 +246,27 @@ def _inertia(model: Model) -> Iterator[Candidate]:
     names = frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))
     if "Ixz" in model.constants and "Ixz" in names:
         yield Candidate("Ixz", CandidateKind.INERTIA, null=model.constants["Ixz"], phrase="another Ixz")
+
+
+def _dampers(model: Model) -> Iterator[Candidate]:
+    for control, rate in DAMPED.items():
+        if control in model.input_names and rate in model.state_names and any(_effects_of(model, control)):
+            phrase = f"something that moves {control} with {rate} behind its record, such as a damper"
+            yield Candidate(f"damper_{control}", CandidateKind.DAMPER, term=rate, channel=control, phrase=phrase)
+
+
+def _effects_of(model: Model, control: str) -> Iterator[tuple[str, str]]:
+    """Lines that a control acts in, each with the derivative by which it does."""
+    derivatives = {p.name for p in model.parameters if p.role is ParameterRole.DERIVATIVE}
+    for line, text in model.definitions.items():
+        for names in products_in(text):
+            if control in names and len(names) == 2 and (effect := names & derivatives):
+                yield line, next(iter(effect))
+
+
+def _washout(damper: Candidate, free: bool) -> Parameter:
+    low, high = WASHOUT_BOUNDS
+    return Parameter(
+        f"washout_{damper.channel}", "s", start=WASHOUT, lower=low, upper=high, prior_mean=WASHOUT,
+        prior_std=WASHOUT_SPREAD, fixed=not free, role=ParameterRole.NUISANCE,
+    )  # fmt: skip

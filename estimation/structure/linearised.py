@@ -28,7 +28,8 @@ from estimation.estimators.normal_equations import projected_out, pseudo_inverse
 from estimation.estimators.output_error import in_pieces_of
 from estimation.estimators.result import Result
 from estimation.estimators.uncertainty import input_lags, segments_in_noise, white_responses
-from estimation.prepare.flight_data import FlightData
+from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData, Segment
 from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
 
 Array = NDArray[np.float64]
@@ -134,7 +135,7 @@ def linearise_fit(result: Result, data: Sequence[FlightData], substeps: int = 2)
     """
     tested = structure_candidates(result.model)
     model = at_paths_of(with_candidates(result.model.with_starts(result.fitted_model.starts()), tested), result)
-    flights = in_pieces_of(list(data), result)
+    flights = _with_states(in_pieces_of(list(data), result), model)
     problem = OutputErrorProblem(model, flights, Simulator.build(model, substeps=substeps))
     unknowns = problem.pack(model.starts(), [list(f.initial_states) for f in result.flights])
     for i, flight in enumerate(result.flights):
@@ -157,6 +158,18 @@ def linearise_fit(result: Result, data: Sequence[FlightData], substeps: int = 2)
         common_error(evidence, edges),
     )
     return _visible(linear)
+
+
+def _with_states(flights: list[FlightData], model: Model) -> list[FlightData]:
+    """Flights whose segments begin with the states that candidates have put behind the model's: each at the one it follows."""
+    names = model.state_names
+    follows = [names.index(s.start) for s in model.states if isinstance(s.start, str) and s.start in names]
+
+    def begun(s: Segment) -> Segment:
+        behind = len(names) - len(s.x0)
+        return replace(s, x0=np.append(s.x0, s.x0[follows[-behind:]])) if behind else s
+
+    return [replace(f, segments=tuple(begun(s) for s in f.segments)) for f in flights]
 
 
 def _visible(linear: LinearisedFit) -> LinearisedFit:

@@ -45,7 +45,7 @@ estimates are not to be believed."""
 
 LIKELIEST_FIRST = (
     CandidateKind.LINEAR, CandidateKind.LATE_CONTROL, CandidateKind.SCALE, CandidateKind.LATE_SENSOR, CandidateKind.INERTIA,
-    CandidateKind.NONLINEAR, CandidateKind.PLACE,
+    CandidateKind.NONLINEAR, CandidateKind.DAMPER, CandidateKind.PLACE,
 )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 
+from daq.identification.airframe import Airframe
 from daq.identification.estimates import LiveDerivative
 from daq.identification.next_manoeuvre import LONG, ManoeuvreAdvice
 from daq.identification.point_quality import CONTROL_WORDS, FlownPoint
@@ -62,7 +63,9 @@ def markdown(state: LiveState) -> str:
 
 
 def advice_lines(state: LiveState) -> Iterator[str]:
-    """Excitation, what is told only together, and what to fly next."""
+    """Mass, excitation, what is told only together, and what to fly next."""
+    if math.isfinite(state.mass):
+        yield _mass_words(state.mass, state.aircraft.airframe)
     for signal in state.excitation:
         rms_deg = math.degrees(state.excitation.get(signal, 0.0))
         if signal in state.estimates.still:
@@ -79,6 +82,12 @@ def advice_lines(state: LiveState) -> Iterator[str]:
         )
     yield from point_lines(state)
     yield f"next: {next_words(state)}"
+
+
+def _mass_words(mass: float, airframe: Airframe) -> str:
+    if abs(mass / airframe.mass - airframe.mass_ratio(mass)) > 1e-9:
+        return f"mass reads {mass:.4g} kg, which is not this aircraft's: {airframe.mass:.4g} kg as stated are taken"
+    return f"mass {mass:.4g} kg as measured, {airframe.mass:.4g} kg as stated"
 
 
 def point_lines(state: LiveState) -> Iterator[str]:

@@ -59,7 +59,9 @@ class AircraftMonitor:
         self._view = view
         self._say = say
         self._alarms = Alarms(config.alarms)
-        self._landing = LandingWatch(config.handover.landing)
+        self._landing_config = config.handover.landing
+        self._landing = LandingWatch(self._landing_config)
+        self._air_facts: dict[str, str] = {}
         self._logger: ev.LoggerStatus | None = None
         self._sequencer: ev.SequencerStatus | None = None
         self._link: ev.LinkStatistics | None = None
@@ -85,9 +87,12 @@ class AircraftMonitor:
         self._announce(self._alarms.acknowledge(self.time))
 
     def use_calibration(self, calibration: CalibrationSet, facts: Mapping[str, str]) -> None:
-        """Calibrate with what the aircraft itself carries, from now on."""
+        """Calibrate with what the aircraft itself carries, from now on. An airspeed read by other scales tells of no flight."""
         self.calibrator = Calibrator(calibration, facts)
         self._calibration = calibration
+        air = {key: text for key, text in facts.items() if key.startswith(("pitot.", "static."))}
+        if air != self._air_facts:
+            self._air_facts, self._landing = air, LandingWatch(self._landing_config)
 
     def scan(self, scan: Scan, *, late: bool = False, received_ns: int | None = None) -> bool:
         """One scan; True when it shows that the flight has ended."""

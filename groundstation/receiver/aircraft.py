@@ -63,6 +63,8 @@ class TrackedAircraft:
 
     def record(self, event: ev.ScanReceived | ev.EventMarked) -> None:
         """Hand an event to the recorder of its session."""
+        if isinstance(event, ev.ScanReceived) and self.backfill is not None:
+            self.backfill.see_sensors(event.scan.groups)
         if self.sessions is not None and not self.sessions.keep(event):
             self._findings.doubt(self.system, findings.EVENTS)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from daq.contract.link.scan_map import ScanMap
-from daq.contract.scan import ScanDecodeError, decode_scan
+from daq.contract.scan import GroupStatus, ScanDecodeError, decode_scan
 from groundstation.receiver import events as ev
 from groundstation.receiver.link_accounting import SessionAccounting
 from groundstation.receiver.storage.recording import SessionRecorder
@@ -30,6 +30,8 @@ MAX_RETRY_NS = 16 * NS
 SUMMARY_NS = 2 * NS
 PROGRESS_NS = NS
 LOOK_NS = NS // 2
+PAPERS_AGAIN_NS = 10 * NS
+"""Between requests for papers because a sensor has joined: they are some 2 % of what the radio carries in that time."""
 PAPERS_PART_BYTES = 8192
 _ALL_FRAGMENTS = 2**64 - 1
 _MAX_ANSWER = 1 << 20
@@ -92,6 +94,9 @@ class BackfillClient:
         self._summary_asked = False  # and not answered yet
         self._archive_tries = 0
         self._papers_ns = 0  # when to ask for papers again, after such that were none
+        self._usable: set[str] = set()  # groups that were in order in some scan
+        self._papers_again = False  # one has joined since the papers came
+        self._papers_again_ns = 0
         self._progress_ns = 0
         self._look_ns = 0  # nothing was wanted: when to look again
         self._cursor: int | None = None  # every scan before it is held, or cannot be had
@@ -134,6 +139,9 @@ class BackfillClient:
 
     def _next_wanted(self, room: int, now_ns: int) -> list[tuple[int, int]]:
         if self._recorder.papers is None and now_ns >= self._papers_ns:
+            return [(0, 0)]
+        if self._papers_again and now_ns >= self._papers_again_ns:
+            self._papers_again, self._papers_again_ns = False, now_ns + PAPERS_AGAIN_NS
             return [(0, 0)]
         if self.mode == "all" and now_ns >= self._papers_ns and self._archive_tries < _ARCHIVE_TRIES:
             parts = (self._recorder.archive_bytes + PAPERS_PART_BYTES - 1) // PAPERS_PART_BYTES
@@ -181,6 +189,13 @@ class BackfillClient:
         return range(number, last + 1)
 
     # ------------------------------------------------------------------------------------------ answers
+
+    def see_sensors(self, groups: Mapping[str, GroupStatus]) -> None:
+        """Look at a scan's groups: of one that joins, the aircraft has facts now that the papers did not have."""
+        joined = {group for group, sample in groups.items() if sample.state.usable} - self._usable
+        if joined:
+            self._usable |= joined
+            self._papers_again = True
 
     def take_data(self, f: Mapping[str, Any], now_ns: int) -> None:
         key = (f["first_number"], f["wanted"])

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import smbus2
 
 from daq.acquisition.health import HealthSummary
 from daq.acquisition.sampler import Sampler
@@ -18,12 +19,24 @@ from daq.assembly import HardwareEdge
 from daq.clock import RealClock
 from daq.config import load_config
 from daq.contract.recordings.messages import Statistics
+from daq.sensors.open import ReopeningBus
 from daq.service.run import run_until_signal
 from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort, memory_pair
-from tests.benchmarks.replayed_bus import ReplayedBus, ReplayedReceiver, TimedBus
+from tests.benchmarks.replayed_bus import AnsweringKernel, ReplayedBus, ReplayedReceiver, TimedBus
 
 _EMPTY_RADIO_S = 10.0
+
+
+class SmbusFile(ReopeningBus):
+    """The logger's own bus, opened upon an answering kernel."""
+
+    def __init__(self, kernel: AnsweringKernel) -> None:
+        self._kernel = kernel
+        super().__init__("/dev/i2c-replayed", 10, RealClock())
+
+    def _open(self) -> smbus2.SMBus:
+        return self._kernel.open()
 
 
 def describe(books: Statistics) -> Iterator[tuple[str, float, float]]:
@@ -59,7 +72,8 @@ def main(config_path: Path, answers: Path, seconds: float, radio: str = "", tran
 
     listener = threading.Thread(target=listen, name="listener")
     listener.start()
-    edge = HardwareEdge(RealClock(), bus, ReplayedReceiver(answers, seconds), "simulated", radio=air)
+    sensors = bus if transfer_us else SmbusFile(AnsweringKernel(bus))
+    edge = HardwareEdge(RealClock(), sensors, ReplayedReceiver(answers, seconds), "simulated", radio=air)
     outcome = run_until_signal(config, text, edge, [])
     air.close()
     over.set()

@@ -75,7 +75,11 @@ def test_after_backfill_the_ground_has_the_flight_bit_for_bit(complete: tuple[Pa
     for name in onboard.columns:
         assert np.array_equal(onboard[name], ground[name], equal_nan=True), name
     received = read_recording(next((folder / "ground").glob("aircraft*.mcap")))
-    assert list(received.scans()) == list(read_recording(folder / "onboard").scans())
+    on_board = read_recording(folder / "onboard")
+    assert list(received.scans()) == list(on_board.scans())
+    of_sensors = {k: v for k, v in on_board.info.details.items() if not k.startswith("simulation.")}
+    assert received.info.details == of_sensors
+    assert {"static.nvm", "pitot.scale_pa"} <= of_sensors.keys()
 
 
 def test_recording_opens_in_the_stock_reader_with_names_in_it(complete: tuple[Path, Flown]) -> None:

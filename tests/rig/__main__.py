@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.rig.bench import Bench
+from tests.rig.boots import start_often
 from tests.rig.cuts import Cut, pull_plugs, table_of
 from tests.rig.image import ROOT, build
 from tests.rig.judge import Session, judge, keep, mounted, sessions
@@ -108,7 +109,8 @@ def main() -> int:
     """Everything; 1 when a trial failed, 0 also where the rig cannot run."""
     parser = argparse.ArgumentParser(prog="python -m tests.rig", description=__doc__)
     parser.add_argument("--cuts", type=int, default=10, help="power cuts (2 min each)")
-    parser.add_argument("--seed", type=int, default=1, help="of their instants")
+    parser.add_argument("--boots", type=int, default=0, help="starts with parts absent, late or pulled (1 min each)")
+    parser.add_argument("--seed", type=int, default=1, help="of their instants and orders")
     parser.add_argument("--only", default="", help="trials whose name has this pattern in it; '-' for none")
     given = parser.parse_args()
     if why := missing():
@@ -129,6 +131,9 @@ def main() -> int:
                 (folder / "cuts").mkdir()
                 cuts = pull_plugs(image, folder / "cuts", given.cuts, np.random.default_rng(given.seed), report.add)
                 print(table_of(cuts))
+            if given.boots:
+                (folder / "starts").mkdir()
+                start_often(image, folder / "starts", given.boots, given.seed, report.add)
         except RigError as error:
             report.add("rig", False, str(error), time.monotonic() - started)
     failed = [r for r in report.rows if not r["passed"]]

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tests.cli.docs.blocks import files_of, write_files
-from tests.rig.machine import Image, RigError
+from tests.rig.machine import Image, RigError, adapter
 from tests.rig.page import HOME, PAGE, installing
 from tests.support.paths import ROOT
 
@@ -67,8 +67,8 @@ _OWN_FILES = {
 }
 _THIS_AIRCRAFT = {
     'device = "/dev/i2c-1"': 'device = "/dev/i2c-sensors"',
-    'device = "/dev/serial0"': 'device = "/dev/ttyS1"',
-    'port = "serial:/dev/ttyUSB0:57600"': 'port = "serial:/dev/ttyS2:57600"',
+    'device = "/dev/serial0"': f'device = "{adapter("gps")}"',
+    'port = "serial:/dev/ttyUSB0:57600"': f'port = "serial:{adapter("radio")}:57600"',
     "rate_hz = 20.0 ": "rate_hz = 2.0 ",  # what an emulated processor does: a message on the bus takes it 4 ms
     "scans = 80 ": "scans = 16 ",
 }

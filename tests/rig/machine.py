@@ -1,9 +1,11 @@
 """The booted computer: QEMU without KVM, its root file system read-only, its card an image that stays, its plug in our hand."""
 
 import base64
+import json
 import socket
 import subprocess
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -11,6 +13,8 @@ from types import TracebackType
 BOOT_LIMIT_S = 600.0
 MEMORY_MB = 768
 _PATIENCE_S = 0.5
+SERIAL_ADAPTERS = ("gps", "radio")
+"""Serial lines, each behind a USB adapter of its own serial number."""
 _LEFT_OUT = (
     "dbus.service dbus.socket systemd-logind.service getty.target systemd-user-sessions.service systemd-journal-flush.service"
     " modprobe@dm_mod.service modprobe@fuse.service modprobe@loop.service modprobe@efi_pstore.service modprobe@configfs.service"
@@ -20,6 +24,11 @@ _LEFT_OUT = (
     " systemd-sysctl.service systemd-machine-id-commit.service"
 ).split()
 """Of a lean start, units that the logger knows nothing of: half of the time of an emulated processor."""
+
+
+def adapter(line: str) -> str:
+    """The name that udev gives a serial adapter in the machine."""
+    return f"/dev/serial/by-id/usb-QEMU_QEMU_USB_SERIAL_{line}-if00-port0"
 
 
 class RigError(Exception):
@@ -47,13 +56,22 @@ class Machine:
     """One power-up of the computer. folder: has the bench's sockets; console and agent are put beside them.
 
     card: the image it records on; None for a computer whose card was left at home. read_only: the card's lock is on. lean: start
-    without what the logger knows nothing of, for many starts in a row.
+    without what the logger knows nothing of, for many starts in a row. absent: serial adapters that are not plugged in.
     Leaving the context pulls the plug.
     """
 
     def __init__(
-        self, image: Image, folder: Path, card: Path | None, *, read_only: bool = False, lean: bool = False
+        self,
+        image: Image,
+        folder: Path,
+        card: Path | None,
+        *,
+        read_only: bool = False,
+        lean: bool = False,
+        absent: Collection[str] = (),
     ) -> None:
+        self._folder, self._plugs = folder, folder / "plugs"
+        self._plugs.unlink(missing_ok=True)
         self.console = folder / "console.log"
         agent = folder / "agent"
         agent.unlink(missing_ok=True)
@@ -64,7 +82,7 @@ class Machine:
         self._connection: socket.socket | None = None
         self._buffer = b""
         self._process = subprocess.Popen(
-            _command(image, folder, card, read_only, lean),
+            _command(image, folder, card, read_only, lean, absent),
             stdin=subprocess.DEVNULL,
             stderr=(folder / "qemu.log").open("wb"),
         )
@@ -105,6 +123,34 @@ class Machine:
                 raise RigError(f"in the machine, after {limit_s:.0f} s still not: {command}\n{answer.text}")
             time.sleep(_PATIENCE_S)
 
+    def plug(self, line: str, there: bool) -> None:
+        """Plug a serial adapter in, or pull it. Raises RigError."""
+        device, data = f"usb_{line}", {"path": str(self._folder / line)}
+        backend = {"type": "socket", "data": {"addr": {"type": "unix", "data": data}, "server": False}}
+        if there:
+            self._plugs_do("chardev-add", id=line, backend=backend)
+            self._plugs_do("device_add", driver="usb-serial", chardev=line, id=device, serial=line)
+        else:
+            self._plugs_do("device_del", until="DEVICE_DELETED", id=device)
+            self._plugs_do("chardev-remove", id=line)
+
+    def _plugs_do(self, command: str, until: str = "", **arguments: object) -> None:
+        """One command of QEMU's machine protocol; until: the event that shows that it is done."""
+        with socket.socket(socket.AF_UNIX) as connection, connection.makefile("rw") as plugs:
+            connection.connect(str(self._plugs))
+            connection.settimeout(BOOT_LIMIT_S)
+            plugs.readline()  # greeting
+            events = set()
+            for execute, words in (("qmp_capabilities", {}), (command, arguments)):
+                plugs.write(json.dumps({"execute": execute, "arguments": words}) + "\n")
+                plugs.flush()
+                while "event" in (answer := json.loads(plugs.readline())):
+                    events.add(answer["event"])
+                if "error" in answer:
+                    raise RigError(f"QEMU refuses {execute} {words}: {answer['error'].get('desc')}")
+            while until and until not in events:
+                events.add(json.loads(plugs.readline()).get("event"))
+
     def crash(self) -> None:
         """Kill the kernel, as itself would at a fault; the agent is gone until `wait_for_agent` finds it again."""
         assert self._connection is not None
@@ -140,7 +186,9 @@ class Machine:
         return line
 
 
-def _command(image: Image, folder: Path, card: Path | None, read_only: bool, lean: bool) -> list[str]:
+def _command(
+    image: Image, folder: Path, card: Path | None, read_only: bool, lean: bool, absent: Collection[str]
+) -> list[str]:
     def unix(name: str) -> list[str]:
         return ["-chardev", f"socket,id={name},path={folder / name}"]
 
@@ -155,9 +203,10 @@ def _command(image: Image, folder: Path, card: Path | None, read_only: bool, lea
         words += ["-drive", f"file={card},if=virtio,format=raw,readonly={'on' if read_only else 'off'}"]
     words += ["-device", "i6300esb", "-action", "watchdog=reset"]
     words += ["-serial", f"file:{folder / 'console.log'}"]
-    for line in ("gps", "radio"):
-        words += [*unix(line), "-serial", f"chardev:{line}"]
-    words += ["-device", "qemu-xhci"]
+    words += ["-qmp", f"unix:{folder / 'plugs'},server=on,wait=off", "-device", "qemu-xhci"]
+    for line in SERIAL_ADAPTERS:
+        if line not in absent:
+            words += [*unix(line), "-device", f"usb-serial,chardev={line},id=usb_{line},serial={line}"]
     for adapter in ("sensors", "spare"):
         words += [*unix(adapter), "-device", f"usb-redir,chardev={adapter},id=usb_{adapter}"]
     words += ["-device", "virtio-serial-pci", *unix("agent"), "-device", "virtserialport,chardev=agent,name=rig"]

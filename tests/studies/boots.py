@@ -61,10 +61,12 @@ class Boot:
     port: str
 
     def there(self, part: str, at_s: float) -> bool:
-        return any(a <= at_s < b for a, b in self.spans[part])
+        return any(a <= min(at_s, SECONDS - 1e-3) < b for a, b in self.spans[part])
 
-    def joins(self, part: str) -> bool:
-        return any(min(b, SECONDS) - a >= JOINS_S for a, b in self.spans[part])
+    def joins(self, part: str, looked_s: float) -> bool:
+        """Is it there for long enough after the logger looked for it first, within `SECONDS`?"""
+        ends = ((a, b if b < SECONDS else looked_s + SECONDS) for a, b in self.spans[part])
+        return any(b - max(a, looked_s) >= JOINS_S for a, b in ends)
 
 
 def boots(count: int, seed: int) -> Iterator[Boot]:
@@ -183,20 +185,30 @@ def _wrong(boot: Boot, folder: Path, status: int, output: str, heard: int) -> It
     if len(sessions) != 1:
         yield f"{len(sessions)} sessions"
         return
-    if not verify(sessions[0]).ok:
+    yield from misheld(boot, sessions[0], output, heard, {part: str(folder / part) for part in PARTS})
+
+
+def misheld(
+    boot: Boot, session: Path, output: str, heard: int, devices: Mapping[str, str], looked_s: float = 0.0
+) -> Iterator[str]:
+    """What is wrong with a boot's recording. output: what the logger printed; heard: bytes of the radio; devices: part -> its
+    name in the configuration; looked_s: when the logger looked for its parts first, on the clock of the spans.
+    """
+    if not verify(session).ok:
         yield "its counts do not close"
-    scans = list(read_recording(sessions[0]).scans())
+    scans = list(read_recording(session).scans())
     if not scans:
         yield "no scan"
     for part, channel in PARTS.items():
         if part == "radio" and not boot.port.startswith("serial"):
             continue
         has = heard > 0 if part == "radio" else any(channel in s.values for s in scans)
-        if boot.joins(part) and not has:
+        if boot.joins(part, looked_s) and not has:
             yield f"{part} was there and is not in the file"
         if not boot.spans[part] and has:
             yield f"{part} was never there and is in the file"
-        if not any(boot.there(part, at_s) for at_s in LOOKS_S) and str(folder / part) not in output:
+        looks = chain(range(int(looked_s)), (looked_s + at_s for at_s in LOOKS_S))
+        if not any(boot.there(part, at_s) for at_s in looks) and devices[part] not in output:
             yield f"{part} was absent and is not named"
 
 

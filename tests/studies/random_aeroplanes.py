@@ -65,7 +65,8 @@ class Aeroplane:
 @dataclass(frozen=True)
 class Situation:
     """What is special. Shifts in s, scales as factors, derivatives and Ixz added to what is flown. odd: factor on four
-    derivatives of the last flight; gust: rms sideslip [rad]; clocked: edges lie on the sampling clock."""
+    derivatives of the last flight; gust: rms sideslip [rad]; clocked: edges lie on the sampling clock; damper: rudder by yaw
+    rate [s] behind the recorded rudder, washed out within `washout`."""
 
     name: str
     rate: float = 20.0
@@ -80,6 +81,8 @@ class Situation:
     odd: float = 1.0
     Ixz_share: float = 0.0  # of Ixx
     servo: float = 0.035
+    damper: float = 0.0
+    washout: float = 3.0
     pitch: bool = False  # elevator is flown in place of aileron and rudder
     causes: tuple[str, ...] = ()
 
@@ -261,7 +264,7 @@ def _integrated(
         step.set_arg(i, memoryview(there))
     for i, there in enumerate(made):
         step.set_res(i, memoryview(there))
-    vane = np.zeros(flights)
+    vane, steady, unseen = np.zeros(flights), np.zeros(flights), np.zeros((flights, 3))
     for k in range(steps):
         level = 0.12 * x[:, 6] + 0.03 * x[:, 3] * b / craft.speed
         wanted = np.stack([
@@ -272,7 +275,10 @@ def _integrated(
         before, first = surface, wind
         surface = surface + (1 - np.exp(-STEP / s.servo)) * (wanted - surface)
         wind = wind * (1 - STEP / tau) + kick * rng.standard_normal(flights) if s.gust else wind
-        for there, values in zip(given, (x, before, surface, first[:, None], wind[:, None]), strict=True):
+        steady = steady + STEP / s.washout * (x[:, 5] - steady)
+        flown, unseen = before + unseen, np.outer(s.damper * (x[:, 5] - steady), (0.0, 1.0, 0.0))
+        moved = surface + unseen
+        for there, values in zip(given, (x, flown, moved, first[:, None], wind[:, None]), strict=True):
             there[:] = values
         run()
         out = made[1]

@@ -1,7 +1,7 @@
 """An aircraft's link and a ground station joined in memory, with everything between them under the test's control."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +113,7 @@ class Rig:
         self.clock = SimulatedClock(START_UTC_NS)
         self.down, self.up = down, up
         self.logger = FakeLogger()
+        self.facts = {"static.t1": "27504"}
         self.scans: dict[int, Scan] = {}
         self.number = 0
         self.events: list[ev.Event] = []
@@ -126,14 +127,12 @@ class Rig:
         self.ground = Receiver(self.ground_config, {"memory": self._ground_end}, self.clock, folder=folder)
 
     def _link(self, boot: int) -> RadioLink:
-        info = RecordingInfo(
-            "flight1", "simulated", "cdfp", details={"static.t1": "27504"}, attachments={"config.toml": b"x=1"}
-        )
+        info = RecordingInfo("flight1", "simulated", "cdfp", details=self.facts, attachments={"config.toml": b"x=1"})
         return radio_link(
             self.aircraft_config,
             self._aircraft_end,
             self.clock,
-            papers=lambda: info,
+            papers=lambda: replace(info, details=dict(self.facts)),
             recordings=self._recordings,
             boot=boot,
         )

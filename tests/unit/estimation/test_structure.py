@@ -193,3 +193,21 @@ def test_off_tests_nothing() -> None:
     found = estimated(flights, aircraft, StructureWish.OFF)
     assert found.flights[0].structure is None
     assert "structure" not in found.to_json()["flights"][0]
+
+
+def test_a_damper_that_moves_the_rudder_behind_its_record_is_named_and_added() -> None:
+    situation = Situation("damper", damper=0.3, washout=2.0)
+    flights, aircraft, truth = flown(situation, 2)
+    found = estimated(flights, aircraft)
+    assert found.verdict is not None
+    recommended = found.verdict.recommended
+    assert (recommended.method, recommended.lacks[:1]) == ("none", ("damper_delta_r",))
+    assert "moves delta_r with r behind its record" in recommended.why
+    assert abs(found.joint["ml"].parameters["Cn_r"].estimate / truth["Cn_r"] - 1.0) > 0.5
+    added = estimated(flights, aircraft, StructureWish.AUTO)
+    assert added.verdict is not None
+    assert added.verdict.recommended.method == "ml"
+    parameters = added.joint["ml"].parameters
+    for name, true in {**truth, "damper_delta_r": 0.3, "washout_delta_r": 2.0}.items():
+        if name in parameters and parameters[name].identifiable:
+            assert abs(parameters[name].estimate - true) < 3.0 * parameters[name].std_coloured, name

@@ -1,5 +1,6 @@
 """Backfill ends with exactly the aircraft's scans, through losses and interruptions, and proves it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,24 @@ def test_recording_after_backfill_equals_the_aircraft_s_bit_for_bit(tmp_path: Pa
     assert recording.info.config_text == "x=1"
     assert [e.text for e in recording.events] == ["event switch"]
     assert rig.ground.summary()["backfilled"] == 600
+    rig.close()
+
+
+def test_facts_of_a_sensor_that_joins_late_come_down(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rng = np.random.default_rng(7)
+
+    def scan(number: int) -> Scan:
+        made = quiet_scan(number, rng, time_ns=rig.clock.monotonic_ns())
+        state = SensorState.OK if "pitot.chip" in rig.facts else SensorState.ABSENT
+        return replace(made, groups={**made.groups, "pitot": GroupStatus(state, 0)})
+
+    rig.fly(200, scan)
+    (recorder,) = rig.ground.session_recorders().values()
+    assert recorder.info().details == {"static.t1": "27504"}
+    rig.facts |= {"pitot.chip": "SDP33", "pitot.scale_pa": "0.05"}
+    rig.fly(300, scan)
+    assert recorder.info().details == {"static.t1": "27504", "pitot.chip": "SDP33", "pitot.scale_pa": "0.05"}
     rig.close()
 
 
