@@ -16,6 +16,7 @@ from estimation.estimators.estimator import Estimator
 from estimation.estimators.registry import find_estimator
 from estimation.models import Model, load_model
 from estimation.models.load import asks_for_aircraft, check_model
+from estimation.prepare.measured_mass import with_mass_history
 from estimation.prepare.stretches import flights_of_segments, select_segments, unique_names
 from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, motion_settled
 from groundstation.flight import Flight, read_flight
@@ -29,7 +30,7 @@ Names = str | Iterable[str]
 
 @dataclass(frozen=True)
 class ResolvedCall:
-    """What a call works on. notes: what of a simulation is held, or not measured."""
+    """What a call works on. notes: what of a simulation is held, or not measured; whose mass is taken."""
 
     model: Model
     aircraft: Aircraft
@@ -70,9 +71,9 @@ def resolve(
     else:
         craft = which_aircraft(read, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
         loaded, notes = load_model(model, craft), ()
-    return ResolvedCall(
-        with_initial_states(loaded, hold_initial, free_initial), craft, tuple(read), method_names, notes
-    )
+    loaded, flown, mass_notes = with_mass_history(loaded, read, craft)
+    notes = (*(f"simulation: {note}" for note in notes), *mass_notes)
+    return ResolvedCall(with_initial_states(loaded, hold_initial, free_initial), craft, flown, method_names, notes)
 
 
 def read_flights(flights: Flights, segments: str | None = None, *, each_segment: bool = False) -> list[Flight]:

@@ -30,7 +30,8 @@ DERIVATIVES = tuple(f"{coefficient}_{c}" for coefficient, terms in EQUATIONS.ite
 
 class Sample(NamedTuple):
     """One calibrated scan: time [s], angles [rad], rates [rad/s], V true airspeed [m/s], ax ay az at the CG [m/s2], rho [kg/m3],
-    thrust [N]. What only the pitching plane needs is NaN where it is not known."""
+    thrust [N]. What only the pitching plane needs is NaN where it is not known. mass: now [kg], NaN
+    where nobody measures it."""
 
     time: float
     beta: float
@@ -49,6 +50,7 @@ class Sample(NamedTuple):
     az: float = math.nan
     delta_e: float = math.nan
     thrust: float = math.nan
+    mass: float = math.nan
 
     @property
     def credible(self) -> bool:
@@ -62,8 +64,12 @@ class Sample(NamedTuple):
 LATERAL_FIELDS = 13
 SIGNALS = Sample._fields[1:LATERAL_FIELDS]
 """Signals of the lateral motion, in the order of a sample; names are those of the flight's columns."""
-PITCH_SIGNALS = Sample._fields[LATERAL_FIELDS:]
+PITCH_SIGNALS = Sample._fields[LATERAL_FIELDS:-1]
 """Those that come to them for the pitching plane."""
+
+MASS = "mass"
+"""Flight column of the whole aircraft's mass [kg] as fuel is burnt, where there is one."""
+FARTHEST_MASS = 2.0  # times the stated one, or a part of it: further off a unit is wrong (pounds are 2.2)
 
 _RANGES = tuple(COLUMN_BY_NAME[name].plausible for name in SIGNALS)
 
@@ -103,6 +109,11 @@ class Airframe:
                 raise ValueError(f"{name} is {value:g}; it must be a positive number")
         if not self.Ixz**2 < self.Ixx * self.Izz:
             raise ValueError(f"Ixz is {self.Ixz:g}; its square must be less than Ixx Izz")
+
+    def mass_ratio(self, mass: float) -> float:
+        """Of a mass [kg] to the airframe's; 1 for one that is not known (NaN), or that this airframe cannot have."""
+        ratio = mass / self.mass
+        return ratio if 1.0 / FARTHEST_MASS < ratio < FARTHEST_MASS else 1.0
 
     def believed(self, name: str) -> float:
         """The believed value of a derivative, zero where nothing is believed."""

@@ -70,7 +70,7 @@ State = TypeVar("State", LateralState, PitchState)
 
 
 class MotionInputs(NamedTuple):
-    """What drives the lateral motion at one instant: pitch rate, attitude, angle of attack, airspeed, density, surfaces."""
+    """What drives the lateral motion at one instant: pitch rate, attitude, angle of attack, airspeed, density, surfaces, mass."""
 
     q: float
     theta: float
@@ -79,6 +79,7 @@ class MotionInputs(NamedTuple):
     rho: float
     delta_a: float
     delta_r: float
+    mass_ratio: float = 1.0
 
 
 NOWHERE = LateralState(0.0, 0.0, 0.0, 0.0)
@@ -166,6 +167,7 @@ class SimulatedMotion(_Simulation[LateralState, MotionInputs]):
             rest * a.rho + part * b.rho,
             aileron.at(part),
             rudder.at(part),
+            rest * self._airframe.mass_ratio(a.mass) + part * self._airframe.mass_ratio(b.mass),
         )
 
     def _rates(self, x: LateralState, u: MotionInputs) -> LateralState:
@@ -179,7 +181,7 @@ class SimulatedMotion(_Simulation[LateralState, MotionInputs]):
         Cn = d["Cn_0"] + d["Cn_beta"] * x.beta + d["Cn_p"] * p_hat + d["Cn_r"] * r_hat + d["Cn_dr"] * u.delta_r
         roll = q_s * a.span * Cl + a.Ixz * x.p * u.q - (a.Izz - a.Iyy) * u.q * x.r
         yaw = q_s * a.span * Cn - a.Ixz * u.q * x.r - (a.Iyy - a.Ixx) * x.p * u.q
-        side = q_s * CY / a.mass + GRAVITY * math.cos(u.theta) * math.sin(x.phi)
+        side = q_s * CY / (a.mass * u.mass_ratio) + GRAVITY * math.cos(u.theta) * math.sin(x.phi)
         return LateralState(
             x.p * math.sin(u.alpha) - x.r * math.cos(u.alpha) + side / u.V,
             (a.Izz * roll + a.Ixz * yaw) / self._inertia,
@@ -229,8 +231,9 @@ class SimulatedPitch(_Simulation[PitchState, PitchInputs]):
         CD = d["CD_0"] + d["CD_k"] * CL * CL
         Cm = d["Cm_0"] + d["Cm_alpha"] * x.alpha + d["Cm_q"] * x.q * a.chord / (2 * u.V) + d["Cm_de"] * elevator
         sin, cos = math.sin(x.alpha), math.cos(x.alpha)
-        gx = (q_s * (CL * sin - CD * cos) + u.thrust) / a.mass - GRAVITY * math.sin(u.theta)
-        gz = q_s * (-CL * cos - CD * sin) / a.mass + GRAVITY * math.cos(u.theta) * math.cos(u.phi)
+        mass = a.mass * a.mass_ratio(u.mass)
+        gx = (q_s * (CL * sin - CD * cos) + u.thrust) / mass - GRAVITY * math.sin(u.theta)
+        gz = q_s * (-CL * cos - CD * sin) / mass + GRAVITY * math.cos(u.theta) * math.cos(u.phi)
         alpha_rate = x.q - math.tan(u.beta) * (u.p * cos + u.r * sin) + (gz * cos - gx * sin) / (u.V * math.cos(u.beta))
         moment = q_s * a.chord * Cm + (a.Izz - a.Ixx) * u.p * u.r - a.Ixz * (u.p * u.p - u.r * u.r)
         return PitchState(alpha_rate, moment / a.Iyy)

@@ -1,14 +1,16 @@
 """Which stretches of a flight an analysis uses, and which model: the richest that the channels and the inputs allow."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from estimation.prepare.stretches import select_segments
+from estimation.prepare.stretches import cut, select_segments
 from estimation.session.recipe import Recipe
 from groundstation.flight import Flight
+from groundstation.flight.arrays import true_runs
+from groundstation.flight.contradictions import Contradiction, contradictions
 from groundstation.flight.errors import FlightError
 from groundstation.flight.manoeuvres import CONTROLS, ManoeuvreStretch, cut_to_manoeuvres, find_manoeuvres
 from groundstation.flight.marks import marks_of
@@ -53,6 +55,23 @@ class ChosenStretches:
             {"flight": self.flight.name, "by": self.by, "from": float(time[s.start]), "to": float(time[s.stop - 1])}
             for s in self.flight.segments
         ]
+
+
+def without_failures(flight: Flight) -> tuple[Flight, tuple[Contradiction, ...]]:
+    """The flight without the times in which a sensor failed, where enough is left; and what the flight contradicts of itself,
+    of which what is left out stops nothing."""
+    contradicted = contradictions(flight)
+    sound = np.ones(len(flight), bool)
+    for begin, end in (span for c in contradicted for span in c.spans):
+        sound &= (flight.time < begin) | (flight.time > end)
+    if sound.all() or float(sound.sum()) * flight.sample_interval < ENOUGH:
+        return flight, contradicted
+    label = np.full(len(flight), -1, np.int64)
+    for number, (a, b) in enumerate(true_runs(sound, flight.segments)):
+        label[a:b] = number
+    part = cut(flight, label)
+    left_out = [replace(c, stops=False, text=f"{c.text} (left out here)") for c in contradicted if c.spans]
+    return part, (*left_out, *contradictions(part))
 
 
 def choose_stretches(flight: Flight) -> ChosenStretches:

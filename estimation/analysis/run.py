@@ -7,13 +7,19 @@ from typing import Any
 
 from daq.utilities.errors import UserError
 from daq.utilities.outputs import write_json
-from estimation.analysis.choice import RICHEST, ChosenStretches, choose_stretches, models_to_try, moved_controls
-from estimation.analysis.outcome import Analysis, recommendation_of, verdict_of
+from estimation.analysis.choice import (
+    RICHEST,
+    ChosenStretches,
+    choose_stretches,
+    models_to_try,
+    moved_controls,
+    without_failures,
+)
+from estimation.analysis.outcome import Analysis, is_coefficient, parameters_of, recommendation_of, roughly, verdict_of
 from estimation.analysis.stages import Stage, Stages
 from estimation.analysis.unknown_aircraft import without_aircraft
 from estimation.session.recipe import AIR, AIRSPEED, RECONSTRUCTION, Recipe, recipe
 from groundstation.flight import Flight, read_flight
-from groundstation.flight.contradictions import contradictions
 from groundstation.flight.marks import marks_of
 
 METHODS_MEASURED = ("ml", "fem", "ls")
@@ -44,8 +50,9 @@ def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stage
     aircraft: as `--aircraft`; aircraft_key: of what its file says. tell: told what is being done, and the share of the whole.
     """
     tell("contradictions", 0.15)
-    contradicted = [{"flight": f.name, **c.to_json()} for f in given.flights for c in contradictions(f)]
-    air = [_with_air(f, given.key, stages, tell) for f in (*given.flights, *given.holdout)]
+    parts = [without_failures(f) for f in (*given.flights, *given.holdout)]
+    contradicted = [{"flight": f.name, **c.to_json()} for f, found in parts[: len(given.flights)] for c in found]
+    air = [_with_air(f, given.key, stages, tell) for f, _ in parts]
     tell("stretches", 0.3)
     stretches = [choose_stretches(f) for f, _ in air]
     training, holdout = stretches[: len(given.flights)], stretches[len(given.flights) :]
@@ -290,6 +297,11 @@ def _next(
             steps.append(
                 "say which servo output moves which surface: 'sideslip import LOG --draft-map -o map.toml', then --map map.toml"
             )
+    rough = [f"{n} ({roughly(p):.0%})" for n, p in parameters_of(estimate).items() if roughly(p) and is_coefficient(n)]
+    if rough and recommendation.get("method", "none") != "none":
+        steps.append(
+            f"known to a quarter or worse: {', '.join(rough)}; larger inputs, or more flights of them, narrow that"
+        )
     if estimate and gap is None and len(given.flights) + len(given.holdout) < FEWEST_FOR_GAP:
         steps.append("give a second flight, or one with --holdout, to find out what the model lacks")
     return [s for s in dict.fromkeys(steps) if s]

@@ -165,7 +165,6 @@ def estimate(
     """
     from estimation.answers.truth import read_truth
     from estimation.estimators.estimator import Extras
-    from estimation.prepare.measured_mass import with_mass_history
     from estimation.resolve import resolve
     from estimation.session import runner
     from estimation.session.structured import StructureWish
@@ -175,15 +174,14 @@ def estimate(
         flights, model, aircraft, method, segments=segments, each_segment=each_segment, simulation=simulation,
         free=Free.DERIVATIVES, hold_initial=hold_initial, free_initial=free_initial,
     )  # fmt: skip
-    with_mass, flown, mass_notes = with_mass_history(problem.model, problem.flights, problem.aircraft)
-    names = [f.name for f in flown]
+    names = [f.name for f in problem.flights]
     true = dict(truth) if isinstance(truth, Mapping) else {} if truth is None else read_truth(Path(truth), names)
     extras = Extras(comma_separated(profile), bootstrap, seed, raw_inputs, stepwise, keep_held)
     session = runner.estimate(
-        with_mass, flown, problem.aircraft, problem.methods, joint=joint, device=device, progress=progress,
+        problem.model, problem.flights, problem.aircraft, problem.methods, joint=joint, device=device, progress=progress,
         extras=extras, structure=StructureWish.of(structure),
     )  # fmt: skip
-    return Estimates(replace(session, truth=true), (*(f"simulation: {n}" for n in problem.notes), *mass_notes))
+    return Estimates(replace(session, truth=true), problem.notes)
 
 
 @dataclass(frozen=True, repr=False)
@@ -201,11 +199,12 @@ class Estimates(Answer):
     @property
     def model(self) -> "Model":
         """The model with the estimates as its values, and the ranges and stretches it was estimated from."""
+        from estimation.prepare.measured_mass import at_mean_mass
         from estimation.session.proof_of_match import flown_ranges, stretches_of_recordings
 
         flights = [f.flight for f in (self.session.flights if self.session.joint else self.session.flights[:1])]
         ranges, stretches = flown_ranges(self.best.model, flights), stretches_of_recordings(flights)
-        return replace(self.best.fitted_model, flown=ranges, estimated_from=stretches)
+        return replace(at_mean_mass(self.best.fitted_model), flown=ranges, estimated_from=stretches)
 
     @property
     def passed(self) -> bool:

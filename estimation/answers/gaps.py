@@ -39,6 +39,7 @@ def gap(
     """
     from estimation.gap.effects import catalogue
     from estimation.gap.workflow import Options, run_gap
+    from estimation.prepare.measured_mass import at_mean_mass
     from estimation.resolve import as_listed, resolve
     from estimation.simulation.base_model import Free
 
@@ -51,13 +52,15 @@ def gap(
     first, rest = problem.flights[: len(training)], problem.flights[len(training) :]
     options = Options(seed=seed, nulls=nulls)
     result = run_gap(problem.model, first, rest, effect_list, options, progress or (lambda what, share: None))
+    before, after = at_mean_mass(result.model_before), at_mean_mass(result.model_after)
+    result = replace(result, model_before=before, model_after=after)
     return GapAnswer(result, problem.flights, tuple(effect_list), seed, problem.notes)
 
 
 @dataclass(frozen=True, repr=False)
 class GapAnswer(Answer):
     """What the gap workflow answers. result: the whole of it; flights: with those held out; catalogue: effects looked for;
-    notes: what of a simulation is held."""
+    notes: what of a simulation is held, whose mass is taken."""
 
     result: "GapResult"
     flights: "tuple[Flight, ...]"
@@ -108,7 +111,7 @@ class GapAnswer(Answer):
         return pd.DataFrame(rows)
 
     def lines(self) -> list[str]:
-        return [*(f"simulation: {note}" for note in self.notes), *_lines(self.result)]
+        return [*self.notes, *_lines(self.result)]
 
     def plot(self, ax: Any = None) -> Any:
         """The leading hypotheses with their scores and the threshold; gives the axes."""

@@ -46,7 +46,8 @@ def match(
 
 @dataclass(frozen=True, repr=False)
 class Match(Answer):
-    """Proofs of match, one for each flight. limit: of Theil's coefficient; notes: what of a simulation is held."""
+    """Proofs of match, one for each flight. limit: of Theil's coefficient; notes: what of a simulation is held, whose mass
+    is taken."""
 
     proofs: "tuple[ProofOfMatch, ...]"
     model: str
@@ -74,7 +75,7 @@ class Match(Answer):
         return pd.DataFrame(rows)
 
     def lines(self) -> Iterator[str]:
-        yield from (f"simulation: {note}" for note in self.notes)
+        yield from self.notes
         yield f"limit: Theil's coefficient {self.limit:g} in every channel, beyond what its noise alone leaves"
         for proof in self.proofs:
             yield from _proof_lines(proof, self.limit)

@@ -42,15 +42,18 @@ def watch(
     watched = over_file.watch(problem.model, read, problem.aircraft, seed=seed, hours=hours, rate=rate)
     craft = None if aircraft is None else str(getattr(aircraft, "name", aircraft))
     words = str(model) if isinstance(model, str | Path) else problem.model.name
-    return Watching(watched, answer.gap_command(Path(read.provenance.path or read.name), words, craft))
+    command = answer.gap_command(Path(read.provenance.path or read.name), words, craft)
+    return Watching(watched, command, problem.notes)
 
 
 @dataclass(frozen=True, repr=False)
 class Watching(Answer):
-    """What the monitor said of a flight. result: the whole of it; command: what to type where there was an alarm."""
+    """What the monitor said of a flight. result: the whole of it; command: what to type where there was an alarm; notes: whose
+    mass is taken."""
 
     result: "Watched"
     command: str
+    notes: tuple[str, ...] = ()
 
     @property
     def alarms(self) -> "tuple[Alarm, ...]":
@@ -81,6 +84,7 @@ class Watching(Answer):
     def lines(self) -> Iterator[str]:
         from estimation.watch.answer import lines
 
+        yield from self.notes
         yield from lines(self.result)
         if self.alarms:
             yield f"next: {self.command}"

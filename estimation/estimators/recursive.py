@@ -24,6 +24,7 @@ from estimation.estimators.uncertainty import LISTED
 from estimation.models.base import Model, Parameter
 from estimation.prepare.columns import with_derived
 from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
+from estimation.prepare.measured_mass import mass_history
 from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import GAP_FACTOR, Array, Flight
 
@@ -99,16 +100,20 @@ def _stated_std(p: Parameter) -> float | None:
     return p.reference_std if p.reference_std and p.start == p.reference else None
 
 
-def samples_of(flight: Flight, part: slice, regressions: Sequence[PlaneRegression] = (LATERAL,)) -> Iterator[Sample]:
+def samples_of(
+    flight: Flight, part: slice, regressions: Sequence[PlaneRegression] = (LATERAL,), mass: float = math.nan
+) -> Iterator[Sample]:
     """Scans of a stretch of a flight, in order. A column that is missing reads NaN; the pitching plane by itself does without the
-    lateral motion, which counts as none."""
+    lateral motion, which counts as none. mass [kg]: the airframe's, near which the flight's own must be; NaN: that is not taken.
+    Raises DataError as `mass_history`."""
     names = [*SIGNALS, *(PITCH_SIGNALS if regressions != (LATERAL,) else ())]
     lateral = any(r.name == "lateral" for r in regressions)
     absent = () if lateral else [n for n in (*OPTIONAL, "delta_a", "delta_r") if n not in flight.columns]
     size = flight.time[part].size
     columns = [flight.time[part], *(np.zeros(size) if n in absent else flight[n][part] for n in names)]
-    for row in np.stack(columns, axis=1).tolist():
-        yield Sample(*row)
+    masses = np.full(size, math.nan) if math.isnan(mass) else mass_history(flight, mass)[part]
+    for row, now in zip(np.stack(columns, axis=1).tolist(), masses.tolist(), strict=True):
+        yield Sample(*row)._replace(mass=now)
 
 
 def _fed(airframe: Airframe, terms: LinearTerms, flights: Sequence[Flight]) -> _RecursiveRun:
@@ -118,7 +123,7 @@ def _fed(airframe: Airframe, terms: LinearTerms, flights: Sequence[Flight]) -> _
         for part in flight.segments:
             if not _leads_over(flight, part.start):
                 estimator.restart()
-            for sample in samples_of(flight, part, terms.regressions):
+            for sample in samples_of(flight, part, terms.regressions, airframe.mass):
                 estimator.add(sample)
                 if sample.time >= due and len(flights) == 1:
                     due = sample.time + EVERY - 1e-6

@@ -81,7 +81,7 @@ def usable(flight: Flight, aircraft: Aircraft, *, throttle_off: bool) -> Usable:
         max(noise_level(bridge_gaps(flight["ax"])), LEAST_NOISE[0]),
         max(noise_level(bridge_gaps(flight["alpha"])), LEAST_NOISE[1]),
     )
-    mass = mass_history(flight, aircraft)
+    mass = mass_history(flight, aircraft.mass)
     stretches = tuple(_stretch(flight, p, thrust, aircraft.area, mass[p], noise) for p in pieces)
     return Usable(flight.name, len(flight), stretches, words)
 

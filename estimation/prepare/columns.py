@@ -13,13 +13,7 @@ from estimation.models.base import Model
 from estimation.models.library import BUILDERS
 from estimation.signals.denoise import denoise
 from groundstation.flight import Array, Flight, MissingColumnError
-from groundstation.flight.atmosphere import (
-    density,
-    density_at_altitude,
-    density_at_pressure,
-    is_of_the_air,
-    pressure_at_altitude,
-)
+from groundstation.flight.atmosphere import DENSITY_WAYS
 from groundstation.flight.findings import Finding, FindingKind
 
 
@@ -85,8 +79,7 @@ def derive_column(flight: Flight, name: str, pieces: Sequence[tuple[int, int]], 
     """
     way = way_to(flight, name)
     if way is None:
-        ways = " or ".join(" and ".join(w.needs) for w in DERIVED[name])
-        flight.require([name], f"this model (or {ways} to derive it from)")
+        flight.require([name], f"this model (or {_ways(name)} to derive it from)")
         raise DataError(f"{flight.name}: {name} is not measured")
     result = np.full(len(flight), np.nan)
     for a, b in pieces:
@@ -109,37 +102,15 @@ def _refuse_impossible_result(flight: Flight, name: str, origin: str, values: Ar
         )
 
 
-def _density_of_air(time: Array, p_static: Array, temperature: Array) -> Array:
-    return density(bridge_gaps(p_static), bridge_gaps(temperature))
-
-
-def _density_at_pressure(time: Array, p_static: Array) -> Array:
-    return density_at_pressure(bridge_gaps(p_static))
-
-
-def _density_of_air_at_altitude(time: Array, altitude: Array, temperature: Array) -> Array:
-    return density(pressure_at_altitude(bridge_gaps(altitude)), bridge_gaps(temperature))
-
-
-def _of_the_air_at_altitude(altitude: Array, temperature: Array) -> bool:
-    return is_of_the_air(pressure_at_altitude(altitude), temperature)
-
-
-def _density_at_altitude(time: Array, altitude: Array) -> Array:
-    return density_at_altitude(bridge_gaps(altitude))
+def _bridged(build: Callable[..., Array]) -> Callable[..., Array]:
+    return lambda time, *columns: build(*map(bridge_gaps, columns))
 
 
 DERIVED: Mapping[str, tuple[Way, ...]] = {
     **{f"{n}_dot": (Way((n,), denoised_slope),) for n in ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")},
-    "rho": (
-        Way(("p_static", "temperature"), _density_of_air, is_of_the_air),
-        Way(("p_static",), _density_at_pressure),
-        Way(("altitude", "temperature"), _density_of_air_at_altitude, _of_the_air_at_altitude),
-        Way(("altitude",), _density_at_altitude),
-    ),
+    "rho": tuple(Way(w.needs, _bridged(w.build), w.credible) for w in DENSITY_WAYS),
 }
-"""Columns that are made from others where the flight lacks them, the best way first. Never density from 2 p_dynamic / V^2: an
-autopilot makes V from p_dynamic with a ratio of its own, and the two then say nothing of the air."""
+"""Columns that are made from others where the flight lacks them, the best way first."""
 
 
 EITHER, EITHER_IN = ("beta", "ay"), ("lateral", "lateral-simple")
@@ -177,7 +148,13 @@ def _comes_with(column: str, flight: Flight, missing: list[str]) -> bool:
 
 
 def _with_ways(column: str) -> str:
-    return f"{column} (or {' or '.join(' and '.join(w.needs) for w in DERIVED[column])} to derive it from)"
+    return f"{column} (or {_ways(column)} to derive it from)"
+
+
+def _ways(column: str) -> str:
+    """The ways to a column, without those that another betters by one column more."""
+    needs = [w.needs for w in DERIVED[column]]
+    return " or ".join(" and ".join(n) for n in needs if not any(set(n) > set(other) for other in needs))
 
 
 def models_for(flight: Flight) -> tuple[str, ...]:

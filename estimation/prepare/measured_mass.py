@@ -1,6 +1,7 @@
 """Mass as a history: fuel that is burnt, where a flight has a column `mass` [kg].
 
-Inertia and centre of gravity stay those of the aircraft file: nothing in a flight says how they went.
+Every verb that holds a model against flights takes it. Inertia and centre of gravity stay those of the aircraft file: nothing in
+a flight says how they went.
 """
 
 from collections.abc import Sequence
@@ -9,25 +10,29 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.identification.airframe import FARTHEST_MASS
+from daq.identification.airframe import MASS as COLUMN
 from estimation.aircraft import Aircraft
 from estimation.errors import DataError
 from estimation.models.base import Model, renamed
 from estimation.models.expressions import names_in
+from estimation.models.library import LATERAL_AERODYNAMICS, LONGITUDINAL_AERODYNAMICS
 from estimation.models.parts import Signal
 from groundstation.flight import Flight
 
-COLUMN = "mass"
 SYMBOL = "m"  # of the mass in built-in models
-FARTHEST = 2.0  # times the file's mass, or a part of it: further off a unit is wrong (pounds are 2.2)
+_LINES = (line.partition(" = ") for line in (*LATERAL_AERODYNAMICS, *LONGITUDINAL_AERODYNAMICS))
+OF_MASS = frozenset((name, text) for name, _, text in _LINES if SYMBOL in names_in(text))
+"""Lines of built-in models in which m is the aircraft's mass whatever its value."""
 
 
-def mass_history(flight: Flight, aircraft: Aircraft) -> NDArray[np.float64]:
-    """(N,) [kg] of a flight, the file's where it has no such column; between fuel readings by lines.
+def mass_history(flight: Flight, stated: float) -> NDArray[np.float64]:
+    """(N,) [kg] of a flight, the stated one where it has no such column; between fuel readings by lines.
 
-    Raises DataError for a mass that is none, or more than twice or less than half of what the aircraft file states.
+    Raises DataError for a mass that is none, or more than twice or less than half of the stated one.
     """
     if not flight.measured(COLUMN):
-        return np.full(len(flight), aircraft.mass)
+        return np.full(len(flight), stated)
     values = np.asarray(flight[COLUMN], float)
     known = np.isfinite(values)
     if not (values[known] > 0.0).all():
@@ -35,9 +40,9 @@ def mass_history(flight: Flight, aircraft: Aircraft) -> NDArray[np.float64]:
             f"{flight.name}: column mass has values that are not above zero; it is that of the whole aircraft [kg]"
         )
     for value in (values[known].min(), values[known].max()):
-        if not 1.0 / FARTHEST < value / aircraft.mass < FARTHEST:
+        if not 1.0 / FARTHEST_MASS < value / stated < FARTHEST_MASS:
             raise DataError(
-                f"{flight.name}: column mass has {value:.4g} kg, the aircraft file states {aircraft.mass:.4g} kg; is its unit"
+                f"{flight.name}: column mass has {value:.4g} kg, the aircraft file states {stated:.4g} kg; is its unit"
                 " right in the map, and is it the whole aircraft and not its fuel?"
             )
     return np.interp(flight.time, flight.time[known], values[known])
@@ -48,17 +53,14 @@ def with_mass_history(
 ) -> tuple[Model, tuple[Flight, ...], tuple[str, ...]]:
     """The model with the flights' own mass in its equations, the flights with it in every sample, and a note that says so.
 
-    All as they were where a flight has no such column, or no equation has the mass of the aircraft's file: what a model of
-    one's own calls m may be anything. Raises as `mass_history`.
+    A flight without such a column has the stated mass. All as they were where none has it, or m is not known to be the mass: what
+    a model of one's own calls m may be anything. Raises as `mass_history`.
     """
-    holds_mass = model.constants.get(SYMBOL) == aircraft.mass and any(
-        SYMBOL in names_in(text) for text in model.definitions.values()
-    )
-    if not holds_mass or not flights or not all(f.measured(COLUMN) for f in flights):
+    if not _holds_mass(model, aircraft) or not any(f.measured(COLUMN) for f in flights):
         return model, tuple(flights), ()
-    histories = [mass_history(f, aircraft) for f in flights]
-    least, greatest = min(h.min() for h in histories), max(h.max() for h in histories)
     stated = model.constants[SYMBOL]
+    histories = [mass_history(f, stated) for f in flights]
+    least, greatest = min(h.min() for h in histories), max(h.max() for h in histories)
     replaced = {n: renamed(text, SYMBOL, COLUMN) for n, text in model.definitions.items() if SYMBOL in names_in(text)}
     signal = Signal(COLUMN, "kg", "mass as it was in flight", computed=True)
     changed = model.plus(replaced=replaced, inputs=[signal])
@@ -70,3 +72,21 @@ def with_mass_history(
     )
     with_mass = tuple(f.with_columns(mass=h) for f, h in zip(flights, histories, strict=True))
     return changed, with_mass, (note,)
+
+
+def _holds_mass(model: Model, aircraft: Aircraft) -> bool:
+    """Whether m is the mass: that of the aircraft's file, or in a line of a built-in model."""
+    lines = {(name, text) for name, text in model.definitions.items() if SYMBOL in names_in(text)}
+    return SYMBOL in model.constants and bool(
+        lines if model.constants[SYMBOL] == aircraft.mass else lines.intersection(OF_MASS)
+    )
+
+
+def at_mean_mass(model: Model) -> Model:
+    """The model for flights to come: its equations with one mass, the mean of those it was used on; a history has its place again
+    where such a flight is given."""
+    if COLUMN not in model.input_names or SYMBOL not in model.constants:
+        return model
+    inputs = tuple(s for s in model.inputs if s.name != COLUMN)
+    lines = tuple(f"{name} = {renamed(text, COLUMN, SYMBOL)}" for name, text in model.definitions.items())
+    return replace(model, inputs=inputs, equations=lines)

@@ -13,7 +13,7 @@ from daq.utilities.constants import RADIAN
 from estimation.errors import DataError
 from estimation.models.base import Signal
 from groundstation.flight import Array, Flight
-from groundstation.flight.contradictions.air import no_airspeed
+from groundstation.flight.contradictions import no_airspeed
 from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.quality.repeats import STUCK_SAMPLES, span_of
 

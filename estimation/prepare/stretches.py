@@ -46,10 +46,10 @@ def select_segments(flight: Flight, text: str | None) -> Flight:
     where they make no sense."""
     if text is None:
         phase = airborne(flight)
-        return _cut(flight, np.where(phase.flying, flight.segment, -1), (phase.text,)) if phase.stood else flight
+        return cut(flight, np.where(phase.flying, flight.segment, -1), (phase.text,)) if phase.stood else flight
     if not is_times(text):
         selection = stretches_where(flight, text)
-        return _cut(flight, selection.label, selection.notes)
+        return cut(flight, selection.label, selection.notes)
     label = np.full(len(flight), -1, np.int64)
     for i, (part, (a, b)) in enumerate(spans_of(text).items()):
         in_span = (flight.time >= a) & (flight.time <= b)
@@ -63,10 +63,10 @@ def select_segments(flight: Flight, text: str | None) -> Flight:
                 f"{flight.sample_interval:.3g} s; a stretch needs at least {SHORTEST_SEGMENT}"
             )
         label[in_span] = i
-    return _cut(flight, label)
+    return cut(flight, label)
 
 
-def _cut(flight: Flight, label: NDArray[np.int64], notes: Sequence[str] = ()) -> Flight:
+def cut(flight: Flight, label: NDArray[np.int64], notes: Sequence[str] = ()) -> Flight:
     """The samples of a flight that have a label, each label a segment."""
     keep = label >= 0
     part = flight.part(keep)

@@ -11,6 +11,7 @@ from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
 from estimation.estimators.registry import check_extras, estimator_names, find_estimator
 from estimation.estimators.result import Result
 from estimation.models.base import Model, joint_model
+from estimation.prepare.columns import way_to
 from estimation.prepare.stretches import unique_names
 from estimation.session.aircraft_review import aircraft_objections
 from estimation.session.evidence import parameter_scatter, with_airspeed_error
@@ -22,7 +23,7 @@ from estimation.session.thinned import thinned
 from estimation.session.verdict import verdict
 from estimation.session.without_sensor import with_untold, without_sensor
 from groundstation.flight import Flight
-from groundstation.flight.contradictions import contradictions
+from groundstation.flight.contradictions import Contradiction, contradictions
 from groundstation.flight.quality.noise import too_slow
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.flight.quality.repeats import one_record_twice
@@ -179,8 +180,21 @@ def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
     return (
         *odd,
         *([slow] if slow else []),
-        *(f"{c.text} (moves {c.moves})" for c in contradictions(flight) if c.stops),
+        *contradicted_columns(model_columns, flight),
     )
+
+
+def contradicted_columns(model_columns: set[str], flight: Flight) -> tuple[str, ...]:
+    """The contradictions of a flight that let no estimate by a model of these columns be recommended, and what they move."""
+    stopping = [c for c in contradictions(flight) if c.stops and _matters(c, model_columns, flight)]
+    return tuple(f"{c.text} (moves {c.moves})" for c in stopping)
+
+
+def _matters(contradiction: Contradiction, model_columns: set[str], flight: Flight) -> bool:
+    """Whether a contradiction touches the model: a sensor that failed does where a column is its own, or made of its values."""
+    ways = [way_to(flight, n) for n in model_columns if not flight.measured(n)]
+    used = model_columns.union(*(w.needs for w in ways if w is not None))
+    return not contradiction.failed or bool(flight.reconstructed) or bool(used & set(contradiction.failed))
 
 
 def _tried(estimator: Estimator, task: Task) -> Outcome:

@@ -10,8 +10,23 @@ Mask = NDArray[np.bool_]
 
 WINDOW = 4.0  # [s]: the drift of an integrated rate or acceleration is a straight line in it
 FEWEST_IN_WINDOW = 10  # samples
+ALTERNATING = -0.4  # lag-one correlation of third differences: -0.75 for white noise, positive for a smooth curve
 MOST_WINDOWS = 300
 """Of one signal, even over a long record: 20 minutes tell a scale or a sign to a hundredth of what is asked of it."""
+
+
+LONGEST_HOLD = 1.0
+"""How long [s] a supply voltage, chip temperature or static pressure counts after it was read, where not in each scan."""
+
+
+def hold_recent(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Array:
+    """A slowly changing auxiliary quantity, held from its last reading for at most `longest` seconds."""
+    if not np.isnan(values).any():
+        return values
+    rows = np.arange(values.size)
+    last = np.maximum.accumulate(np.where(np.isfinite(values), rows, -1))
+    recent = (last >= 0) & (time - time[last] <= longest)
+    return np.where(recent, values[last], np.nan)
 
 
 def true_runs(mask: Mask, parts: Iterable[slice] | None = None) -> list[tuple[int, int]]:
@@ -56,3 +71,12 @@ def slope_and_agreement(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, fl
     if xx <= 0 or yy <= 0:
         return 0.0, 0.0
     return xy / xx, xy * xy / (xx * yy)
+
+
+def alternates(third: Array) -> bool:
+    """Whether third differences are those of noise rather than of a curve. third: (n,)."""
+    size = float(np.quantile(np.abs(third), 0.9))
+    calm = np.clip(third, -size, size)  # edges of manoeuvres would decide alone
+    calm = calm - calm.mean()
+    power = float(calm @ calm)
+    return power > 0.0 and float(calm[1:] @ calm[:-1]) / power < ALTERNATING

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.utilities.constants import SEA_LEVEL_DENSITY
 from daq.utilities.plain_words import listed
-from groundstation.flight.arrays import Array, Mask, true_runs
+from groundstation.flight.airspeed import airspeed, ground_speed, lost_airspeed
+from groundstation.flight.arrays import Array, Mask, hold_recent, true_runs
 from groundstation.flight.errors import FlightError
 from groundstation.flight.expression import MODE, Expression, parse_condition
 from groundstation.flight.flight import Flight
@@ -116,7 +116,7 @@ class Airborne:
 
 def airborne(flight: Flight) -> Airborne:
     """When the aircraft flew; all of the flight where no speed tells."""
-    speed = _speed(flight)
+    speed = hold_recent(flight.time, _speed(flight))
     stands = _standing(speed)
     rolling_speeds = speed[np.isfinite(speed) & (speed > stands)]
     limit = max(SLOW * float(np.median(rolling_speeds)), stands) if rolling_speeds.size else 0.0
@@ -125,6 +125,7 @@ def airborne(flight: Flight) -> Airborne:
     slow = np.zeros(len(flight), bool)
     for a, b in slow_runs:
         slow[a:b] = flight.time[b - 1] - flight.time[a] >= LASTS
+    slow &= ~lost_airspeed(flight.time, flight.columns, flight.segments)
     if not slow.any():
         return Airborne(~slow, "")
     rolls = _rolls(flight, slow)
@@ -149,23 +150,18 @@ def _stood(flight: Flight, speed: Array, stands: float, flying: Mask) -> bool:
     ends = [e for p in flight.segments for e in (speed[p][:count], speed[p][-count:]) if np.isfinite(e).any()]
     if not any(np.nanmedian(e) < stands for e in ends):
         return False
-    if not (flight.measured("vn") and flight.measured("ve")):
+    ground = ground_speed(flight.time, flight.columns)
+    if ground is None or not np.isfinite(ground).any():
         return True
-    ground = np.hypot(flight["vn"], flight["ve"])
     there, in_flight = ground[~flying & np.isfinite(ground)], ground[flying & np.isfinite(ground)]
     return there.size > 0 and in_flight.size > 0 and bool(np.median(there) < 0.5 * np.median(in_flight))
 
 
 def _speed(flight: Flight) -> Array:
     """Airspeed [m/s], or what the pressures make of it; over ground where neither is measured; NaN without any."""
-    if flight.measured("V"):
-        return flight["V"]
-    if flight.measured("p_dynamic"):
-        density = flight["rho"] if flight.measured("rho") else np.full(len(flight), SEA_LEVEL_DENSITY)
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.sqrt(2.0 * np.maximum(flight["p_dynamic"], 0.0) / density))
-    if flight.measured("V_cas"):
-        return flight["V_cas"]
+    speed = airspeed({n: v for n, v in flight.columns.items() if flight.measured(n)})
+    if speed is not None:
+        return speed
     if flight.measured("vn") and flight.measured("ve"):
         return np.asarray(np.hypot(flight["vn"], flight["ve"]))
     return np.full(len(flight), np.nan)

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from daq.contract.scan import Scan, decode_scan, encode_scan
-from daq.identification.airframe import PITCH_SIGNALS, SIGNALS, Sample
+from daq.identification.airframe import MASS, PITCH_SIGNALS, SIGNALS, Sample
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.scan_table import bridged, scan_table
 
@@ -40,6 +40,7 @@ class ScanAlignment:
         self._done = 0  # scans from the front of which samples were given
         self._oldest = 0  # number before which scans are forgotten
         self._dirty: set[int] = set()  # numbers of late scans among those
+        self._mass = math.nan  # [kg] as last read: fuel is read more seldom than scans come
         self._latest = self._worked = -math.inf  # time [s] of the latest scan; what it was when samples were last made
 
     def __len__(self) -> int:
@@ -126,6 +127,8 @@ class ScanAlignment:
             numbers = self._numbers[low : end + NEIGHBOURS]
             table = bridged(scan_table(decode_scan(self._scans[n]) for n in numbers))
             columns, _ = calibrator.columns(table, aligned=True)
-            rows = np.stack([table.time, *(columns[n] for n in signals)], axis=1)
-            for row in rows[begin - low : end - low].tolist():
-                yield Sample(*row)
+            masses = columns.get(MASS, np.full(len(table), np.nan))  # of a sensor of one's own
+            rows = np.stack([table.time, *(columns[n] for n in signals), masses], axis=1)
+            for *row, mass in rows[begin - low : end - low].tolist():
+                self._mass = self._mass if math.isnan(mass) else mass
+                yield Sample(*row)._replace(mass=self._mass)

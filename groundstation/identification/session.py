@@ -39,7 +39,7 @@ class LiveState:
     wanted: derivative -> bound to be reached [1/rad]. to_go: derivative -> seconds of manoeuvring as of now until then, 0 when
     there, inf where nothing is gained. excitation: control -> rms movement of the last seconds [rad], as signals. together: pairs
     that are not told apart. late: scans that came late and are not in the numbers yet. point: the test point under way,
-    or the last; before: bounds [1/rad] when it began.
+    or the last; before: bounds [1/rad] when it began. mass [kg]: as measured in flight, NaN where nobody does.
     """
 
     time: float
@@ -53,6 +53,7 @@ class LiveState:
     late: int
     point: FlownPoint | None = None
     before: Mapping[str, float] = field(default_factory=dict)
+    mass: float = math.nan
 
 
 class LiveIdentification:
@@ -206,6 +207,7 @@ class LiveIdentification:
             self._alignment.late + self._behind,
             point,
             self._bounds_before,
+            last.mass,
         )
 
     def _value(self, name: str, estimates: LiveEstimates) -> float:

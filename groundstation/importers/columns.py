@@ -125,7 +125,7 @@ def _true_airspeed(values: dict[str, Array], origins: dict[str, ColumnOrigin], n
     if air is None:
         notes.append(f"{words}, and nothing tells the density: taken for true airspeed")
         return
-    density, columns = air
+    density, columns = air.values, air.source
     if "rho" not in measured:
         values["rho"] = density
         source = ColumnSource(column=columns, unit="kg/m3")

@@ -131,21 +131,25 @@ class Machine:
             self._plugs_do("chardev-add", id=line, backend=backend)
             self._plugs_do("device_add", driver="usb-serial", chardev=line, id=device, serial=line)
         else:
-            self._plugs_do("device_del", id=device)
+            self._plugs_do("device_del", until="DEVICE_DELETED", id=device)
             self._plugs_do("chardev-remove", id=line)
 
-    def _plugs_do(self, command: str, **arguments: object) -> None:
-        """One command of QEMU's machine protocol."""
+    def _plugs_do(self, command: str, until: str = "", **arguments: object) -> None:
+        """One command of QEMU's machine protocol; until: the event that shows that it is done."""
         with socket.socket(socket.AF_UNIX) as connection, connection.makefile("rw") as plugs:
             connection.connect(str(self._plugs))
+            connection.settimeout(BOOT_LIMIT_S)
             plugs.readline()  # greeting
+            events = set()
             for execute, words in (("qmp_capabilities", {}), (command, arguments)):
                 plugs.write(json.dumps({"execute": execute, "arguments": words}) + "\n")
                 plugs.flush()
                 while "event" in (answer := json.loads(plugs.readline())):
-                    pass
+                    events.add(answer["event"])
                 if "error" in answer:
                     raise RigError(f"QEMU refuses {execute} {words}: {answer['error'].get('desc')}")
+            while until and until not in events:
+                events.add(json.loads(plugs.readline()).get("event"))
 
     def crash(self) -> None:
         """Kill the kernel, as itself would at a fault; the agent is gone until `wait_for_agent` finds it again."""

@@ -88,6 +88,7 @@ class GapMonitor:
         self._effects = tuple(effects)
         self._calibration = calibration
         self._plane = plane
+        self._airframe = airframe
         self._bank = PredictorBank(airframe, values, effects, plane)
         self._evidence = MonitorEvidence(effects)
         self._past: list[Innovation] = []
@@ -109,7 +110,7 @@ class GapMonitor:
         else:
             self.watched += gap
         self._last = sample.time
-        innovation = self._bank.innovation(_scan_of(sample, self._plane))
+        innovation = self._bank.innovation(_scan_of(sample, self._plane, self._airframe))
         if innovation is None:
             return None
         self._past = [*self._past, innovation][-3:]
@@ -189,10 +190,11 @@ def _told_anew(told: Alarm, now: Alarm) -> Alarm:
     return replace(now, time=told.time, since=onset, named=told.named if same_effect else now.named)
 
 
-def _scan_of(s: Sample, plane: MonitoredPlane) -> FlightsScan:
+def _scan_of(s: Sample, plane: MonitoredPlane, airframe: Airframe) -> FlightsScan:
     measured = np.array([[getattr(s, channel)] for channel in plane.channels])
     kind = inputs_of(plane)
-    return FlightsScan(s.time, measured, kind(*(np.array([getattr(s, name)]) for name in kind._fields)))
+    driving = kind(*(np.array([getattr(s, name)]) for name in kind._fields[:-1]))
+    return FlightsScan(s.time, measured, driving._replace(mass_ratio=np.array([airframe.mass_ratio(s.mass)])))
 
 
 class GapMonitors:

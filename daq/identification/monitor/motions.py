@@ -18,10 +18,12 @@ from daq.utilities.constants import GRAVITY
 
 Array = NDArray[np.float64]
 LONGEST_STEP = 0.026  # s; as in `simulated_motion`
+AS_STATED = np.ones(1)  # mass over the airframe's, of every flight
 
 
 class Inputs(NamedTuple):
-    """What is measured for rolling and yawing, (flights,) each: attitude, airspeed, density, surfaces."""
+    """What is measured for rolling and yawing, (flights,) each: attitude, airspeed, density, surfaces; mass
+    over the airframe's."""
 
     q: Array
     theta: Array
@@ -30,10 +32,12 @@ class Inputs(NamedTuple):
     rho: Array
     delta_a: Array
     delta_r: Array
+    mass_ratio: Array = AS_STATED
 
 
 class ElevatorInputs(NamedTuple):
-    """What is measured for the pitching plane, (flights,) each: the lateral motion, airspeed, density, thrust [N], elevator."""
+    """What is measured for the pitching plane, (flights,) each: the lateral motion, airspeed, density, thrust [N], elevator;
+    mass over the airframe's."""
 
     beta: Array
     p: Array
@@ -43,6 +47,7 @@ class ElevatorInputs(NamedTuple):
     rho: Array
     thrust: Array
     delta_e: Array
+    mass_ratio: Array = AS_STATED
 
 
 AnyInputs = Inputs | ElevatorInputs
@@ -100,12 +105,12 @@ class LateralMotion(MotionOfPlane[Inputs]):
         self._rows = {n: self._accelerations(n) for n in ("0", "beta", "p", "r", "da", "dr")}
 
     def _accelerations(self, term: str) -> Array:
-        """(3, models, flights): what a term of the three coefficients makes of side force / V, roll and yaw acceleration, per
+        """(3, models, flights): what a term of the three coefficients makes of side force, roll and yaw acceleration, per
         dynamic pressure times area."""
         a, d = self._a, self._d
         inertia = a.Ixx * a.Izz - a.Ixz**2
         Cl, Cn = d[f"Cl_{term}"] * (a.span / inertia), d[f"Cn_{term}"] * (a.span / inertia)
-        rows = (d[f"CY_{term}"] / a.mass, a.Izz * Cl + a.Ixz * Cn, a.Ixx * Cn + a.Ixz * Cl)
+        rows = (d[f"CY_{term}"], a.Izz * Cl + a.Ixz * Cn, a.Ixx * Cn + a.Ixz * Cl)
         return np.stack(np.broadcast_arrays(*rows))
 
     def conditions(self, u: Inputs) -> tuple[Array, ...]:
@@ -117,7 +122,7 @@ class LateralMotion(MotionOfPlane[Inputs]):
         p_rows = np.sin(u.alpha), p_in_roll * turning, p_in_yaw * turning
         r_rows = -np.cos(u.alpha), r_in_roll * turning, r_in_yaw * turning
         q_s = 0.5 * u.rho * u.V**2 * a.area
-        scale = np.stack((q_s / u.V, q_s, q_s), axis=-3)
+        scale = np.stack((q_s / (a.mass * u.mass_ratio * u.V), q_s, q_s), axis=-3)
         rate = scale * (a.span / (2.0 * u.V))[..., None, :, :]
         fixed = scale * (rows["0"] + rows["da"] * u.delta_a[..., None, :, :] + rows["dr"] * u.delta_r[..., None, :, :])
         by_p, by_r = (rate * rows[n] + np.stack(k, axis=-3) for n, k in (("p", p_rows), ("r", r_rows)))
@@ -127,7 +132,7 @@ class LateralMotion(MotionOfPlane[Inputs]):
         d, rate = self._d, self._a.span / (2.0 * u.V)
         CY = d["CY_0"] + d["CY_beta"] * (x[0] + gust) + rate * (d["CY_p"] * x[1] + d["CY_r"] * x[2])
         CY = CY + d["CY_dr"] * u.delta_r + d["CY_da"] * u.delta_a
-        return np.asarray(0.5 * u.rho * u.V**2 * self._a.area / self._a.mass * CY)[None]
+        return np.asarray(0.5 * u.rho * u.V**2 * self._a.area / (self._a.mass * u.mass_ratio) * CY)[None]
 
     def rates(self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0) -> Array:
         fixed, by_beta, by_p, by_r, gravity, tan_theta, q = conditions
@@ -148,7 +153,8 @@ class PitchMotion(MotionOfPlane[ElevatorInputs]):
         a, d = self._a, self._d
         q_s, rate = 0.5 * u.rho * u.V**2 * a.area, a.chord / (2.0 * u.V)
         along, scale = 1.0 / (u.V * np.cos(u.beta)), q_s * a.chord / a.Iyy
-        lift = along * q_s / a.mass
+        mass = a.mass * u.mass_ratio
+        lift = along * q_s / mass
         gyroscopic = ((a.Izz - a.Ixx) * u.p * u.r - a.Ixz * (u.p**2 - u.r**2)) / a.Iyy
         return (
             -lift * (d["CL_0"] + d["CL_de"] * u.delta_e),
@@ -159,7 +165,7 @@ class PitchMotion(MotionOfPlane[ElevatorInputs]):
             scale * rate * d["Cm_q"],
             along * GRAVITY * np.cos(u.phi),
             np.tan(u.beta) * u.p,
-            along * u.thrust / a.mass + np.tan(u.beta) * u.r,
+            along * u.thrust / mass + np.tan(u.beta) * u.r,
             along * GRAVITY,
             np.cos(u.phi),
             u.r * np.sin(u.phi),
@@ -171,7 +177,8 @@ class PitchMotion(MotionOfPlane[ElevatorInputs]):
         CL = CL + d["CL_de"] * u.delta_e
         CD = d["CD_0"] + d["CD_k"] * CL * CL
         q_s, sin, cos = 0.5 * u.rho * u.V**2 * a.area, np.sin(x[0]), np.cos(x[0])
-        ax, az = (q_s * (CL * sin - CD * cos) + u.thrust) / a.mass, q_s * (-CL * cos - CD * sin) / a.mass
+        mass = a.mass * u.mass_ratio
+        ax, az = (q_s * (CL * sin - CD * cos) + u.thrust) / mass, q_s * (-CL * cos - CD * sin) / mass
         return np.stack(np.broadcast_arrays(ax, az))
 
     def rates(self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0) -> Array:

@@ -129,7 +129,7 @@ class _Leveller:
     """Keeps the wings level, at constant airspeed. state: (4, 1, flights) and surfaces (2, flights) at the begin."""
 
     def __init__(self, speed: Array) -> None:
-        self._speed = speed
+        self._speed, self._mass = speed, np.ones_like(speed)
         self.state, self.surfaces = np.zeros((4, 1, speed.size)), np.zeros((2, speed.size))
 
     def inputs(self, x: Array, moved: Array) -> AnyInputs:
@@ -137,7 +137,7 @@ class _Leveller:
         phi = x[3, 0]
         q = GRAVITY / self._speed * np.sin(phi) * np.tan(phi)
         flat = np.full_like(self._speed, 0.08)  # rad of angle of attack and attitude
-        return Inputs(q, flat, flat, self._speed, np.full_like(self._speed, DENSITY), moved[0], moved[1])
+        return Inputs(q, flat, flat, self._speed, np.full_like(self._speed, DENSITY), moved[0], moved[1], self._mass)
 
     def command(self, hands: Array, x: Array) -> Array:
         return np.asarray(hands + np.stack([LEVEL_BANK * x[3, 0] + LEVEL_RATE * x[1, 0], np.zeros(self._speed.size)]))
@@ -157,7 +157,7 @@ class _PitchHolder:
             elevator = (moment * d["CL_alpha"] - lift * d["Cm_alpha"]) / determinant
         if not np.all(np.isfinite(alpha) & np.isfinite(elevator)):
             raise ValueError("lift and elevator cannot hold level flight")
-        self._speed, self._alpha, self._elevator = speed, alpha, elevator
+        self._speed, self._alpha, self._elevator, self._mass = speed, alpha, elevator, np.ones_like(speed)
         self._thrust = pressure * (d["CD_0"] + d["CD_k"] * CL**2) / np.cos(alpha)
         self.state = np.stack([alpha, np.zeros_like(alpha), alpha])[:, None]
         self.surfaces = elevator[None]
@@ -166,7 +166,7 @@ class _PitchHolder:
         """Wings level."""
         zero = np.zeros_like(self._speed)
         density = np.full_like(self._speed, DENSITY)
-        return ElevatorInputs(zero, zero, zero, zero, self._speed, density, self._thrust, moved[0])
+        return ElevatorInputs(zero, zero, zero, zero, self._speed, density, self._thrust, moved[0], self._mass)
 
     def command(self, hands: Array, x: Array) -> Array:
         return np.asarray(hands + self._elevator + HOLD_PITCH * (x[2, 0] - self._alpha) + HOLD_RATE * x[1, 0])

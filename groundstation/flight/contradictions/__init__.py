@@ -7,11 +7,12 @@ import numpy as np
 
 from groundstation.flight.contradictions import air, motion
 from groundstation.flight.contradictions.contradiction import Contradiction, contradiction_from_json
+from groundstation.flight.contradictions.failing import PITOT, failing_sensors
 from groundstation.flight.contradictions.fits import FEWEST_BLOCKS, Array, Columns
 from groundstation.flight.flight import Flight
 from groundstation.flight.stretches import airborne
 
-__all__ = ["CONTRADICTIONS", "Contradiction", "contradictions", "contradictions_of"]
+__all__ = ["CONTRADICTIONS", "Contradiction", "contradictions", "contradictions_of", "no_airspeed"]
 
 CONTRADICTIONS = "contradictions"
 """Key of a provenance's detail: those that an import saw in the log itself, which the columns of the flight no longer show."""
@@ -34,9 +35,15 @@ COMPARISONS: tuple[Callable[[Array, Columns], Iterator[Contradiction]], ...] = (
 def contradictions_of(time: Array, columns: Mapping[str, Array]) -> tuple[Contradiction, ...]:
     """What arrays contradict of each other. time: (N,) [s]; columns: name -> (N,), SI, named as in `daq.contract.channels`;
     NaN and columns without a value count as not measured."""
-    measured = {n: np.asarray(v, float) for n, v in columns.items() if np.isfinite(v).sum() >= FEWEST_BLOCKS}
+    time = np.asarray(time, float)
     with np.errstate(all="ignore"):  # absurd values, which are contradictions themselves or named elsewhere
-        return tuple(c for compare in COMPARISONS for c in compare(np.asarray(time, float), measured))
+        failures, sound = failing_sensors(time, _measured(columns))
+        measured = _measured(sound)
+        return (*failures, *(c for compare in COMPARISONS for c in compare(time, measured)))
+
+
+def _measured(columns: Mapping[str, Array]) -> dict[str, Array]:
+    return {n: np.asarray(v, float) for n, v in columns.items() if np.isfinite(v).sum() >= FEWEST_BLOCKS}
 
 
 def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
@@ -58,3 +65,12 @@ def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
     imported = map(contradiction_from_json, entries if isinstance(entries, list | tuple) else ())
     candidates = (*filter(None, imported), *contradictions_of(flight.time[rows], columns))
     return tuple({(c.between, c.text): c for c in candidates}.values())
+
+
+def no_airspeed(flight: Flight) -> str:
+    """Why a flight's V is none, for the end of a sentence; empty where the rest of the flight does not tell."""
+    columns = _measured(flight.columns)
+    with np.errstate(all="ignore"):
+        lost = [c for c in failing_sensors(flight.time, columns)[0] if c.between[0] in PITOT]
+        contradiction = next(iter([*lost, *air.pitot_against_ground(flight.time, columns)]), None)
+    return "" if contradiction is None else f"; {contradiction.text}"

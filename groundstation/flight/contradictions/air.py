@@ -1,6 +1,7 @@
 """Contradictions of air data: pressures, airspeeds, density, altitude, and what the motion says of the scale of V."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,16 +10,16 @@ from daq.utilities.constants import (
     LEAST_PITOT_PRESSURE,
     LEAST_PITOT_SHARE,
     SEA_LEVEL_DENSITY,
+    SEA_LEVEL_TEMPERATURE,
 )
 from groundstation.flight.atmosphere import (
-    density,
+    DENSITY_WAYS,
+    GUESSED_DENSITY,
     density_at_altitude,
     density_at_pressure,
-    is_of_the_air,
 )
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Array, Columns, FitWithError, ratio_of, scale_by_ground
-from groundstation.flight.flight import Flight
 
 PRESSURE_TOLERANCE = 0.08  # of 2 p/(rho V^2): density of a guessed temperature is 5 % off, a pitot of its own 3 %
 SCALE_TOLERANCE = 0.08  # of V by motion: a pitot reads 3 % wrong, slips and lags of the fix make up some 3 %
@@ -30,24 +31,27 @@ LEAST_FAST = 0.1  # of a flight: fewer fast samples may be a taxi run, or errors
 PRESSURE_ALTITUDE = 600.0  # [m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes
 
 
-def air_density(c: Columns) -> tuple[Array, str] | None:
-    """(N,) density [kg/m3] and what it is from: rho, else `independent_density`; None where nothing tells."""
-    if "rho" in c:
-        return c["rho"], "rho"
-    return independent_density(c)
+@dataclass(frozen=True)
+class AirDensity:
+    """values: (N,) density [kg/m3]; source: what it is from; guesses: whether its temperature is a guess."""
+
+    values: Array
+    source: str
+    guesses: bool = False
 
 
-def independent_density(c: Columns) -> tuple[Array, str] | None:
-    """The density that a flight's pressure (with a credible temperature) or altitude give, whatever its column rho says."""
-    if "p_static" in c:
-        p = c["p_static"]
-        if "temperature" in c and is_of_the_air(p, c["temperature"]):
-            return density(p, c["temperature"]), "p_static and temperature"
-        return density_at_pressure(p), "p_static"
-    for name in ("altitude_gnss", "altitude"):
-        if name in c:
-            return density_at_altitude(c[name]), name
-    return None
+def air_density(c: Columns) -> AirDensity | None:
+    """Density of a flight's air: rho, else `independent_density`; None where nothing tells."""
+    return AirDensity(c["rho"], "rho") if "rho" in c else independent_density(c)
+
+
+def independent_density(c: Columns) -> AirDensity | None:
+    """What pressure or altitude, with a credible temperature, give, whatever a column rho says (`atmosphere.DENSITY_WAYS`)."""
+    able = (w for w in DENSITY_WAYS if all(n in c for n in w.needs))
+    way = next((w for w in able if w.credible(*(c[n] for n in w.needs))), None)
+    if way is None:
+        return None
+    return AirDensity(way.build(*(c[n] for n in way.needs)), " and ".join(way.needs), way.guesses)
 
 
 def speed_and_pressure(time: Array, c: Columns) -> Iterator[Contradiction]:
@@ -55,10 +59,11 @@ def speed_and_pressure(time: Array, c: Columns) -> Iterator[Contradiction]:
     name = "V" if "V" in c else "V_cas"
     if name not in c or "p_dynamic" not in c:
         return
-    dense = air_density(c) if name == "V" else (np.full_like(c[name], SEA_LEVEL_DENSITY), "sea-level density")
+    at_sea = AirDensity(np.full_like(c[name], SEA_LEVEL_DENSITY), "sea-level density")
+    dense = air_density(c) if name == "V" else at_sea
     if dense is None:
         return
-    air, source = dense
+    air, source = dense.values, dense.source
     ratio = ratio_of(0.5 * air * c[name] ** 2, np.where(c["p_dynamic"] > 0.0, c["p_dynamic"], np.nan))
     if ratio is None or not ratio.differs_from(1.0, PRESSURE_TOLERANCE, SIGMAS):
         return
@@ -66,7 +71,8 @@ def speed_and_pressure(time: Array, c: Columns) -> Iterator[Contradiction]:
     implied = _median(2.0 * np.where(c["p_dynamic"] > 0, c["p_dynamic"], np.nan) / c[name] ** 2)
     text = (
         f"{name} and p_dynamic contradict each other: the dynamic pressure of {name} is {ratio.value:.3g} times p_dynamic "
-        f"(density from both would be {implied:.3g} against {_median(air):.3g} kg/m3 by {source}); {evidence}"
+        f"(density from both would be {implied:.3g} against {_median(air):.3g} kg/m3 by {source}{_weather(dense, implied)}); "
+        f"{evidence}"
     )
     moves = f"every derivative by {abs(ratio.value - 1):.0%}, if p_dynamic is right"
     if favoured == name:
@@ -124,12 +130,6 @@ def pitot_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
     yield Contradiction(("p_dynamic", "vn", "ve"), f"{readings}; {cure}", favoured="vn, ve", moves=moves, stops=True)
 
 
-def no_airspeed(flight: Flight) -> str:
-    """Why a flight's V is none, for the end of a sentence; empty where its ground speed does not tell."""
-    contradiction = next(pitot_against_ground(flight.time, flight.columns), None)
-    return "" if contradiction is None else f"; {contradiction.text}"
-
-
 def _by_ratio(
     between: tuple[str, ...], text: str, ratio: FitWithError, favoured: str, moves: str, *, stops: bool
 ) -> Contradiction:
@@ -145,7 +145,7 @@ def _looks_equivalent(c: Columns, fit: FitWithError) -> str:
     dense = air_density(c)
     if dense is None:
         return ""
-    middle = _median(dense[0])
+    middle = _median(dense.values)
     factor = float(np.sqrt(SEA_LEVEL_DENSITY / middle))
     agrees = abs(fit.value / factor - 1.0) < 0.5 * SCALE_TOLERANCE + 2.0 * fit.std
     if factor < 1.0 + 0.5 * SCALE_TOLERANCE or not agrees:
@@ -158,25 +158,42 @@ def density_twice(time: Array, c: Columns) -> Iterator[Contradiction]:
     independent = independent_density({n: v for n, v in c.items() if n != "altitude"}) if "rho" in c else None
     if independent is None:
         return
-    air, source = independent
+    air, source = independent.values, independent.source
     ratio = ratio_of(c["rho"], air)
     if ratio is None or not ratio.differs_from(1.0, DENSITY_TOLERANCE, SIGMAS):
         return
+    if independent.guesses and GUESSED_DENSITY[0] < ratio.value < GUESSED_DENSITY[1]:
+        return  # a warm or a cold day
     text = f"rho is {ratio.value:.3g} times the density that {source} gives ({_median(air):.3g} kg/m3)"
     moves = f"every derivative by {abs(ratio.value - 1):.0%}"
     yield _by_ratio(("rho", *source.split(" and ")), text, ratio, source, moves, stops=True)
 
 
 def pressure_and_height(time: Array, c: Columns) -> Iterator[Contradiction]:
-    """Static pressure against the height above the sea by GNSS."""
-    if "p_static" not in c or "altitude_gnss" not in c:
+    """Static pressure, or the altitude by it, against the height above the sea by GNSS."""
+    side = next((n for n in ("p_static", "altitude") if n in c), "")
+    if not side or "altitude_gnss" not in c:
         return
-    ratio = ratio_of(density_at_pressure(c["p_static"]), density_at_altitude(c["altitude_gnss"]))
+    by_pressure = density_at_pressure(c[side]) if side == "p_static" else density_at_altitude(c[side])
+    ratio = ratio_of(by_pressure, density_at_altitude(c["altitude_gnss"]))
     if ratio is None or not ratio.differs_from(1.0, 0.1 * PRESSURE_ALTITUDE / 1000.0, SIGMAS):
         return
+    cure = "the static port" if side == "p_static" else "whether it is above the field"
     text = (
-        f"p_static belongs to air {ratio.value:.3g} times as dense as at the height by GNSS "
-        f"({_median(c['altitude_gnss']):.0f} m); check the unit of either, and the static port"
+        f"{side} belongs to air {ratio.value:.3g} times as dense as at the height by GNSS "
+        f"({_median(c['altitude_gnss']):.0f} m); check the unit of either, and {cure}"
     )
-    moves = f"every derivative by {abs(ratio.value - 1):.0%}, if density is taken from p_static and it is wrong"
-    yield _by_ratio(("p_static", "altitude_gnss"), text, ratio, "", moves, stops="rho" not in c)
+    moves = f"every derivative by {abs(ratio.value - 1):.0%}, if density is taken from {side} and it is wrong"
+    yield _by_ratio((side, "altitude_gnss"), text, ratio, "", moves, stops="rho" not in c)
+
+
+def _weather(dense: AirDensity, implied: float) -> str:
+    """Which air would make pitot and a density of guessed temperature agree, where weather can; else nothing."""
+    share = implied / _median(dense.values)
+    if not dense.guesses or not GUESSED_DENSITY[0] < share < GUESSED_DENSITY[1]:
+        return ""
+    warmer = SEA_LEVEL_TEMPERATURE * (1.0 / share - 1.0)
+    return (
+        f" with the standard temperature, a guess: air some {abs(warmer):.0f} K {'warmer' if warmer > 0 else 'colder'} would "
+        "make them agree, so add its temperature"
+    )

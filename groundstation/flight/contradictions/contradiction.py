@@ -15,7 +15,8 @@ class Contradiction:
 
     between: columns, or series of a log. ratio: of the first side over the second; None where they differ by an offset [unit].
     std: 1 sigma of ratio or offset. favoured: the side to believe, `neither known` as an empty string. moves: what it does to
-    derivatives, empty where nothing. stops: whether no estimate of the flight as it stands is to be recommended.
+    derivatives, empty where nothing. stops: whether no estimate of the flight as it stands is to be recommended. spans: begin and
+    end [s] of each time in which a sensor failed, where the rest of the flight is sound.
     """
 
     between: tuple[str, ...]
@@ -27,11 +28,18 @@ class Contradiction:
     favoured: str = ""
     moves: str = ""
     stops: bool = False
+    spans: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Columns of the sensor that failed; none where nothing did."""
+        return tuple(n for n in self.between if n not in self.favoured.split(", ")) if self.spans else ()
 
     def to_json(self) -> dict[str, Any]:
         """As in the JSON of `import`, `check` and `analyse`."""
         names = ("ratio", "offset", "unit", "std", "favoured", "moves", "stops", "text")
         values = {name: getattr(self, name) for name in names}
+        values["spans"] = [list(span) for span in self.spans]
         return {"between": list(self.between), **values, "std": self.std if math.isfinite(self.std) else None}
 
 

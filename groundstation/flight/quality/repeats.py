@@ -16,7 +16,7 @@ from itertools import combinations
 
 import numpy as np
 
-from groundstation.flight.arrays import Array, Mask, integral, true_runs
+from groundstation.flight.arrays import Array, Mask, alternates, integral, true_runs
 from groundstation.flight.flight import Flight
 from groundstation.flight.kinematics import EULER_RATES
 from groundstation.flight.manoeuvres import CONTROLS
@@ -34,7 +34,6 @@ LATE = 0.05  # share of holds of more than two in a row: a slow sensor may lose 
 REPEATED = 0.3  # share of samples that repeat the last one: 0.27 where noise is one quantum, less where it is more
 BEYOND_ERROR = 4.0  # times the usual error of the prediction that a predicted movement must exceed
 FEWEST = 40  # samples from which any of this can be told
-ALTERNATING = -0.4  # lag-one correlation of third differences: -0.75 for white noise, positive for a smooth curve
 GAUSSIAN = 0.6744897501960817  # median of the absolute value of a standard normal variable
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
 SMOOTHED = 5  # samples of a running mean over slopes of an attitude
@@ -174,7 +173,7 @@ class _StuckEvidence:
             return False
         third = np.diff(self.alive, 3)
         level = float(np.median(np.abs(third))) / GAUSSIAN / THIRD
-        return level >= max(self.step, SAME * span_of(self.alive)) and _alternating(third)
+        return level >= max(self.step, SAME * span_of(self.alive)) and alternates(third)
 
     def motion_missed(self, a: int, b: int) -> bool:
         """Whether the other channels say that the run must have seen several quanta of movement."""
@@ -193,15 +192,6 @@ class _StuckEvidence:
         stretches = [error[k : k + length] for k in range(0, error.size - length, max(1, length // 2))]
         errors = [float(np.ptp(stretch)) for stretch in stretches if np.isfinite(stretch).all()]
         return float(np.median(errors)) if len(errors) >= 3 else np.inf
-
-
-def _alternating(third: Array) -> bool:
-    """Whether third differences are those of noise rather than of a curve. third: (n,)."""
-    size = float(np.quantile(np.abs(third), 0.9))
-    calm = np.clip(third, -size, size)  # edges of manoeuvres would decide alone
-    calm = calm - calm.mean()
-    power = float(calm @ calm)
-    return power > 0.0 and float(calm[1:] @ calm[:-1]) / power < ALTERNATING
 
 
 # ------------------------------------------------------------------------------- what the other channels say of a channel

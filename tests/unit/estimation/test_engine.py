@@ -203,8 +203,8 @@ def test_every_missing_column_is_named_at_once_with_the_models_that_do_without(c
         prepare(load_model("lateral-simple", "cdfp"), Flight.build("cut", clean_flight.time, strange))
     text = str(nothing.value)
     assert (
-        "columns delta_a, delta_r, V, beta, r, ay, rho (or p_static and temperature or p_static or altitude and temperature "
-        "or altitude to derive it from) missing" in text
+        "columns delta_a, delta_r, V, beta, r, ay, rho (or p_static or altitude or altitude_gnss to derive it from) missing"
+        in text
     )
     assert "choose a model" not in text
     assert "(AOA), 'sideslip import'" in text

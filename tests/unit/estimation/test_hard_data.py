@@ -20,6 +20,7 @@ from estimation.session import runner
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
+from groundstation.flight.contradictions.air import independent_density
 from groundstation.flight.findings import finding_texts
 from groundstation.flight.quality.repeats import repeats
 from sideslip.verbs.estimate import estimate
@@ -281,12 +282,26 @@ def test_the_temperature_of_a_warm_board_is_not_taken_for_that_of_the_air(made_f
     assert "rho derived from p_static" in notes
 
 
+@pytest.mark.parametrize("outside", [238.0, 300.0])
+@pytest.mark.parametrize("height", ["altitude", "altitude_gnss"])
+def test_estimates_and_contradictions_have_one_density_on_cold_and_warm_days(
+    made_flights: list[Flight], outside: float, height: str
+) -> None:
+    flight = made_flights[0]
+    columns = {height: np.full(len(flight), 1000.0), "temperature": np.full(len(flight), outside)}
+    by_estimate, _ = density_found(flight, **columns)
+    by_contradictions = independent_density(columns)
+    assert by_contradictions is not None
+    assert by_estimate == pytest.approx(89874.6 / (287.05287 * outside), rel=1e-4)  # ICAO Doc 7488, pressure at 1000 m
+    assert np.unique(by_contradictions.values) == pytest.approx(np.unique(by_estimate))
+
+
 def test_density_never_comes_from_an_airspeed_and_the_pressure_it_was_made_from(made_flights: list[Flight]) -> None:
     flight = made_flights[0]
     pitot = 0.41 * flight["V"] ** 2
     found, _ = density_found(flight, p_dynamic=pitot, altitude=np.full(len(flight), 4000.0))
     assert found == pytest.approx(0.81913, abs=3e-5)
-    with pytest.raises(MissingColumnError, match="p_static or altitude and temperature or altitude to derive it from"):
+    with pytest.raises(MissingColumnError, match="p_static or altitude or altitude_gnss to derive it from"):
         density_found(flight, p_dynamic=pitot)
 
 

@@ -5,8 +5,13 @@ import pytest
 
 from daq.utilities.constants import GRAVITY
 from groundstation.flight import Flight, Provenance, read_flight
-from groundstation.flight.contradictions import CONTRADICTIONS, Contradiction, contradictions, contradictions_of
-from groundstation.flight.contradictions.air import no_airspeed
+from groundstation.flight.contradictions import (
+    CONTRADICTIONS,
+    Contradiction,
+    contradictions,
+    contradictions_of,
+    no_airspeed,
+)
 from groundstation.flight.contradictions.fits import ratio_of
 from tests.unit.groundstation.turning import RHO, Columns, turning_flight
 
@@ -125,6 +130,41 @@ def test_density_against_pressure_heading_against_course_and_a_field_that_is_non
     assert found["psi", "vn", "ve"].offset == pytest.approx(-0.35, abs=0.05)
     assert not found["psi", "vn", "ve"].stops
     assert any("magnetometer" in c.text for c in found.values())
+
+
+@pytest.mark.parametrize("outside", [248.0, 311.0])
+@pytest.mark.parametrize("witness", ["p_static", "altitude_gnss", "p_static and temperature"])
+def test_a_right_density_on_a_cold_or_a_hot_day_is_no_contradiction_and_one_of_another_height_is(
+    outside: float, witness: str
+) -> None:
+    flight = turning_flight()
+    pressure = 90500.0
+    flight |= {"p_static": np.full_like(flight["V"], pressure), "temperature": np.full_like(flight["V"], outside)}
+    flight["altitude_gnss"] = np.full_like(flight["V"], 945.0)
+    right = pressure / (287.05287 * outside)
+    for name in {"p_static", "temperature", "altitude_gnss"} - set(witness.split(" and ")):
+        del flight[name]
+    flight["p_dynamic"] = 0.5 * right * flight["V"] ** 2
+    for factor, stopped in ((1.0, False), (0.8, True), (1.35, True)):
+        flight["rho"] = np.full_like(flight["V"], factor * right)
+        found = [c for between, c in found_in(flight).items() if between[0] == "rho"]
+        as_on_another_day = factor * outside == 0.8 * 248.0 and "temperature" not in witness
+        assert bool(found) == (stopped and not as_on_another_day), (factor, found)
+
+
+def test_pitot_and_guessed_density_name_the_air_that_would_make_them_agree() -> None:
+    flight = turning_flight()
+    flight["p_dynamic"] *= 1.13
+    del flight["temperature"]
+    assert "air some" in found_in(flight)["V", "p_dynamic"].text
+    assert "K colder would make them agree" in found_in(flight)["V", "p_dynamic"].text
+
+
+def test_an_altitude_above_the_field_is_held_against_the_height_by_gnss() -> None:
+    flight = turning_flight()
+    flight |= {"altitude": np.full_like(flight["V"], 80.0), "altitude_gnss": np.full_like(flight["V"], 1650.0)}
+    del flight["p_static"], flight["temperature"]
+    assert found_in(flight)["altitude", "altitude_gnss"].stops
 
 
 def test_command_against_surface() -> None:

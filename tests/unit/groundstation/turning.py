@@ -7,12 +7,16 @@ GRAVITY = 9.80665
 RHO = 1.104
 
 
-def turning_flight(seed: int = 5, hz: float = 25.0, seconds: float = 50.0) -> Columns:
-    """Left and right turns at 21 m/s in a wind of 6 m/s, kinematics exact by differences, noise on every channel."""
+def turning_flight(seed: int = 5, hz: float = 25.0, seconds: float = 50.0, sway: float = 0.0) -> Columns:
+    """Left and right turns at 21 m/s in a wind of 6 m/s, kinematics exact by differences, noise on every channel.
+
+    sway: amplitude [rad] of faster motion in bank, and of a third of it in pitch and heading."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 1 / hz)
     psi = 0.7 + 1.9 * np.sin(0.17 * t)
     theta, phi = 0.05 + 0.03 * np.sin(0.6 * t), np.arctan(21.0 * 0.323 * np.cos(0.17 * t) / GRAVITY)
+    phi = phi + sway * np.sin(2.3 * t)
+    theta, psi = theta + sway / 3.0 * np.sin(1.7 * t), psi + sway / 3.0 * np.sin(1.9 * t)
     speed = 21.0 + 0.8 * np.sin(0.3 * t)
     climb = speed * np.sin(theta - 0.05)
     flat = np.sqrt(speed**2 - climb**2)

@@ -56,7 +56,7 @@ def samples(scans: list[FlightsScan], flight: int) -> list[Sample]:
     found = []
     for s in scans:
         beta, p, r, phi, ay = s.measured[:, flight]
-        q, theta, alpha, V, rho, delta_a, delta_r = (float(v[flight]) for v in s.inputs)
+        q, theta, alpha, V, rho, delta_a, delta_r = (float(v[flight]) for v in s.inputs[:-1])
         found.append(Sample(s.time + 1.0, beta, p, q, r, phi, theta, alpha, V, ay, delta_a, delta_r, rho))
     return found
 
@@ -319,6 +319,23 @@ def test_flights_with_nothing_wrong_are_quiet_and_gaps_are_not_watched(
         watched.append(monitor.watched)
     assert alarms == 0  # two minutes, at one false alarm an hour
     np.testing.assert_allclose(watched, 40.0, atol=0.2)
+
+
+def test_a_mass_that_is_measured_is_no_change_of_the_aircraft(
+    airframe: Airframe, values: dict[str, float], effects: tuple[MonitoredEffect, ...], calibration: Calibration
+) -> None:
+    """Three quarters of the file's mass: quiet with it, and without it side forces are a third too large. A mass that this
+    aircraft cannot have counts as none."""
+    calm = replace(NullConditions(), gust_spread=(1.0, 1.0))
+    lighter = 0.75 * airframe.mass
+    scans = fly(replace(airframe, mass=lighter), values, effects, calm, np.random.default_rng(22), 1, 50.0)
+    equations = []
+    for mass in (lighter, math.nan, 10.0 * lighter):
+        monitor = GapMonitor(airframe, values, effects, calibration)
+        for sample in samples(scans, 0):
+            monitor.add(sample._replace(mass=mass))
+        equations.append({a.equation for a in monitor.alarms})
+    assert equations == [set(), {"CY"}, {"CY"}]
 
 
 def test_errors_that_grow_without_a_name_are_told_by_channel(

@@ -90,6 +90,17 @@ def test_usual_instruments_give_them_within_their_bounds(airframe: Airframe, flo
             assert abs(found[name].estimate - truth[name]) < 3.5 * found[name].std < 0.35 * abs(truth[name])
 
 
+def test_mass_of_a_sample_is_that_of_the_equations(airframe: Airframe, flown: Flown) -> None:
+    """An aircraft of which each sample says 4/5 of the file's mass is one whose file says so."""
+    scans, lighter = samples(flown[1][0])[:400], replace(airframe, mass=0.8 * airframe.mass)
+    known = estimated(airframe, [s._replace(mass=lighter.mass) for s in scans]).derivatives
+    stated = estimated(lighter, scans).derivatives
+    assert stated["CL_alpha"].told
+    for name in (n for n in LONGITUDINAL.derivatives if stated[n].told):
+        assert known[name].estimate == pytest.approx(stated[name].estimate, rel=1e-9), name
+        assert known[name].std == pytest.approx(stated[name].std, rel=1e-9)
+
+
 def test_a_resting_elevator_is_named(airframe: Airframe, flown: Flown) -> None:
     scans = [s._replace(delta_e=-0.02) for s in samples(flown[0][0])[:200]]
     found = estimated(airframe, scans)

@@ -22,6 +22,7 @@ from estimation.models import load_model
 from estimation.models.load import write_model
 from groundstation.calibration.apply import Calibrator, calibrate
 from groundstation.calibration.recording import embedded_calibration
+from groundstation.calibration.scan_table import Readings, ScanTable
 from groundstation.flight import Flight
 from groundstation.identification.alignment import NEIGHBOURS, ScanAlignment
 from groundstation.identification.session import LiveIdentification, LiveState
@@ -180,6 +181,36 @@ def test_samples_of_the_aligned_stretch_are_those_of_the_flight(
     rows = np.searchsorted(flight.time, table[:, 0] - 1e-9)
     expected = np.stack([flight.time[rows], *(flight[n][rows] for n in SIGNALS)], axis=1)
     np.testing.assert_allclose(table, expected, rtol=1e-9, atol=1e-12)
+
+
+class _WithFuel(Calibrator):
+    """As if a sensor of one's own had made a column `mass`, in every tenth scan."""
+
+    mass = 4.2
+
+    def columns(self, table: ScanTable, *, aligned: bool) -> tuple[dict[str, Array], Readings]:
+        columns, readings = super().columns(table, aligned=aligned)
+        read = np.arange(len(table)) % 10 == 0
+        return {**columns, "mass": np.where(read, self.mass, np.nan)}, readings
+
+
+@pytest.mark.parametrize(("share", "words"), [(0.8, "as measured"), (9.0, "which is not this aircraft's")])
+def test_a_mass_that_a_sensor_of_ones_own_measures_is_taken(
+    share: float, words: str, recording: tuple[list[Scan], Calibrator, Flight], in_order: InOrder
+) -> None:
+    """Side force is mass times acceleration, moments have nothing to do with it."""
+    scans, calibrator, _ = recording
+    fuel, alignment = _WithFuel(calibrator.calibration, calibrator.facts.values), ScanAlignment()
+    live = session(fuel, alignment)
+    fuel.mass = share * live.aircraft.airframe.mass
+    fed(live, alignment, iter(scans))
+    final = live.finish()
+    assert final is not None
+    assert words in "\n".join(lines(final))
+    expected = share if words == "as measured" else 1.0
+    for name, ratio in (("CY_beta", expected), ("CY_dr", expected), ("Cl_p", 1.0)):
+        without = in_order.final.estimates.derivatives[name].estimate
+        assert final.estimates.derivatives[name].estimate == pytest.approx(ratio * without, rel=5e-3)
 
 
 def test_numbers_that_cannot_be_end_identification_and_nothing_else(
