@@ -65,7 +65,8 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
     complete = np.all(np.isfinite(u), axis=1)
     usable = complete & _flying(flight, notes)
     jumps = attitude_jumps(flight)
-    records = []
+    records: list[FilterRecord] = []
+    short: list[slice] = []
     for first, last in unbroken_stretches(flight, usable, jumps):
         if first in jumps:
             notes.append(
@@ -76,12 +77,22 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
         if last - begin >= SHORTEST:
             records.append(FilterRecord(begin, flight.time[begin:last], u[begin:last], z[begin:last]))
         else:
-            notes.append(f"{last - begin} samples from t = {flight.time[begin]:g} s left out: too short a stretch")
+            short.append(slice(begin, last))
+    notes += short_stretches(flight, short, "too short a stretch")
     if not records:
         raise DataError(
             f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(COLUMNS)} all measured"
         )
     return records, notes
+
+
+def short_stretches(flight: Flight, rows: Sequence[slice], why: str) -> list[str]:
+    """A note on stretches that are left out, however many they are."""
+    if not rows:
+        return []
+    count = sum(r.stop - r.start for r in rows)
+    each = "" if len(rows) == 1 else f", {len(rows)} times"
+    return [f"{count} samples from t = {flight.time[rows[0].start]:g} s left out: {why}{each}"]
 
 
 def unbroken_stretches(flight: Flight, usable: NDArray[np.bool_], jumps: Collection[int]) -> Iterator[tuple[int, int]]:
