@@ -98,6 +98,30 @@ def forms_of(model: Model) -> list[tuple[str, Form]]:
     return [(e.name, f) for e in catalogue(model=model) for f in e.applicable(model)]
 
 
+BOUNDED = (
+    "stall_separation",
+    "indicial_lag",
+    "ground_effect",
+    "surface_compliance",
+    "wing_compliance",
+    "elevator_compliance",
+)
+"""Effects of which nature has no more: flow that lies or has left, a surface that gives way wholly, a wing near
+the ground, lift that comes within a few chords."""
+
+
+@pytest.mark.parametrize(("model", "largest"), [(ALL_AXES, 8.0), (PITCHING, 8.0)], ids=["six-dof", "longitudinal"])
+def test_an_effect_eight_times_its_usual_size_lies_within_its_limits(model: Model, largest: float) -> None:
+    """One at its limit is refused as impossible: what is named when small was not when large."""
+    near = {
+        (name, p.name)
+        for name, form in forms_of(model)
+        for p in form.parameters
+        if max(p.upper - p.null_value(model), p.null_value(model) - p.lower) < 1.05 * largest * p.typical
+    }
+    assert {name for name, _ in near} <= set(BOUNDED), sorted(near)
+
+
 @pytest.mark.parametrize(
     ("name", "form"),
     [*forms_of(PITCHING), *((n, f) for n, f in forms_of(ALL_AXES) if n in CROSS)],

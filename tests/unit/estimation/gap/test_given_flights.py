@@ -378,3 +378,21 @@ def test_a_stretch_shorter_than_a_window_of_energy_is_one_window() -> None:
 def test_where_an_effect_shows_may_be_a_stretch_shorter_than_what_it_is_smoothed_over() -> None:
     time = 0.05 * np.arange(9)
     assert spans_of(time, np.ones(9), AS_SET) == [(0.0, pytest.approx(0.4))]
+
+
+@pytest.mark.long
+def test_accelerometers_behind_a_filter_of_their_own_are_late_and_not_the_gyros() -> None:
+    """An autopilot filters its accelerometers more slowly than its gyros."""
+    late = 0.03
+    made = [
+        columns | {"ay": np.interp(columns["time"] - late, columns["time"], columns["ay"])}
+        for columns in truth.fly(requests({}, 7731, 0.15, "rich"))
+    ]
+    given, model = flights(made), load_model("lateral", "cdfp")
+    near = [
+        e for e in catalogue(model=model) if e.name in ("time_skew", "servo_lag", "beta_lag", "CY_da", "Cn_betadot")
+    ]
+    result = run_gap(model, given[:3], given[3:], near, Options(seed=1, nulls=20))
+    assert [(s.effect, s.form) for s in result.steps] == [("time_skew", "accelerometers")]
+    value, bound = result.steps[0].estimates["time_skew_accelerometers"]
+    assert abs(value - late) < 3.0 * bound + 0.005  # straight lines through samples 50 ms apart take some of it
