@@ -87,8 +87,24 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
     flight = next((w for w in files if not w.endswith(".toml")), "FLIGHT")
     model = next((w for w in rest[:1] if not w.startswith("-")), "MODEL.toml")
     line = text.format(out=out, file=file, flight=flight, model=model, rest=rest, stem=Path(file).stem)
+    if verb == "fly":
+        return line + _free_flight(Path(out) / "scenario.toml")
     estimates = text.startswith(("sideslip estimate {file}", "sideslip estimate {out}"))
     return line + _whose(rest, line.split()[2]) if estimates else line
+
+
+def _free_flight(scenario_file: Path) -> str:
+    """The --segments of what was flown by forces: launch and landing of a simulated flight are scripted paths."""
+    from daq.utilities.errors import UserError
+    from firmware_sim.world.scenario import load_scenario
+
+    try:
+        scenario = load_scenario(scenario_file)
+    except UserError:
+        return ""
+    start = scenario.takeoff_s
+    scripted = start > 0.0 or scenario.ground.after_s > 0.0
+    return f" --segments {start:g}:{start + scenario.flight.duration_s:g}" if scripted else ""
 
 
 def _whose(rest: Sequence[str], flight: str) -> str:

@@ -37,11 +37,14 @@ class Row(NamedTuple):
 
 
 class MotionScan(NamedTuple):
-    """A scan with its surfaces as the instruments take them [rad] and the motion simulated at its time."""
+    """A scan with its surfaces as the instruments take them [rad], the motion simulated at its time, its columns and left sides
+    as `_integrands` has them, and the scales of its columns: four rows need them."""
 
     sample: Sample
     surfaces: tuple[float, ...]
     motion: MotionState
+    integrands: Array
+    scales: Array
 
 
 class RowMaker:
@@ -78,7 +81,9 @@ class RowMaker:
         """
         if len(self._scans) < 2:
             self._simulated.restart(sample)
-        self._scans.append(MotionScan(sample, surfaces, self._simulated.motion))
+        scales = self._scales(sample)
+        integrands = self._integrands(sample, scales)
+        self._scans.append(MotionScan(sample, surfaces, self._simulated.motion, integrands, scales))
         if len(self._scans) >= 4:
             self._simulate()
         if len(self._scans) < 5:
@@ -125,8 +130,8 @@ class RowMaker:
         r = self._regression
         weights = cubic_weights(*(s.sample.time for s in scans))
         first_sample, last_sample = scans[1].sample, scans[2].sample
-        measured = weights @ np.stack([self._integrands(s.sample) for s in scans])
-        scales = 0.5 * (self._scales(first_sample) + self._scales(last_sample))
+        measured = weights @ np.array([s.integrands for s in scans])
+        scales = 0.5 * (scans[1].scales + scans[2].scales)
         simulated, surfaces, _ = self._integrals[0]
         cubic = weights @ np.array([s.motion[: len(r.states)] for s in scans])
         moments = measured[: r.width].copy()
@@ -145,10 +150,10 @@ class RowMaker:
         pressure = 0.5 * s.rho * s.V * s.V
         return np.array([pressure * length / (2.0 * s.V) if length else pressure for length in self._lengths])
 
-    def _integrands(self, s: Sample) -> Array:
+    def _integrands(self, s: Sample, scales: Array) -> Array:
         """(width + equations,) columns and left sides at one scan, without increments."""
         forces = self._regression.forces(self._airframe, s)
-        linear = self._scales(s) * np.array(self._regression.linear_values(s))
+        linear = scales * np.array(self._regression.linear_values(s))
         if not self._regression.square_of_lift:
             return np.concatenate([linear, forces])
         pressure = 0.5 * s.rho * s.V * s.V

@@ -12,6 +12,8 @@ from estimation.report.tables import value_and_bound
 
 SHOWN = 10
 """Derivatives in the sentence."""
+ROUGH = 0.25
+"""Share of its value from which on the bound of a derivative is said beside it: a design would change within it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,7 +49,9 @@ class Analysis(Answer):
         for name, p in parameters_of(self.content["estimate"]).items():
             if p.get("estimate") is not None:
                 value, bound = value_and_bound(p["estimate"], p["std_coloured"])
-                rows.append((name, value, bound, "" if p.get("identifiable") else str(p.get("why", "cannot tell"))))
+                rough = roughly(p) if is_coefficient(name) else 0.0
+                reason = f"known to {rough:.0%} only" if rough else ""
+                rows.append((name, value, bound, reason if p.get("identifiable") else str(p.get("why", "cannot tell"))))
         return rows
 
     def rows(self) -> Rows:
@@ -110,6 +114,18 @@ class Analysis(Answer):
 
 def _spans(entries: Sequence[Mapping[str, Any]], key: str) -> tuple[tuple[str, ...], ...]:
     return tuple((e["flight"], e[key], f"{e['from']:.2f}", f"{e['to']:.2f}") for e in entries)
+
+
+def is_coefficient(name: str) -> bool:
+    """Whether a parameter is a derivative of an aerodynamic coefficient, no constant and no lag or scale of a sensor."""
+    return name.startswith("C") and not name.endswith("_0")
+
+
+def roughly(parameter: Mapping[str, Any]) -> float:
+    """Bound over value of an estimate that is known to no better than ROUGH; else 0. parameter: as in the JSON of `estimate`."""
+    value, bound = parameter.get("estimate"), parameter.get("std_coloured")
+    share = abs(bound / value) if parameter.get("identifiable") and value and bound else 0.0
+    return share if share > ROUGH else 0.0
 
 
 def _contradiction(found: Mapping[str, Any]) -> str:

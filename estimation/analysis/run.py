@@ -15,7 +15,7 @@ from estimation.analysis.choice import (
     moved_controls,
     without_failures,
 )
-from estimation.analysis.outcome import Analysis, recommendation_of, verdict_of
+from estimation.analysis.outcome import Analysis, is_coefficient, parameters_of, recommendation_of, roughly, verdict_of
 from estimation.analysis.stages import Stage, Stages
 from estimation.analysis.unknown_aircraft import without_aircraft
 from estimation.session.recipe import AIR, AIRSPEED, RECONSTRUCTION, Recipe, recipe
@@ -297,6 +297,11 @@ def _next(
             steps.append(
                 "say which servo output moves which surface: 'sideslip import LOG --draft-map -o map.toml', then --map map.toml"
             )
+    rough = [f"{n} ({roughly(p):.0%})" for n, p in parameters_of(estimate).items() if roughly(p) and is_coefficient(n)]
+    if rough and recommendation.get("method", "none") != "none":
+        steps.append(
+            f"known to a quarter or worse: {', '.join(rough)}; larger inputs, or more flights of them, narrow that"
+        )
     if estimate and gap is None and len(given.flights) + len(given.holdout) < FEWEST_FOR_GAP:
         steps.append("give a second flight, or one with --holdout, to find out what the model lacks")
     return [s for s in dict.fromkeys(steps) if s]

@@ -10,7 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from daq.utilities.constants import GRAVITY
 from estimation.compatibility.air_filter import INTERVAL, Nodes
-from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps, attitude_rates, unbroken_stretches
+from estimation.compatibility.records import (
+    FLYING,
+    SHORTEST,
+    attitude_jumps,
+    attitude_rates,
+    short_stretches,
+    unbroken_stretches,
+)
 from estimation.errors import DataError
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
@@ -44,16 +51,15 @@ def stretches_of(flight: Flight, airspeed: Array, fix_age: float = 0.0) -> tuple
     with np.errstate(invalid="ignore"):
         usable = complete & ~(airspeed < FLYING)
     fixes, speeds = fresh_samples(flight, FIX), fresh_values(flight, "V", airspeed)
-    stretches, notes = [], []
+    stretches: list[AirStretch] = []
+    short: list[slice] = []
     for first, last in unbroken_stretches(flight, usable, attitude_jumps(flight)):
         rows = slice(first, last)
         if last - first < SHORTEST or not (fixes[rows].any() and speeds[rows].any()):
-            notes.append(
-                f"{last - first} samples from t = {flight.time[first]:g} s left out: too short a stretch, or no "
-                "velocity fix or airspeed in it"
-            )
+            short.append(rows)
             continue
         stretches.append(_stretch(flight, rows, airspeed, fixes, speeds, fix_age))
+    notes = short_stretches(flight, short, "too short a stretch, or no velocity fix or airspeed in it")
     if not stretches:
         raise DataError(
             f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(INERTIAL)} all measured and "

@@ -18,6 +18,7 @@ from groundstation.flight import Array, Flight
 from groundstation.flight.arrays import true_runs
 from groundstation.flight.contradictions import no_airspeed
 from groundstation.flight.findings import Finding, FindingKind
+from groundstation.flight.kinematics import GYROS
 
 SHORTEST = 40  # samples
 COLUMNS = ("ax", "ay", "az", "p", "q", "r")
@@ -64,7 +65,8 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
     complete = np.all(np.isfinite(u), axis=1)
     usable = complete & _flying(flight, notes)
     jumps = attitude_jumps(flight)
-    records = []
+    records: list[FilterRecord] = []
+    short: list[slice] = []
     for first, last in unbroken_stretches(flight, usable, jumps):
         if first in jumps:
             notes.append(
@@ -75,12 +77,22 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
         if last - begin >= SHORTEST:
             records.append(FilterRecord(begin, flight.time[begin:last], u[begin:last], z[begin:last]))
         else:
-            notes.append(f"{last - begin} samples from t = {flight.time[begin]:g} s left out: too short a stretch")
+            short.append(slice(begin, last))
+    notes += short_stretches(flight, short, "too short a stretch")
     if not records:
         raise DataError(
             f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(COLUMNS)} all measured"
         )
     return records, notes
+
+
+def short_stretches(flight: Flight, rows: Sequence[slice], why: str) -> list[str]:
+    """A note on stretches that are left out, however many they are."""
+    if not rows:
+        return []
+    count = sum(r.stop - r.start for r in rows)
+    each = "" if len(rows) == 1 else f", {len(rows)} times"
+    return [f"{count} samples from t = {flight.time[rows[0].start]:g} s left out: {why}{each}"]
 
 
 def unbroken_stretches(flight: Flight, usable: NDArray[np.bool_], jumps: Collection[int]) -> Iterator[tuple[int, int]]:
@@ -102,11 +114,24 @@ def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
             low, high = COLUMN_BY_NAME[name].plausible
             finite = _known(flight[name])
             share = float(np.mean((finite < low) | (finite > high)))
-            if share > WRONG_UNIT:
+            if share > WRONG_UNIT and not _runs_on(flight, name, low, high):
                 raise DataError(
                     f"{flight.name}: {name} is beyond {low:.4g} to {high:.4g} {COLUMN_BY_NAME[name].unit} in {share:.0%} of "
                     "the samples; in another unit? 'sideslip import --map' converts it"
                 )
+
+
+def _runs_on(flight: Flight, angle: str, low: float, high: float) -> bool:
+    """Whether an angle is beyond its range because it runs on through whole turns: it begins within, and no further than twice
+    what its gyro turns, which is a 28th of what it would run in degrees."""
+    if angle not in ("phi", "psi") or not flight.measured(GYROS[angle]):
+        return False
+    for part in flight.segments:
+        values = _known(flight[angle][part])
+        turned = float(np.nansum(np.abs(flight[GYROS[angle]][part]))) * flight.sample_interval
+        if values.size and not (low <= values[0] <= high and float(np.ptp(values)) <= 2.0 * turned + np.pi):
+            return False
+    return True
 
 
 def shows_motion(flight: Flight, column: str) -> bool:

@@ -103,7 +103,11 @@ def condition_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool
         if wild.any():
             changed[name] = np.where(wild, np.nan, flight[name])
             notes.append(_wild_note(flight, name, np.flatnonzero(wild)))
-    changed |= {n: v for n in names if n in WHOLE_TURNS and (v := _unwrapped(changed.get(n, flight[n]))) is not None}
+    changed |= {
+        n: v
+        for n in names
+        if n in WHOLE_TURNS and (v := _unwrapped(changed.get(n, flight[n]), flight.segments)) is not None
+    }
     if changed:
         flight = flight.with_columns(**changed)
     if keep_held:
@@ -111,14 +115,13 @@ def condition_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool
     return ConditionedFlight(flight, {n: repeats(flight, n) for n in names}, tuple(notes), drawn_between(flight, names))
 
 
-def _unwrapped(angle: Array) -> Array | None:
-    """The angle (N,) [rad] without jumps of a turn; None where it has none."""
-    finite = np.isfinite(angle)
-    if not (np.abs(np.diff(angle[finite])) > np.pi).any():
-        return None
+def _unwrapped(angle: Array, segments: Iterable[slice]) -> Array | None:
+    """The angle (N,) [rad] without jumps of a turn in any segment; None where it has none. From one to the next it may have."""
     unwrapped = angle.copy()
-    unwrapped[finite] = np.unwrap(angle[finite])
-    return unwrapped
+    for part in segments:
+        known = np.flatnonzero(np.isfinite(angle[part])) + part.start
+        unwrapped[known] = np.unwrap(angle[known])
+    return None if np.array_equal(unwrapped, angle, equal_nan=True) else unwrapped
 
 
 def repair_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> ConditionedFlight:

@@ -9,6 +9,7 @@ from estimation.models.base import Model
 from estimation.models.library import BUILDERS
 from estimation.prepare.columns import DERIVED
 from estimation.session.verdict import TRUSTED_RECONSTRUCTED
+from estimation.session.without_sensor import MAY_LACK
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import Contradiction, contradictions
 from groundstation.flight.quality.noise import too_slow
@@ -167,8 +168,10 @@ def _possible(model: Model, have: frozenset[str], flight: Flight) -> Possible:
     all_there = have | set(reconstructed)
     required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional]
     missing = tuple(dict.fromkeys(n for n in required if not _there(n, all_there)))
+    may_lack = [n for n in MAY_LACK.get(model.name, ()) if not _there(n, all_there)]
+    missing = tuple(n for n in missing if may_lack != [n])  # one of them may be lacking, and a fit says what that costs
     model_columns = {s.source for s in (*model.inputs, *model.outputs)}
-    silent = tuple(s.source for s in model.outputs if s.source not in all_there)
+    silent = tuple(dict.fromkeys((*(s.source for s in model.outputs if s.source not in all_there), *may_lack)))
     slow = too_slow(flight, model_columns)
     methods = () if missing or slow else registry.estimator_names()
     return Possible(model.name, missing, tuple(n for n in reconstructed if n in model_columns), silent, methods, slow)

@@ -34,6 +34,7 @@ from groundstation.calibration.facts import RecordedFacts
 from groundstation.calibration.scan_table import Readings, ScanTable, bridged, scan_table
 from groundstation.calibration.schema import CalibrationCurve, CalibrationError, Instrument, Triad
 from groundstation.flight import Flight, Provenance
+from groundstation.flight.arrays import hold_recent
 
 Array = NDArray[np.float64]
 
@@ -44,9 +45,6 @@ _MAG_OVERFLOW = 8  # bit 3 of the magnetometer's second status byte
 _FIX_3D = 3
 
 _OTHER_SENSOR = 2.0
-
-LONGEST_HOLD = 1.0
-"""How long [s] a supply voltage or chip temperature counts after it was read, where it is not read in each scan."""
 
 
 class Calibrator:
@@ -253,16 +251,6 @@ class Calibrator:
                     reading, sampled_at, table.time, table.number, smooth=smooth, furthest=furthest
                 )
         return values
-
-
-def hold_recent(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Array:
-    """A slowly changing auxiliary quantity, held from its last reading for at most `longest` seconds."""
-    if not np.isnan(values).any():
-        return values
-    rows = np.arange(values.size)
-    last = np.maximum.accumulate(np.where(np.isfinite(values), rows, -1))
-    recent = (last >= 0) & (time - time[last] <= longest)
-    return np.where(recent, values[last], np.nan)
 
 
 def _put_reading(readings: Readings, name: str, values: Array, group: str, delay: float) -> None:

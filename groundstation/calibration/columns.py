@@ -16,6 +16,7 @@ from groundstation.calibration.align import derivative
 from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.scan_table import ScanTable
 from groundstation.calibration.schema import CalibrationError, Instrument, MountingAngles, Vector
+from groundstation.flight.arrays import hold_recent
 from groundstation.flight.atmosphere import density
 
 Array = NDArray[np.float64]
@@ -61,11 +62,12 @@ class CombinedColumns:
             static = static - site.position_error * true_impact
             impact = true_impact
         self.columns["p_dynamic"], self.columns["p_static"], self.columns["temperature"] = impact, static, temperature
+        static, temperature = (hold_recent(self.table.time, v) for v in (static, temperature))
         self.columns["rho"] = density(static, temperature)
         self.columns["V"] = conversions.true_airspeed(impact, static, temperature)
         self.columns["V_cas"] = conversions.calibrated_airspeed(impact)
         reference = site.sea_level_pressure if site else SEA_LEVEL_PRESSURE
-        self.columns["altitude"] = conversions.pressure_altitude(static, reference)
+        self.columns["altitude"] = conversions.pressure_altitude(self.columns["p_static"], reference)
 
     def _rates_and_field(self) -> None:
         self.columns.update(zip("pqr", self._axes("gyro"), strict=True))

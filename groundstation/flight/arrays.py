@@ -15,6 +15,20 @@ MOST_WINDOWS = 300
 """Of one signal, even over a long record: 20 minutes tell a scale or a sign to a hundredth of what is asked of it."""
 
 
+LONGEST_HOLD = 1.0
+"""How long [s] a supply voltage, chip temperature or static pressure counts after it was read, where not in each scan."""
+
+
+def hold_recent(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Array:
+    """A slowly changing auxiliary quantity, held from its last reading for at most `longest` seconds."""
+    if not np.isnan(values).any():
+        return values
+    rows = np.arange(values.size)
+    last = np.maximum.accumulate(np.where(np.isfinite(values), rows, -1))
+    recent = (last >= 0) & (time - time[last] <= longest)
+    return np.where(recent, values[last], np.nan)
+
+
 def true_runs(mask: Mask, parts: Iterable[slice] | None = None) -> list[tuple[int, int]]:
     """[start, stop) of each run of True in a mask (N,), cut at the borders of parts (all of it is one part by default)."""
     runs: list[tuple[int, int]] = []

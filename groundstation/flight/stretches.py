@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daq.utilities.plain_words import listed
 from groundstation.flight.airspeed import airspeed, ground_speed, lost_airspeed
-from groundstation.flight.arrays import Array, Mask, true_runs
+from groundstation.flight.arrays import Array, Mask, hold_recent, true_runs
 from groundstation.flight.errors import FlightError
 from groundstation.flight.expression import MODE, Expression, parse_condition
 from groundstation.flight.flight import Flight
@@ -116,7 +116,7 @@ class Airborne:
 
 def airborne(flight: Flight) -> Airborne:
     """When the aircraft flew; all of the flight where no speed tells."""
-    speed = _speed(flight)
+    speed = hold_recent(flight.time, _speed(flight))
     stands = _standing(speed)
     rolling_speeds = speed[np.isfinite(speed) & (speed > stands)]
     limit = max(SLOW * float(np.median(rolling_speeds)), stands) if rolling_speeds.size else 0.0

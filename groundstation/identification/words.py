@@ -45,25 +45,38 @@ def lines(state: LiveState) -> Iterator[str]:
 
 
 def markdown(state: LiveState) -> str:
-    """Everything, for the viewer's text pane."""
-    e = state.estimates
+    """Everything, for the viewer's text pane: first what to do now, for the pane may be too low for more than that."""
+    e, point = state.estimates, list(point_lines(state))
+    to_do = [f"**{line}**" for line in (*point[-1:], _next_line(state))]
     rows = [
         f"**{state.aircraft.name}**, {e.span:.0f} s of flight, t = {state.time:.1f} s{_late(state)}",
         "",
-        "| | now | bound | believed | by | to go |",
+        *(f"- {line}" for line in (*to_do, *point[:-1])),
+        "",
+        "| | now | bound | to go | believed | by |",
         "|---|---|---|---|---|---|",
     ]
     for name in state.aircraft.shown:
         d = e.derivatives[name]
         value, bound = (f"**{d.estimate:.4g}**", f"{d.std:.2g}") if d.told else ("-", "-")
         source = state.aircraft.sources.get(name, "")
-        rows.append(f"| {name} | {value} | {bound} | {_believed(state, name)} | {source} | {_to_go(state, name)} |")
+        rows.append(f"| {name} | {value} | {bound} | {_to_go(state, name)} | {_believed(state, name)} | {source} |")
     notes = [f"- {d.name}: {words}" for n in state.aircraft.shown if (words := _remark(state, d := e.derivatives[n]))]
-    return "\n".join([*rows, "", *(f"- {line}" for line in advice_lines(state)), *notes])
+    return "\n".join([*rows, "", *(f"- {line}" for line in _motion_lines(state)), *notes])
 
 
 def advice_lines(state: LiveState) -> Iterator[str]:
-    """Mass, excitation, what is told only together, and what to fly next."""
+    """Mass, excitation, what is told only together, the test point, and what to fly next."""
+    yield from _motion_lines(state)
+    yield from point_lines(state)
+    yield _next_line(state)
+
+
+def _next_line(state: LiveState) -> str:
+    return f"next: {next_words(state)}"
+
+
+def _motion_lines(state: LiveState) -> Iterator[str]:
     if math.isfinite(state.mass):
         yield _mass_words(state.mass, state.aircraft.airframe)
     for signal in state.excitation:
@@ -80,8 +93,6 @@ def advice_lines(state: LiveState) -> Iterator[str]:
             f"{pair.first} and {pair.second} are identified only together (correlation {pair.correlation:+.2f}): "
             "trust their ratio more than either"
         )
-    yield from point_lines(state)
-    yield f"next: {next_words(state)}"
 
 
 def _mass_words(mass: float, airframe: Airframe) -> str:

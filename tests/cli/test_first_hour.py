@@ -75,6 +75,18 @@ def test_the_printed_completion_completes_a_verb() -> None:
     assert done.stdout.split() == ["plain,estimate"]
 
 
+@pytest.mark.parametrize(
+    ("ground", "segments"),
+    [("", ""), ("[ground]\nbefore_s = 5.0\nlaunch_s = 20\nafter_s = 4.0\n", " --segments 25:65")],
+)
+def test_after_a_simulated_flight_only_what_forces_flew_is_estimated(
+    ground: str, segments: str, tmp_path: Path
+) -> None:
+    (tmp_path / "scenario.toml").write_text(f"[flight]\nduration_s = 40.0\n{ground}")
+    line = next_line(["fly", "quiet", "--out", str(tmp_path)], failed=False)
+    assert line == f"sideslip estimate {tmp_path}/flight.mcap{segments}"
+
+
 def test_every_verb_says_what_to_do_next_and_quiet_does_not(capsys: pytest.CaptureFixture[str]) -> None:
     assert {*NEXT} == {*VERBS} - HELPERS - SAY_IT_THEMSELVES
     assert {*AFTER_A_FAILED_CHECK} <= {*VERBS}

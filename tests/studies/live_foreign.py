@@ -1,9 +1,9 @@
 """Live numbers and the monitor on aeroplanes of another simulator (`random_aeroplanes`), at every rate of scans.
 
-`python -m tests.studies.live_foreign [--aeroplanes 8] [--rates 10 12 20 50 100] [--noise 1 3] [--gust 0 0.5] [estimates|quiet]`:
-lateral flights of 26 s, beliefs 20 % off. `estimates`: rms error and coverage of the eight main derivatives at the end; `quiet`:
-alarms of `watch` with the true model. Nothing of it was used to choose a number of the program. The last result is kept in
-docs/validation/live.md.
+`python -m tests.studies.live_foreign [--aeroplanes 8] [--first 0] [--rates 10 12 20 50 100] [--noise 1 3] [--gust 0 0.5]
+[estimates|quiet]`: lateral flights of 26 s, beliefs 20 % off. `estimates`: rms error and coverage of the eight main derivatives at
+the end; `quiet`: alarms of `watch` with the true model. Nothing of it was used to choose a number of the program. The last result
+is kept in docs/validation/live.md.
 """
 
 import argparse
@@ -40,10 +40,10 @@ def aircraft_of(craft: Aeroplane, rng: np.random.Generator, off: float, lag: flo
 
 
 def drawn(
-    count: int, rate: float, noise: float, gust: float
+    options: argparse.Namespace, rate: float, noise: float, gust: float
 ) -> Iterator[tuple[Aeroplane, list[Flight], np.random.Generator]]:
     """Aeroplanes with a flight each. gust: rms sideslip [deg]."""
-    for seed in range(count):
+    for seed in range(options.first, options.first + options.aeroplanes):
         rng = np.random.default_rng([47, seed])
         craft = Aeroplane.drawn(rng)
         situation = Situation("", rate=rate, noise=noise, gust=gust * DEG)
@@ -69,7 +69,7 @@ def estimates(options: argparse.Namespace, lag: float | None) -> None:
         for noise in options.noise:
             for gust in options.gust:
                 relative, z = list[float](), list[float]()
-                for craft, flights, rng in drawn(options.aeroplanes, rate, noise, gust):
+                for craft, flights, rng in drawn(options, rate, noise, gust):
                     aircraft = aircraft_of(craft, rng, OFF, lag)
                     airframe = airframe_of(load_model("lateral", aircraft), aircraft)
                     parts = errors(airframe, flights[0], dict(craft.derivatives))
@@ -93,7 +93,7 @@ def quiet(options: argparse.Namespace, lag: float | None) -> None:
         for noise in options.noise:
             for gust in options.gust:
                 alarms, scores, flown = list[str](), list[float](), 0
-                for craft, flights, rng in drawn(options.aeroplanes, rate, noise, gust):
+                for craft, flights, rng in drawn(options, rate, noise, gust):
                     aircraft = aircraft_of(craft, rng, 0.0, lag)
                     try:
                         answer = watch(load_model("lateral", aircraft), flights[0], aircraft, hours=options.hours)
@@ -114,6 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="?", choices=("estimates", "quiet"), default="estimates")
     parser.add_argument("--aeroplanes", type=int, default=8)
+    parser.add_argument("--first", type=int, default=0, help="number of the first of them")
     parser.add_argument("--rates", type=float, nargs="+", default=[10.0, 12.0, 20.0, 50.0, 100.0])
     parser.add_argument("--noise", type=float, nargs="+", default=[1.0, 3.0])
     parser.add_argument("--gust", type=float, nargs="+", default=[0.0, 0.5])

@@ -18,6 +18,8 @@ from groundstation.flight.contradictions.fits import Columns
 from groundstation.flight.kinematics import EULER_RATES, GYROS, earth_acceleration
 
 FEWEST_ALIVE = 2  # blocks: a sensor that has lived
+FEWEST_DEAD = 2  # blocks in which it stands still: the others are wrong for one where a manoeuvre is fast, but
+CLEARLY = 1.5  # times more of either share below, one tells
 FOLLOWS = 0.7  # correlation of a signal with its integrated rate, in a block in which it lives
 STILL = 0.25  # of the movement that the others show: a slow or damped sensor moves more
 EVIDENT = 3.5  # times the usual disagreement, that the others have to move by
@@ -181,8 +183,15 @@ def _weightless(time: Array, c: Columns) -> Mask:
     force = np.sqrt(c["ax"] ** 2 + c["ay"] ** 2 + c["az"] ** 2)
     light = np.zeros(time.size, bool)
     for a, b in true_runs(force < WEIGHTLESS):
-        light[a:b] = time[b - 1] - time[a] >= PARABOLA
+        light[a:b] = time[b - 1] - time[a] >= PARABOLA and not _pushes_over(c, slice(a, b))
     return light & bool(np.nanmedian(force) > 0.5 * GRAVITY or np.nanmax(force) > 0.5 * GRAVITY)
+
+
+def _pushes_over(c: Columns, run: slice) -> bool:
+    """Whether the path bends down as it does without weight, or nothing tells: q V is then g."""
+    if not {"q", "V"} <= c.keys():
+        return True
+    return not float(np.nanmedian(c["q"][run] * c["V"][run])) > -0.5 * GRAVITY
 
 
 def _standing(time: Array, row: Follower, c: Columns) -> Iterator[tuple[tuple[str, ...], Mask]]:
@@ -196,7 +205,9 @@ def _standing(time: Array, row: Follower, c: Columns) -> Iterator[tuple[tuple[st
         alive = np.any([b.follows for b in blocks], axis=0)
         if not sensors or alive.sum() < FEWEST_ALIVE or not dead.any():
             continue
-        mask = _grown(time, [c[n] for n in sensors], _bridged(dead, alive), size)
+        clear = np.any([b.dead(side, CLEARLY) for b in blocks], axis=0)
+        runs = [(a, b) for a, b in _bridged(dead, alive) if dead[a:b].sum() >= FEWEST_DEAD or (dead & clear)[a:b].any()]
+        mask = _grown(time, [c[n] for n in sensors], runs, size)
         yield sensors, mask
 
 
@@ -221,14 +232,14 @@ class _Blocks:
             follows = whole & (np.mean(x * y, axis=1) > FOLLOWS * a * b)
         return cls((a, b), follows, float(np.median(off[follows])) if follows.any() else np.inf)
 
-    def evident(self, side: int) -> Mask:
+    def evident(self, side: int, margin: float = 1.0) -> Mask:
         """Blocks in which the other side moves enough to tell."""
-        return np.nan_to_num(self.moved[1 - side]) > EVIDENT * self.usual
+        return np.nan_to_num(self.moved[1 - side]) > margin * EVIDENT * self.usual
 
-    def dead(self, side: int) -> Mask:
+    def dead(self, side: int, margin: float = 1.0) -> Mask:
         """Blocks in which one side stands still, and the other moves."""
         with np.errstate(invalid="ignore"):
-            return self.evident(side) & (self.moved[side] < STILL * self.moved[1 - side])
+            return self.evident(side, margin) & (self.moved[side] < STILL / margin * self.moved[1 - side])
 
 
 def _means(rows: Array, each: int) -> Array:

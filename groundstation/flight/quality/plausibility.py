@@ -31,6 +31,9 @@ _LONG_UNITS = {"min": 60.0, "h": 3600.0, "days (of Excel or MATLAB)": 86400.0}
 _USUAL_STEP = (0.004, 1.0)  # s between samples of flight dynamics
 _SPEED_UNITS = {"knots": 3600 / NAUTICAL_MILE, "km/h": 3.6, "mph": 1 / MILE_PER_HOUR, "ft/s": 1 / FOOT, "cm/s": 100.0}
 
+_FAST_UNITS = {"knots, ft/s or km/h": 3.6, "cm/s": 100.0, "mm/s": 1000.0}
+"""Units of an airspeed that is too fast in m/s -> the largest of their numbers in one m/s."""
+
 # column -> (unit, lowest and highest median that this unit gives)
 _OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "p_static": (("hPa", 200, 1100), ("kPa", 20, 110), ("inHg", 6, 19.9), ("psi", 3, 5.9)),
@@ -38,6 +41,8 @@ _OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "rho": (("g/m3", 300, 1600), ("slug/ft3", 6e-4, 3.2e-3)),
     "throttle": (("%", 1.5, 100), ("us", 800, 2200)),
     "mx": (("uT", 1.5, 100), ("gauss", 0.015, 1.4), ("nT", 1500, 1e5), ("mgauss", 101, 1400)),
+    "altitude": (("ft", 2e4, 6.5e4),),
+    "altitude_gnss": (("ft or cm", 2e4, 6.5e4), ("mm or cm", 6.5e4, 2e7)),
     "latitude": (("degE7", 1e6, 9e8),),
     "longitude": (("degE7", 1e6, 1.8e9),),
 }
@@ -183,7 +188,7 @@ def _speed(time: Array, c: Columns) -> Iterator[Finding]:
         return
     high, middle = COLUMN_BY_NAME["V"].plausible[1], _median(c["V"])
     if middle > high:
-        unit = "cm/s" if middle / 100.0 <= high else "mm/s"
+        unit = next(unit for unit, factor in _FAST_UNITS.items() if middle / factor <= high or unit == "mm/s")
         yield _suspect("V", f"median {middle:.4g} m/s, beyond {high:g}; is it in {unit}?")
 
 

@@ -293,7 +293,12 @@ def test_wrong_chip_is_named_in_the_health_table() -> None:
 
 @pytest.mark.parametrize(
     ("rate_hz", "bus"),
-    [(200.0, BusModel(frequency_hz=400e3)), (1000.0, BusModel(frequency_hz=1e6, overhead_us=5.0))],
+    [
+        (90.0, BusModel(frequency_hz=400e3)),
+        (100.0, BusModel(frequency_hz=400e3)),
+        (200.0, BusModel(frequency_hz=400e3)),
+        (1000.0, BusModel(frequency_hz=1e6, overhead_us=5.0)),
+    ],
 )
 def test_higher_rates_read_the_imu_each_time_and_the_rest_in_turn(rate_hz: float, bus: BusModel) -> None:
     config = cdfp_sensors()

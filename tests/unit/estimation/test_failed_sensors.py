@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from estimation.analysis.choice import without_failures
+from estimation.analysis.outcome import Analysis
+from estimation.session.recipe import recipe
 from estimation.session.runner import contradicted_columns
 from groundstation.flight import Flight
 from tests.unit.groundstation.turning import turning_flight
@@ -39,3 +41,23 @@ def test_what_fails_stops_only_a_model_that_uses_it(columns: set[str], stopped: 
     texts = contradicted_columns(columns, flight)
     assert bool(texts) == stopped
     assert np.isfinite(flight["V"]).all()
+
+
+@pytest.mark.parametrize(("name", "bound", "words"), [
+    ("Cl_beta", 0.03, "known to 30% only"), ("Cl_beta", 0.02, ""), ("Cl_0", 0.9, ""), ("delay_ay", 0.9, ""),
+])  # fmt: skip
+def test_a_derivative_that_is_known_roughly_is_said_to_be(name: str, bound: float, words: str) -> None:
+    parameter = {"estimate": -0.1, "std_coloured": bound, "identifiable": True}
+    content = {"estimate": {"flights": [{"methods": {"ml": {"parameters": {name: parameter}}}}]}}
+    assert [row[3] for row in Analysis(content, {}, ()).derivatives()] == [words]
+
+
+@pytest.mark.parametrize(("lacking", "able"), [((), True), (("beta",), True), (("ay",), True), (("beta", "ay"), False)])
+def test_a_recipe_offers_what_an_estimate_takes(lacking: tuple[str, ...], able: bool) -> None:
+    columns = turning_flight(6, seconds=20.0)
+    time = columns.pop("time")
+    columns |= dict.fromkeys(("delta_a", "delta_r", "alpha", "beta"), 0.05 * np.sin(time))
+    some = {n: v for n, v in columns.items() if n not in (*lacking, "vn", "ve", "vd")}
+    models = {m.model: m for m in recipe(Flight.build("f", time, some)).models}
+    assert models["lateral"].able == able
+    assert set(lacking) <= {*models["lateral"].silent, *models["lateral"].missing}

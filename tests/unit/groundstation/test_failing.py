@@ -55,7 +55,7 @@ def test_nothing_fails_in_a_sound_flight(seed: int) -> None:
     ("names", "failure"),
     [
         ("V", holds), ("V", falls), ("beta", holds), ("beta", sticks), ("vn ve vd", holds), ("vn ve vd", sticks),
-        ("p q r", holds), ("p", sticks), ("r", falls), ("ax ay az", holds), ("ax ay az", falls), ("phi theta psi", sticks),
+        ("p q r", holds), ("p", sticks), ("beta", falls), ("ax ay az", holds), ("ax ay az", falls), ("phi theta psi", sticks),
     ],
 )  # fmt: skip
 def test_what_fails_is_named_with_its_times(names: str, failure: Failure, begin: float, end: float) -> None:
@@ -128,3 +128,15 @@ def test_a_landing_after_the_fix_froze_is_no_failed_pitot() -> None:
     flight = Flight.build("f", t, columns)
     assert not airborne(flight).flying[landed].any()
     assert all("V" not in c.failed for c in contradictions(flight))
+
+
+def test_a_push_over_is_no_failed_accelerometer() -> None:
+    columns = {n: v for n, v in turning_flight(2, seconds=40.0).items() if n not in ("vn", "ve", "vd")}
+    over = (columns["time"] > 20.0) & (columns["time"] < 24.0)
+    rng = np.random.default_rng(3)
+    for axis in ("ax", "ay", "az"):
+        columns[axis][over] = 0.1 * rng.standard_normal(over.sum())
+    denied = dict(columns)
+    columns["q"] = np.where(over, -GRAVITY / columns["V"], columns["q"])
+    assert not [c for c in failing(columns, "", holds, 0.0, 0.0) if "ax" in c.failed]
+    assert [c for c in failing(denied, "", holds, 0.0, 0.0) if "ax" in c.failed]

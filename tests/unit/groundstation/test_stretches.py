@@ -130,6 +130,12 @@ def test_of_a_whole_flight_what_stood_and_rolled_is_left_out_without_being_asked
     assert len(select_segments(flight, "0:100")) == len(flight)  # who asks for the ground has it
 
 
+def test_a_speed_with_gaps_tells_the_ground_as_well() -> None:
+    whole = whole_flight()
+    gappy = flown(**{**whole.columns, "V": np.where(np.arange(len(whole)) % 4 == 1, np.nan, whole["V"])})
+    assert (airborne(gappy).flying == airborne(whole).flying).mean() > 0.99
+
+
 def test_an_airspeed_of_nothing_at_speed_over_ground_is_not_standing() -> None:
     assert len(select_segments(whole_flight(ground_speed=17.0), None)) == 1000
     slow_flyer = flown(V=np.full(1000, 2.2), altitude=np.full(1000, 5.0))

@@ -62,6 +62,14 @@ def test_the_card_says_what_was_flown_and_gained_and_what_comes_next() -> None:
         assert "next: aileron 3-2-1-1, 6.0 deg for 2.8 s, then hands off to 8 s (bound of Cl_p from 2.4 to 1.1" in text
 
 
+def test_what_to_do_stands_before_the_table() -> None:
+    """The pane is lower than the table on a small screen: what to do now was below its edge."""
+    text = markdown(state({"Cl_p": 12.0}, moving=True))
+    table = text.index("| now |")
+    assert text.index("**test point: go on") < text.index("**next: ") < text.index("test point under way") < table
+    assert "| to go | believed | by |" in text
+
+
 def test_one_line_has_room_on_the_link() -> None:
     line = point_line(state({"Cl_p": 12.0, "Cn_r": 0.0}))
     assert line == "point aileron 5 deg: good; 1/2 there, Cl_p 2.4x; next aileron 3-2-1-1 6.0 deg 3 s"
