@@ -152,7 +152,8 @@ def _proof_lines(exported: "ExportedSimulator") -> list[str]:
     lines += [f"  {axis:<8}{value:>11.2g}{proof.limit:>11.2g}" for axis, value in proof.deviation.items()]
     lines += [f"  left out: {term.sentence()}" for term in proof.left_out]
     lines.append(proof.sentence())
-    return [*lines, *exported.lines]
+    # how to fly it is nothing to say of what must not be flown
+    return lines if proof.failed else [*lines, *exported.lines]
 
 
 def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from: str | None, rate: float) -> FileAnswer:

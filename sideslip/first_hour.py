@@ -50,6 +50,7 @@ AFTER_A_FAILED_CHECK: Mapping[str, str] = {
     "verify": "sideslip recover {file} -o recovered.mcap",
     "check": "sideslip view {file}, where it fails",
     "aircraft": "write in {file} what is missing, then sideslip aircraft check {file}",
+    "export": "{out} is not what {file} says: sideslip export {file} again, with --force",
     "watch": "",  # the answer names the command
     "performance": "glides from near the slowest to near the fastest speed, then sideslip performance again",
 }

@@ -19,6 +19,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from daq.contract.link.papers_dictionary import PAPERS_DICTIONARY
 from daq.contract.recordings.messages import EventMessage
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import Scan, encode_scan
@@ -166,7 +167,8 @@ def papers_of(info: RecordingInfo, events: Sequence[EventMessage] = ()) -> tuple
         "archive_bytes": len(archive),
         "archive_sha256": hashlib.sha256(archive).hexdigest(),
     }
-    return zlib.compress(json.dumps(identity).encode(), 9), archive
+    packer = zlib.compressobj(9, zdict=PAPERS_DICTIONARY)
+    return packer.compress(json.dumps(identity).encode()) + packer.flush(), archive
 
 
 @dataclass(frozen=True, slots=True)

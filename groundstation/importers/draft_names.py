@@ -166,6 +166,7 @@ def time_unit(time: Array) -> tuple[str, str]:
     return "s", f"UNKNOWN unit: rows every {step:.4g}"
 
 
+@np.errstate(all="ignore")  # absurd values, which are in no unit
 def unit_of(column: str, names: Mapping[str, str], values: Mapping[str, Array], time: Array | None) -> UnitGuess:
     """Unit of a proposed column. names: flight column -> its column in the table."""
     si = COLUMN_BY_NAME[column].unit
@@ -210,6 +211,7 @@ def _force_unit(names: Mapping[str, str], values: Mapping[str, Array], extent: s
     return UnitGuess("m/s2", f"{extent}; UNKNOWN unit: median specific force {size:.4g} is gravity in none")
 
 
+@np.errstate(all="ignore")
 def rate_that_turns(
     labels: Sequence[str], angle: str, values: Mapping[str, Array], time: Array | None
 ) -> tuple[str, str]:

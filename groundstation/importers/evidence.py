@@ -51,9 +51,9 @@ def _tubes_turned(series: dict[str, TimeSeries]) -> list[str]:
     notes = []
     for prefix in _prefixes(series, "ARSP", "DiffPress"):
         pressure, speed = series[f"{prefix}.DiffPress"], series.get(f"{prefix}.Airspeed")
-        if speed is None or not speed.values.size or speed.values.size != pressure.values.size:
+        if speed is None or not np.isfinite(speed.values).any() or speed.values.size != pressure.values.size:
             continue
-        fast = speed.values > 0.5 * np.nanmax(speed.values)
+        fast = (speed.values > 0.5 * np.nanmax(speed.values)) & np.isfinite(pressure.values)
         if fast.any() and np.nanmedian(pressure.values[fast]) < 0.0:
             series[f"{prefix}.DiffPress"] = replace(pressure, values=-pressure.values)
             notes.append(f"{prefix}: the tubes of its pitot are swapped (DiffPress is negative in flight): turned")

@@ -125,9 +125,7 @@ def _disagreements(
 
 def _ratio(first: TimeSeries, second: TimeSeries) -> float | None:
     values: Array = np.interp(first.time, second.time, second.values) if second.time.size > 1 else np.zeros(0)
-    if values.size == 0:
+    if not np.isfinite(values).any():
         return None
-    use = np.abs(values) > 0.5 * np.nanmedian(np.abs(values))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = float(np.nanmedian(first.values[use] / values[use])) if use.any() else np.nan
-    return ratio if np.isfinite(ratio) else None
+    use = (np.abs(values) > 0.5 * np.nanmedian(np.abs(values))) & np.isfinite(first.values)
+    return float(np.median(first.values[use] / values[use])) if use.any() else None

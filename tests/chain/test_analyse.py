@@ -95,6 +95,6 @@ def test_without_surfaces_the_way_to_a_map_is_told(folder: Path) -> None:
     found = ss.analyse(folder / "log.bin", aircraft="cdfp", output=folder / "none")
     assert not found.passed
     assert found.to_json()["verdict"].startswith(
-        "No derivatives: the log is not enough for any model; nearest is lateral: it lacks delta_a"
+        "No derivatives: the log is not enough for any model; nearest is longitudinal: it lacks delta_e"
     )
     assert any("--draft-map" in n for n in found.to_json()["next"])

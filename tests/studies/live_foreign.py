@@ -1,7 +1,7 @@
 """Live numbers and the monitor on aeroplanes of another simulator (`random_aeroplanes`), at every rate of scans.
 
 `python -m tests.studies.live_foreign [--aeroplanes 8] [--first 0] [--rates 10 12 20 50 100] [--noise 1 3] [--gust 0 0.5]
-[estimates|quiet]`: lateral flights of 26 s, beliefs 20 % off. `estimates`: rms error and coverage of the eight main derivatives at
+[estimates|quiet]`: lateral flights of 26 s, beliefs 20 % off. `estimates`: rms error and coverage of the main derivatives at
 the end; `quiet`: alarms of `watch` with the true model. Nothing of it was used to choose a number of the program. The last result
 is kept in docs/validation/live.md.
 """

@@ -1,7 +1,9 @@
 """Quantities of a flight that say the same twice, and by how much they contradict each other: for import, check, preflight,
 recipe and estimate alike."""
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -36,10 +38,18 @@ def contradictions_of(time: Array, columns: Mapping[str, Array]) -> tuple[Contra
     """What arrays contradict of each other. time: (N,) [s]; columns: name -> (N,), SI, named as in `daq.contract.channels`;
     NaN and columns without a value count as not measured."""
     time = np.asarray(time, float)
-    with np.errstate(all="ignore"):  # absurd values, which are contradictions themselves or named elsewhere
+    with _absurd_values():
         failures, sound = failing_sensors(time, _measured(columns))
         measured = _measured(sound)
         return (*failures, *(c for compare in COMPARISONS for c in compare(time, measured)))
+
+
+@contextmanager
+def _absurd_values() -> Iterator[None]:
+    """Without warnings of absurd values, which are contradictions themselves or named elsewhere, and of stretches without any."""
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
 
 
 def _measured(columns: Mapping[str, Array]) -> dict[str, Array]:
@@ -70,7 +80,7 @@ def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
 def no_airspeed(flight: Flight) -> str:
     """Why a flight's V is none, for the end of a sentence; empty where the rest of the flight does not tell."""
     columns = _measured(flight.columns)
-    with np.errstate(all="ignore"):
+    with _absurd_values():
         lost = [c for c in failing_sensors(flight.time, columns)[0] if c.between[0] in PITOT]
         contradiction = next(iter([*lost, *air.pitot_against_ground(flight.time, columns)]), None)
     return "" if contradiction is None else f"; {contradiction.text}"

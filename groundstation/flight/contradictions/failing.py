@@ -5,17 +5,17 @@ that lives moves as the integral of the rate; one that has failed stands still w
 the two usually disagree by. A sensor that never lived is another contradiction.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from daq.utilities.constants import GAS_CONSTANT, GRAVITY, SEA_LEVEL_TEMPERATURE
+from daq.utilities.constants import GRAVITY
 from groundstation.flight.airspeed import LASTS, airspeed, lost_airspeed
-from groundstation.flight.arrays import Array, Mask, alternates, integral, true_runs
+from groundstation.flight.arrays import Array, Mask, alternates, true_runs
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Columns
-from groundstation.flight.kinematics import EULER_RATES, GYROS, earth_acceleration
+from groundstation.flight.contradictions.followers import FOLLOWERS, FORCE, RECONSTRUCT, Follower
 
 FEWEST_ALIVE = 2  # blocks: a sensor that has lived
 FEWEST_DEAD = 2  # blocks in which it stands still: the others are wrong for one where a manoeuvre is fast, but
@@ -26,103 +26,12 @@ EVIDENT = 3.5  # times the usual disagreement, that the others have to move by
 FEWEST_SAMPLES = 8  # of a block
 MEANS = 16  # of neighbouring samples in a block, so that noise from sample to sample hides no slow movement
 SHORTEST_REST = 3.0  # [s] of flight before, between or after failures that is worth naming
-SHORT, LONG = (
-    4.0,
-    10.0,
-)  # [s] of a block: attitude bends what accelerometers integrate; fixes need a turn or a change of speed
 SPREAD = 1.2  # times the movement of a failed sensor, within which it is still failed
 FROZEN, FROZEN_SAMPLES = 2.0, 20  # [s], samples of one value of a sensor with noise
 REPEATED = 0.3  # share of samples that repeat the last one: noise of a quantum or more repeats less often
 WEIGHTLESS, PARABOLA = 0.2 * GRAVITY, 3.0  # [m/s2], [s] of a specific force that no aeroplane flies
 PITOT = ("V", "p_dynamic", "V_cas")
 SENSED = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V", "p_dynamic")
-
-
-@dataclass(frozen=True)
-class Follower:
-    """What follows what. failing: columns that stand still where the signal does; drivers: columns whose rate it is, that stand
-    still where the integral does; needs: all that the pair is made of. signals: of (N,) columns. block [s]. cure: what to do."""
-
-    failing: tuple[str, ...]
-    drivers: tuple[str, ...]
-    needs: tuple[str, ...]
-    pairs: Callable[[Array, Columns], Sequence[tuple[Array, Array]]]
-    block: float
-    cure: str
-
-
-def _angle(name: str) -> Follower:
-    def pairs(time: Array, c: Columns) -> list[tuple[Array, Array]]:
-        return [(_unwrapped(c[name]), _integral(time, EULER_RATES[name](c)))]
-
-    gyro = GYROS[name]
-    return Follower(
-        (name,), (gyro,), ("p", "q", "r", "phi", "theta", name), pairs, SHORT, "take another sensor's instance"
-    )
-
-
-def _along_ground(time: Array, c: Columns) -> list[tuple[Array, Array]]:
-    """V, and the change of ground velocity along the nose: a constant wind changes nothing of it."""
-    level = np.cos(c["theta"])
-    nose = (level * np.cos(c["psi"]), level * np.sin(c["psi"]), -np.sin(c["theta"]))
-    steps = [
-        np.diff(c[n], prepend=c[n][:1]) * (0.5 * (u + np.roll(u, 1)))
-        for n, u in zip(("vn", "ve", "vd"), nose, strict=True)
-    ]
-    change = np.sum(steps, axis=0)
-    return [(c["V"], np.where(np.isfinite(change), np.cumsum(np.nan_to_num(change)), np.nan))]
-
-
-def _surge(time: Array, c: Columns) -> list[tuple[Array, Array]]:
-    a = c.get("alpha", np.zeros_like(c["V"]))
-    forward = c["ax"] - GRAVITY * np.sin(c["theta"])
-    down = c["az"] + GRAVITY * np.cos(c["theta"]) * np.cos(c["phi"])
-    return [(c["V"], _integral(time, forward * np.cos(a) + down * np.sin(a)))]
-
-
-def _sideways(time: Array, c: Columns) -> list[tuple[Array, Array]]:
-    a = c.get("alpha", np.zeros_like(c["V"]))
-    turn = c["V"] * (c["p"] * np.sin(a) - c["r"] * np.cos(a))
-    force = c["ay"] + GRAVITY * np.sin(c["phi"]) * np.cos(c["theta"])
-    return [(c["V"] * np.sin(c["beta"]), _integral(time, turn + force))]
-
-
-def _upwards(time: Array, c: Columns) -> list[tuple[Array, Array]]:
-    slip = c.get("beta", np.zeros_like(c["V"]))
-    turn = c["V"] * (c["q"] * np.cos(c["alpha"]) - c["p"] * slip)
-    force = c["az"] + GRAVITY * np.cos(c["theta"]) * np.cos(c["phi"])
-    return [(c["V"] * np.sin(c["alpha"]), _integral(time, turn + force))]
-
-
-def _velocity(time: Array, c: Columns) -> list[tuple[Array, Array]]:
-    return [(c[n], _integral(time, push)) for n, push in zip(("vn", "ve", "vd"), earth_acceleration(c), strict=True)]
-
-
-def _height(time: Array, c: Columns) -> list[tuple[Array, Array]]:
-    return [(c["altitude"], _integral(time, -c["vd"]))]
-
-
-def _pressure_height(time: Array, c: Columns) -> list[tuple[Array, Array]]:
-    scale = GAS_CONSTANT * SEA_LEVEL_TEMPERATURE / GRAVITY
-    return [(-scale * np.log(np.maximum(c["p_static"], 1.0)), _integral(time, -c["vd"]))]
-
-
-_VELOCITY, _FORCE, _ATTITUDE = ("vn", "ve", "vd"), ("ax", "ay", "az"), ("phi", "theta", "psi")
-_RECONSTRUCT = "or reconstruct it (sideslip reconstruct) from what else is measured"
-FOLLOWERS = (
-    *map(_angle, ("phi", "theta", "psi")),
-    *(
-        Follower(_VELOCITY, _FORCE, (*_VELOCITY, *_FORCE, *_ATTITUDE), _velocity, block, "or leave velocities out")
-        for block in (SHORT, LONG)
-    ),
-    Follower(("V",), (), ("V", "theta", "psi", *_VELOCITY), _along_ground, LONG, _RECONSTRUCT),
-    Follower(("V",), (), ("V", "ax", "az", "theta", "phi"), _surge, SHORT, _RECONSTRUCT),
-    Follower(("beta",), (), ("beta", "V", "ay", "p", "r", "phi", "theta"), _sideways, SHORT, _RECONSTRUCT),
-    Follower(("alpha",), (), ("alpha", "V", "az", "q", "p", "phi", "theta"), _upwards, SHORT, _RECONSTRUCT),
-    Follower(("altitude",), (), ("altitude", "vd"), _height, LONG, "or give rho"),
-    Follower(("p_static",), (), ("p_static", "vd"), _pressure_height, LONG, "or give rho"),
-)
-"""In this order: what has failed tells nothing of what comes after it."""
 
 
 def failing_sensors(time: Array, c: Columns) -> tuple[tuple[Contradiction, ...], dict[str, Array]]:
@@ -137,7 +46,7 @@ def failing_sensors(time: Array, c: Columns) -> tuple[tuple[Contradiction, ...],
     for names, failed in _frozen(time, columns).items():
         fails(names, failed, _stood_still(time, names, (), failed, "take another sensor's instance"))
     if (failed := _weightless(time, columns)).any():
-        fails(_FORCE, failed, _stood_still(time, _FORCE, (), failed, "take another sensor's instance"))
+        fails(FORCE, failed, _stood_still(time, FORCE, (), failed, "take another sensor's instance"))
     for row in FOLLOWERS:
         if row.failing == PITOT[:1] and (failed := lost_airspeed(time, columns)).any():
             fails(PITOT, failed, _pitot_lost(time, columns, failed))
@@ -178,7 +87,7 @@ def _frozen(time: Array, c: Columns) -> dict[tuple[str, ...], Mask]:
 
 def _weightless(time: Array, c: Columns) -> Mask:
     """(N,) where the accelerometers show next to no force for longer than any parabola."""
-    if not set(_FORCE) <= c.keys():
+    if not set(FORCE) <= c.keys():
         return np.zeros(time.size, bool)
     force = np.sqrt(c["ax"] ** 2 + c["ay"] ** 2 + c["az"] ** 2)
     light = np.zeros(time.size, bool)
@@ -297,7 +206,7 @@ def _pitot_lost(time: Array, c: Columns, lost: Mask) -> Contradiction:
     name = next(n for n in PITOT if n in c)
     text = (
         f"{name} is that of {np.nanmedian(speed[lost]):.2g} m/s {_when(time, lost)} while {witness}: the pitot blocked (water, "
-        f"ice) or lost its tube there; {_leave_out(time, lost, _RECONSTRUCT)}"
+        f"ice) or lost its tube there; {_leave_out(time, lost, RECONSTRUCT)}"
     )
     sides = (name, "vn", "ve") if np.isfinite(ground).any() else (name, "ax", "theta")
     return _failed(sides, text, time, lost)
@@ -336,18 +245,6 @@ def _forget(columns: dict[str, Array], names: Sequence[str], rows: Mask) -> None
     for name in names:
         if name in columns:
             columns[name] = np.where(rows, np.nan, columns[name])
-
-
-def _unwrapped(angle: Array) -> Array:
-    known = np.isfinite(angle)
-    result = angle.copy()
-    result[known] = np.unwrap(angle[known])
-    return result
-
-
-def _integral(time: Array, rate: Array) -> Array:
-    """Running integral of what is known, NaN where the rate is."""
-    return np.where(np.isfinite(rate), integral(time, np.nan_to_num(rate)), np.nan)
 
 
 def _filled(time: Array, values: Array) -> Array:

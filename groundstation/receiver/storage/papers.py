@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
+from daq.contract.link.papers_dictionary import PAPERS_DICTIONARY
 from daq.contract.recordings.messages import EventMessage
 from daq.contract.recordings.recording import CALIBRATION_PREFIX, CONFIG_ATTACHMENT, RecordingInfo
 
@@ -71,7 +72,7 @@ class Papers(BaseModel):
 
 def inflate(data: bytes, limit: int) -> bytes | None:
     """`data` unpacked; None for bytes that are not packed, are torn, or hold more than `limit` bytes."""
-    unpacker = zlib.decompressobj()
+    unpacker = zlib.decompressobj(zdict=PAPERS_DICTIONARY)  # used where the bytes were packed with it
     try:
         unpacked = unpacker.decompress(data, limit + 1)
     except zlib.error:

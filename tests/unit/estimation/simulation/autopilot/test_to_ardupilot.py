@@ -128,6 +128,7 @@ def test_a_wrong_sign_is_found(key: str, written: Path, tmp_path: Path) -> None:
     assert done.return_value == 1
     axis = {"y": "Y", "l": "L", "m": "M", "n": "N"}[key.split("_")[1][0]] if "lift" not in key else "Z"
     assert re.search(rf"proof failed: at 200 random states [XYZLMN, ]*{axis}", done.output)
+    assert "sim_vehicle.py" not in done.output  # it must not be flown
     assert written.read_text() != text  # nothing was written over it
 
 

@@ -133,6 +133,7 @@ def test_a_wrong_sign_is_found(key: str, folder: Path, tmp_path: Path) -> None:
     done = export(tmp_path / "random.toml", "--to", "gazebo", "-o", folder, "--prove")
     assert done.return_value == 1
     assert "proof failed" in done.output
+    assert "px4_sitl" not in done.output
 
 
 def test_a_surface_turned_over_is_found(folder: Path, tmp_path: Path) -> None:
