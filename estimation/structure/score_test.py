@@ -25,8 +25,6 @@ THRESHOLD = 5.0
 """Score from which a candidate is significant. In ten joint fits of plain, noisy, thin and gusty flights of random aeroplanes
 the largest of 25 scores was 1.4 to 3.4, with edges on the sampling clock 3.2 and 4.7; what was hidden scored 9 to 140
 (docs/validation.md)."""
-THRESHOLD_DAMPER = 3.5
-"""The same of a damper behind the record alone: 2.0 at most in 17 such fits without one, and 3.8 to 24 with one."""
 RIVAL = 0.85
 """Share of the strongest score from which another candidate would serve as well, if it is no more needed once that is in."""
 TIED = 0.97
@@ -39,9 +37,6 @@ the other way): more is a product of inertia that is not what the file says."""
 FACTORS = {"alpha": (0.5, 2.0), "beta": (0.5, 2.0)}
 """Scales that a vane in the upwash of an airframe can have (Gracey, NASA RP-1046: 1.1 to 1.8 ahead of a fuselage)."""
 FACTORS_ELSE = (0.75, 1.33)  # of any other channel: a calibration, not another instrument
-REACH = 0.25
-"""Of the span: farther from the CG an accelerometer is as a rule not carried (fuselages are some 0.8 spans long, and equipment is
-near the middle), and a vane that lags, which is as likely to be the cause, shows as one that is."""
 NOTABLE = 1.0  # bounds by which a printed value has to move
 BORNE = 3.0
 """Bounds up to which what leaving something out moves is counted in the bounds instead of forbidding a recommendation: its
@@ -184,7 +179,7 @@ def _rivals(
         k
         for k, t in enumerate(scores)
         if k not in (*taken_up, strongest)
-        and abs(t.score) > RIVAL * max(abs(scores[strongest].score), THRESHOLD)
+        and abs(t.score) > RIVAL * abs(scores[strongest].score)
         and abs(next_scores[k].score) < THRESHOLD
         and _possible(t, result, as_rival=True)
     ]
@@ -235,10 +230,6 @@ def _possible(tested: Tested, result: Result, *, as_rival: bool = False) -> bool
     if c.kind is CandidateKind.SCALE:
         low, high = FACTORS.get(c.channel, FACTORS_ELSE)
         return low <= tested.value <= high
-    if c.kind is CandidateKind.PLACE and not as_rival:
-        return abs(tested.value) <= REACH * result.model.constants.get("b", np.inf)
-    if c.kind is CandidateKind.DAMPER:
-        return tested.value > 0.0
     roll = result.parameters.get("Cl_da")
     if c.name == "Cn_da" and roll is not None and not as_rival:
         return abs(tested.value) <= ADVERSE * abs(roll.estimate)
@@ -270,11 +261,7 @@ def _scores(linear: LinearisedFit, taken_up: Sequence[int], result: Result, filt
         score = float(rest[a] / np.sqrt(information[a] + spread[a])) if usable else 0.0
         size = float(rest[a] / information[a]) if usable else 0.0
         moves = dict(zip(linear.shared, np.abs(shift[:, a] * size) / bounds, strict=True))
-        damper = (
-            candidate.kind is CandidateKind.DAMPER and size > 0.0
-        )  # against the rate, as signs of surfaces are here
-        limit = THRESHOLD_DAMPER if damper else THRESHOLD
-        tests.append(Tested(candidate, score, candidate.null + size, _printed(moves, result), limit))
+        tests.append(Tested(candidate, score, candidate.null + size, _printed(moves, result)))
     return tests
 
 

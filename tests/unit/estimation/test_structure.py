@@ -134,17 +134,6 @@ def test_a_large_yaw_by_aileron_may_stand_beside_another_ixz() -> None:
     assert _possible(replace(yaw, value=-0.02), fit)  # type: ignore[arg-type]
 
 
-def test_an_accelerometer_far_ahead_of_the_cg_and_a_driving_damper_lead_nothing() -> None:
-    fit = SimpleNamespace(parameters={}, model=SimpleNamespace(constants={"b": 2.0}))
-    place = Score(Candidate("x_imu", CandidateKind.PLACE, channel="ay", term="r_dot"), 40.0, -0.7, {})
-    assert not _possible(place, fit)  # type: ignore[arg-type]
-    assert _possible(place, fit, as_rival=True)  # type: ignore[arg-type]
-    assert _possible(replace(place, value=0.3), fit)  # type: ignore[arg-type]
-    damper = Score(Candidate("damper_delta_r", CandidateKind.DAMPER, term="r", channel="delta_r"), 9.0, 0.2, {})
-    assert _possible(damper, fit)  # type: ignore[arg-type]
-    assert not _possible(replace(damper, value=-0.2), fit)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(("scale", "lacking"), [(1.003, False), (1.06, True)])
 def test_gravity_is_no_scale_of_an_accelerometer(scale: float, lacking: bool) -> None:
     """0.3 % is what gravity differs by at 10 km; 6 % is a calibration."""
