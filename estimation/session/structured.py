@@ -211,7 +211,10 @@ def _of_basis(
     }
     trusted = _recommended_method(results)
     moved = _moved_result(results.get(trusted, basis), basis)
-    structure, odd = _of_result(basis, moved, ready, session.aircraft.sensors, scales)
+    unseen = {CandidateKind.PLACE} if "imu" in session.aircraft.sensors else set()
+    if any(f.reconstructed for f in task.flights) or any(d.commands for d in ready):
+        unseen.add(CandidateKind.DAMPER)
+    structure, odd = _of_result(basis, moved, ready, unseen, scales)
     follows = {
         m: not_gusts(usable[m], ready) if m == trusted else follows_controls(usable[m], ready)
         for m in FILTERS
@@ -233,20 +236,22 @@ def _recommended_method(results: Mapping[str, Result]) -> str:
 
 
 def _of_result(
-    basis: Result, recommended: Result, ready: list[FlightData], places: Collection[str], scales: Scales
+    basis: Result, recommended: Result, ready: list[FlightData], unseen: Collection[CandidateKind], scales: Scales
 ) -> tuple[StructureTest, tuple[OddFlight, ...]]:
     """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the
     others.
 
-    places: sensors whose places are stated, so that readings are brought to the CG; scales: what instruments may be off.
+    unseen: what these flights cannot show: the place of an accelerometer whose readings are brought to the CG; a damper, without
+    vanes (reconstructed angles follow the motion as one does: scores of 10 with nothing behind the record) or where the record
+    of a control is a command. scales: what instruments may be off.
     """
     filtered = recommended.method in FILTERS
     linearised_result = recommended if filtered else basis
     linear = linearise_fit(*first_part(linearised_result, ready))
     if linear is None:
         return StructureTest((), (), why_not="not tested: the motion runs away from the smallest change"), ()
-    if "imu" in places:
-        linear = linear.without(CandidateKind.PLACE)
+    for kind in unseen:
+        linear = linear.without(kind)
     structure = structure_of(linear, recommended, filtered=filtered)
     names = [lack.leading.candidate.name for lack in structure.lacks]
     odd = odd_flights(linear.absorbing(names), recommended, scales)

@@ -260,6 +260,8 @@ def _scores(linear: LinearisedFit, taken_up: Sequence[int], result: Result, filt
         usable = a not in taken_up and information[a] > 0.0
         score = float(rest[a] / np.sqrt(information[a] + spread[a])) if usable else 0.0
         size = float(rest[a] / information[a]) if usable else 0.0
+        if candidate.kind is CandidateKind.DAMPER and size <= 0.0:
+            score = size = 0.0  # it acts against its rate, as signs of surfaces are here
         moves = dict(zip(linear.shared, np.abs(shift[:, a] * size) / bounds, strict=True))
         tests.append(Tested(candidate, score, candidate.null + size, _printed(moves, result)))
     return tests

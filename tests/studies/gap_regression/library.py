@@ -156,6 +156,7 @@ LIBRARY: tuple[Hypothesis, ...] = (
     _gyro("time_skew", _inertial_unit_later, "inertial unit"),
     _correction("time_skew", lambda s: {n: late(s[n], -0.07, s["step"]) for n in ("phi", "theta")}, "attitude"),
     _correction("time_skew", lambda s: {"beta": late(s["beta"], -0.07, s["step"])}, "air data"),
+    _correction("time_skew", lambda s: {"ay": late(s["ay"], -0.07, s["step"])}, "accelerometers"),
     _term("wind_shear", lambda s, d: {"beta": -0.15 * np.cos(s["psi"]) * np.sin(s["theta"] - s["alpha"])}, "east wind"),
     _term("wind_shear", lambda s, d: {"beta": 0.15 * np.sin(s["psi"]) * np.sin(s["theta"] - s["alpha"])}, "north wind"),
 )

@@ -64,7 +64,7 @@ def test_why_it_is_not_the_name_is_its_range_then_what_the_rounds_said() -> None
         return one.why_not
 
     said = Rejected("Cm_beta2", "explains only 37% of what a nameless term does")
-    assert why(2.7, said) == "that is outside what is physically possible (-2 to 2)"
+    assert why(3.7, said) == "that is outside what is physically possible (-3 to 3)"
     assert why(1.4, said) == "as a name it explains only 37% of what a nameless term does"
     assert why(1.4) == "as a name it does not stand by itself"
 
