@@ -115,6 +115,10 @@ class Airframe:
         ratio = mass / self.mass
         return ratio if 1.0 / FARTHEST_MASS < ratio < FARTHEST_MASS else 1.0
 
+    def mass_as(self, measured: float) -> float:
+        """The airframe's mass [kg] as measured in flight; as stated where that is not known (NaN), or none that it can have."""
+        return self.mass * self.mass_ratio(measured)
+
     def believed(self, name: str) -> float:
         """The believed value of a derivative, zero where nothing is believed."""
         belief = self.beliefs.get(name)

@@ -183,9 +183,7 @@ def predicted_pitch_columns(
     share = 1.0 / max(1.0, largest)
     pressure, rate = 0.5 * sample.rho * sample.V**2, airframe.chord / (2.0 * sample.V)
     d = {n: values.get(n, 0.0) for n in ("CL_alpha", "CL_q", "CL_de")}
-    level = (
-        airframe.mass * airframe.mass_ratio(sample.mass) * GRAVITY * math.cos(sample.theta) / (pressure * airframe.area)
-    )
+    level = airframe.mass_as(sample.mass) * GRAVITY * math.cos(sample.theta) / (pressure * airframe.area)
     alpha, q_hat, elevator = share * states[:, 0], share * rate * states[:, 1], share * surfaces[:, 0]
     lift = level + d["CL_alpha"] * alpha + d["CL_q"] * q_hat + d["CL_de"] * elevator
     table = np.column_stack([np.ones(len(states)), alpha, q_hat, elevator, lift**2])[:: max(1, round(ROW / STEP))]
@@ -201,7 +199,7 @@ def linear_pitch(airframe: Airframe, values: Mapping[str, float], sample: Sample
         np.array([values.get(f"{c}_alpha", 0.0), rate * values.get(f"{c}_q", 0.0), values.get(f"{c}_de", 0.0)])
         for c in ("CL", "Cm")
     )
-    rows = np.stack([-q_s / (a.mass * a.mass_ratio(sample.mass) * V) * lift, q_s * a.chord / a.Iyy * moment])
+    rows = np.stack([-q_s / (a.mass_as(sample.mass) * V) * lift, q_s * a.chord / a.Iyy * moment])
     rows[0, 1] += 1.0
     return rows[:, :2], rows[:, 2:]
 
@@ -212,7 +210,7 @@ def linear_lateral(airframe: Airframe, values: Mapping[str, float], sample: Samp
     d = {n: values.get(n, 0.0) for c, terms in EQUATIONS.items() for n in (f"{c}_{t}" for t in terms)}
     q_s = 0.5 * sample.rho * V * V * a.area
     rate = a.span / (2.0 * V)
-    side_gain = q_s / (a.mass * a.mass_ratio(sample.mass) * V)
+    side_gain = q_s / (a.mass_as(sample.mass) * V)
     side = side_gain * np.array([d["CY_beta"], rate * d["CY_p"], rate * d["CY_r"], 0.0, 0.0, d["CY_dr"]])
     rolling = [d["Cl_beta"], rate * d["Cl_p"], rate * d["Cl_r"], 0.0, d["Cl_da"], d["Cl_dr"]]
     yawing = [d["Cn_beta"], rate * d["Cn_p"], rate * d["Cn_r"], 0.0, 0.0, d["Cn_dr"]]

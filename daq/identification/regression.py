@@ -125,7 +125,7 @@ def _terms(coefficient: str) -> dict[str, str]:
 def _lateral_forces(a: Airframe, s: Sample) -> tuple[float, ...]:
     per_span = 1.0 / (a.area * a.span)
     return (
-        a.mass * a.mass_ratio(s.mass) * s.ay / a.area,
+        a.mass_as(s.mass) * s.ay / a.area,
         ((a.Izz - a.Iyy) * s.q * s.r - a.Ixz * s.p * s.q) * per_span,
         ((a.Iyy - a.Ixx) * s.p * s.q + a.Ixz * s.q * s.r) * per_span,
     )
@@ -153,7 +153,7 @@ LATERAL = PlaneRegression(
 
 def lift_and_drag(a: Airframe, s: Sample) -> tuple[float, float]:
     """Of the specific force at the CG, thrust taken out, per area [Pa]."""
-    mass = a.mass * a.mass_ratio(s.mass)
+    mass = a.mass_as(s.mass)
     x, z = mass * s.ax - s.thrust, mass * s.az
     sin, cos = math.sin(s.alpha), math.cos(s.alpha)
     return (x * sin - z * cos) / a.area, (-x * cos - z * sin) / a.area

@@ -231,7 +231,7 @@ class SimulatedPitch(_Simulation[PitchState, PitchInputs]):
         CD = d["CD_0"] + d["CD_k"] * CL * CL
         Cm = d["Cm_0"] + d["Cm_alpha"] * x.alpha + d["Cm_q"] * x.q * a.chord / (2 * u.V) + d["Cm_de"] * elevator
         sin, cos = math.sin(x.alpha), math.cos(x.alpha)
-        mass = a.mass * a.mass_ratio(u.mass)
+        mass = a.mass_as(u.mass)
         gx = (q_s * (CL * sin - CD * cos) + u.thrust) / mass - GRAVITY * math.sin(u.theta)
         gz = q_s * (-CL * cos - CD * sin) / mass + GRAVITY * math.cos(u.theta) * math.cos(u.phi)
         alpha_rate = x.q - math.tan(u.beta) * (u.p * cos + u.r * sin) + (gz * cos - gx * sin) / (u.V * math.cos(u.beta))

@@ -189,7 +189,6 @@ class _Preparation:
 
     def __init__(self, papers: Callable[[], RecordingInfo | None]) -> None:
         self._papers = papers
-        self._info: RecordingInfo | None = None
         self._papers_parts: tuple[bytes, bytes] = b"", b""  # identity, archive
         self._made_from: tuple[int, Mapping[str, str]] | None = None  # how many events, facts of the sensors
         self._answers: OrderedDict[tuple[int, int], _Answer] = OrderedDict()
@@ -210,12 +209,12 @@ class _Preparation:
 
     def part(self, part: int, events_so_far: int, events: tuple[EventMessage, ...]) -> _Answer:
         """A part of the papers: 0 the identity, anew where a sensor that joined late has added its facts; then the archive."""
-        info = self._identity() if part == 0 or self._made_from is None else self._info
-        if info is None:
-            return _answer(b"")
-        self._info = info
-        if self._made_from != (events_so_far, info.details):
-            self._made_from, self._papers_parts = (events_so_far, info.details), papers_of(info, events)
+        if part == 0 or self._made_from is None:
+            info = self._identity()
+            if info is None:
+                return _answer(b"")
+            if self._made_from != (events_so_far, info.details):
+                self._made_from, self._papers_parts = (events_so_far, info.details), papers_of(info, events)
         identity, archive = self._papers_parts
         return _answer(identity if part == 0 else archive[(part - 1) * PAPERS_PART_BYTES : part * PAPERS_PART_BYTES])
 

@@ -19,12 +19,10 @@ ROUND_EARTH_RADIUS = 6_371_000.0  # m, where a map of a few kilometres needs no 
 
 # what a pitot reads in flight, by the speed over ground
 FLYING_GROUND_SPEED = 8.0  # m/s, that only flight gives: small aircraft lift off at it
-LEAST_PITOT_PRESSURE = (
-    -20.0
-)  # Pa: no tube in front of its static port reads less, wake and zero error together are below it
-LEAST_PITOT_SHARE = (
-    0.1  # of the dynamic pressure of the ground speed: less is a tail wind of two thirds of it, or a cover
-)
+LEAST_PITOT_PRESSURE = -20.0
+"""Pa: no tube in front of its static port reads less, wake and zero error together are below it."""
+LEAST_PITOT_SHARE = 0.1
+"""Of the dynamic pressure of the ground speed: less is a tail wind of two thirds of it, or a cover."""
 
 FOOT = 0.3048  # m
 INCH = 0.0254  # m

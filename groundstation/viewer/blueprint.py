@@ -170,9 +170,8 @@ def fitted(
     body = page.root_container if filled is None else _without_empty(page.root_container, filled)
     narrow = layout == "phone"
     top = _top(live=live, narrow=narrow) if filled is None or e.READOUTS in filled else None
-    height = (
-        NARROW_TOP * (1.0 if live else 0.5) if narrow else LIGHT_TOP if layout == "light" else TOP
-    )  # a recorded flight has no alarms there
+    wide = LIGHT_TOP if layout == "light" else TOP
+    height = NARROW_TOP * (1.0 if live else 0.5) if narrow else wide  # a recorded flight has no alarms there
     rows = [(part, share) for part, share in ((top, height), (body, 1.0 - height)) if part is not None]
     if rows:
         page.root_container = rrb.Vertical(*(p for p, _ in rows), row_shares=[s for _, s in rows])

@@ -58,10 +58,7 @@ def test_the_gap_monitor(plane: MonitoredPlane, against_reference: Against) -> N
     whitening = fitted([(np.stack([i.wrong for i in alone]), np.stack([i.kind for i in alone]))])
 
     def run() -> int:
-        return (
-            len(scans)
-            if list(scores(PredictorBank(AIRCRAFT, values, effects, plane), effects, whitening, scans))
-            else 0
-        )
+        assert list(scores(PredictorBank(AIRCRAFT, values, effects, plane), effects, whitening, scans))
+        return len(scans)
 
     against_reference(f"gap monitor, {plane.name}, 1,000 scans", least(run), 130.0)

@@ -109,7 +109,12 @@ def main() -> int:
     """Everything; 1 when a trial failed, 0 also where the rig cannot run."""
     parser = argparse.ArgumentParser(prog="python -m tests.rig", description=__doc__)
     parser.add_argument("--cuts", type=int, default=10, help="power cuts (2 min each)")
-    parser.add_argument("--boots", type=int, default=0, help="starts with parts absent, late or pulled (1 min each)")
+    parser.add_argument(
+        "--boots",
+        type=int,
+        default=0,
+        help="starts with parts absent, late or pulled (2 min each, 7 on a busy machine)",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of their instants and orders")
     parser.add_argument("--only", default="", help="trials whose name has this pattern in it; '-' for none")
     given = parser.parse_args()

@@ -109,6 +109,8 @@ class Bench:
             assert isinstance(key.fileobj, socket.socket)
             key.fileobj.close()
         self._selector.close()
+        for name in SOCKETS:
+            (self.folder / name).unlink()
 
     def plug(self, name: str, there: bool) -> None:
         """Plug a USB adapter (`sensors`, `spare`) in, or pull it."""

@@ -207,7 +207,7 @@ def _command(
     for line in SERIAL_ADAPTERS:
         if line not in absent:
             words += [*unix(line), "-device", f"usb-serial,chardev={line},id=usb_{line},serial={line}"]
-    for adapter in ("sensors", "spare"):
-        words += [*unix(adapter), "-device", f"usb-redir,chardev={adapter},id=usb_{adapter}"]
+    for device in ("sensors", "spare"):
+        words += [*unix(device), "-device", f"usb-redir,chardev={device},id=usb_{device}"]
     words += ["-device", "virtio-serial-pci", *unix("agent"), "-device", "virtserialport,chardev=agent,name=rig"]
     return words

@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.utilities.constants import GRAVITY
 from groundstation.flight.airspeed import LASTS, airspeed, lost_airspeed
-from groundstation.flight.arrays import Array, Mask, alternates, true_runs
+from groundstation.flight.arrays import REPEATED, Array, Mask, alternates, true_runs
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Columns
 from groundstation.flight.contradictions.followers import FOLLOWERS, FORCE, RECONSTRUCT, Follower
@@ -28,7 +28,6 @@ MEANS = 16  # of neighbouring samples in a block, so that noise from sample to s
 SHORTEST_REST = 3.0  # [s] of flight before, between or after failures that is worth naming
 SPREAD = 1.2  # times the movement of a failed sensor, within which it is still failed
 FROZEN, FROZEN_SAMPLES = 2.0, 20  # [s], samples of one value of a sensor with noise
-REPEATED = 0.3  # share of samples that repeat the last one: noise of a quantum or more repeats less often
 WEIGHTLESS, PARABOLA = 0.2 * GRAVITY, 3.0  # [m/s2], [s] of a specific force that no aeroplane flies
 PITOT = ("V", "p_dynamic", "V_cas")
 SENSED = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V", "p_dynamic")

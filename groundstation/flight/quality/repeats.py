@@ -16,7 +16,7 @@ from itertools import combinations
 
 import numpy as np
 
-from groundstation.flight.arrays import Array, Mask, alternates, integral, true_runs
+from groundstation.flight.arrays import REPEATED, Array, Mask, alternates, integral, true_runs
 from groundstation.flight.flight import Flight
 from groundstation.flight.kinematics import EULER_RATES
 from groundstation.flight.manoeuvres import CONTROLS
@@ -31,7 +31,6 @@ SLOW_SHARE = 1 / 3  # of those new values that are held for more than one sample
 LONGEST_HOLD = 0.6  # s: slower channels (1 Hz GNSS and less) are sampled too rarely to be called measured in between
 EVEN = 0.8  # share of holds within one sample of the usual: an ideal step command holds its values unevenly
 LATE = 0.05  # share of holds of more than two in a row: a slow sensor may lose a value, two one after the other seldom
-REPEATED = 0.3  # share of samples that repeat the last one: 0.27 where noise is one quantum, less where it is more
 BEYOND_ERROR = 4.0  # times the usual error of the prediction that a predicted movement must exceed
 FEWEST = 40  # samples from which any of this can be told
 GAUSSIAN = 0.6744897501960817  # median of the absolute value of a standard normal variable

@@ -1,5 +1,7 @@
 """The study of two rates: what is averaged is the same record."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ def test_an_average_keeps_slow_motion_and_its_clock() -> None:
     assert slow["p"][5:-5] == pytest.approx(np.sin(0.5 * slow.time[5:-5]), abs=1e-3)
 
 
-def test_errors_of_three_bounds_are_outside_and_count(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_errors_of_three_bounds_are_outside_and_count(tmp_path: Path) -> None:
     (tmp_path / "sets.jsonl").write_text(
         '{"50": {"Cl_p": [0.03, 0.01]}, "10": {"Cl_p": [0.03, 0.03]}}\n', encoding="utf-8"
     )
