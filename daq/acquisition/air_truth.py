@@ -14,7 +14,7 @@ from statistics import fmean, pstdev
 from daq.contract.scan import Scan
 from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
-from daq.sensors.mounting import Axis, Mounting, check_mounting
+from daq.sensors.mounting import AS_PRINTED, Axis, Mounting, check_mounting
 from daq.sensors.ms4525do import indicated_airspeed, nominal_transfer
 from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, pitot_unrest, unrest
 from daq.utilities.constants import (
@@ -42,6 +42,12 @@ TILT_RAD = math.radians(35.0)
 """More than any aircraft stands or lies on its gear, tail draggers (15 degrees) and a wing on the ground included."""
 FORCE_ERROR = 0.1
 """Specific force at rest may be off by this share: six times a consumer accelerometer's zero and scale together."""
+LAUNCH_GAIN = 7.0
+"""[m/s] of ground speed within the window, 1.4 m/s2: a tail that is lifted by 12 degrees meanwhile cannot turn the push round."""
+LAUNCH_SHARE = 0.5
+"""Of that gain, which the accelerometers show at least: less says nothing of a direction."""
+LAUNCH_TURN_RAD = math.radians(60.0)
+"""From the push to body x: more than bank and a tail that is lifted bring, less than a box turned by a right angle."""
 _AXES: tuple[Axis, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
 _VANES = {
     "alpha_vane": ("angle-of-attack vane", FROZEN_COUNTS),
@@ -88,7 +94,7 @@ class Scales:
         self.accel = GRAVITY / COUNTS_PER_G[getattr(imu, "accel_range_g", 8)]
         self.gyro = math.radians(1 / COUNTS_PER_DPS[getattr(imu, "gyro_range_dps", 500)])
         self.pascal, self.pascal_at_zero = nominal_transfer(config.pitot)
-        self.mounting: Mounting = getattr(imu, "mounting", ("+x", "+y", "+z"))
+        self.mounting: Mounting = getattr(imu, "mounting", AS_PRINTED)
 
     def force(self, scans: Sequence[Scan]) -> tuple[float, float, float] | None:
         """Mean specific force, body axes [m/s2]; None without an IMU that vouches for it."""
@@ -153,6 +159,13 @@ def mounting_for(force: tuple[float, float, float], mounting: Mounting) -> Mount
     return closest
 
 
+def facing(forward: Axis, mounting: Mounting) -> Mounting:
+    """The mounting turned about body z so that what it called `forward` (an axis x or y) lies along body x."""
+    x, y, z = mounting
+    turned = {"+x": (x, y), "-x": (_reversed(x), _reversed(y)), "+y": (y, _reversed(x)), "-y": (_reversed(y), x)}
+    return check_mounting((*turned[forward], z))
+
+
 def _reversed(axis: Axis) -> Axis:
     return _AXES[_AXES.index(axis) ^ 1]
 
@@ -167,6 +180,7 @@ class AirTruth:
         self._standing: set[str] = set()
         self._auto_zero = auto_zero
         self._moved = self._zeroed = False
+        self._rest: tuple[float, float, float] | None = None  # specific force before the first motion
         self._zero_count = -self._scales.pascal_at_zero / self._scales.pascal if self._scales.pascal else math.nan
 
     def zeroed(self, count: float) -> None:
@@ -206,6 +220,8 @@ class AirTruth:
     def _present(self) -> Iterator[SensorContradiction]:
         scans = list(self._scans)
         speeds = [s for s in map(ground_speed, scans) if s is not None]
+        if len(speeds) > 1:
+            yield from self._launch(scans, speeds)
         if len(speeds) < 2 or min(speeds) < FLYING_GROUND_SPEED:
             yield from self._still_zero(scans)
             return
@@ -220,6 +236,25 @@ class AirTruth:
         if force is not None and force[2] > -0.3 * GRAVITY:
             seen_z = f"mean specific force on body z is {force[2]:+.1f} m/s2 in flight (at most {-0.3 * GRAVITY:.1f})"
             yield SensorContradiction("imu", f"IMU is turned: {seen_z}; correct sensors.imu.mounting")
+
+    def _launch(self, scans: Sequence[Scan], speeds: Sequence[float]) -> Iterator[SensorContradiction]:
+        """While it gathers speed: whether what pushes the aircraft pushes along body x. Gravity cannot tell a turn about z."""
+        force, gain = self._scales.force(scans), speeds[-1] - speeds[0]
+        if force is None:
+            return
+        if not self._moved and not unrest(scans):
+            self._rest = force
+        if self._rest is None or gain < LAUNCH_GAIN:
+            return
+        duration = scans[-1].time - scans[0].time
+        x, y = ((force[i] - self._rest[i]) * duration for i in range(2))
+        if math.hypot(x, y) < LAUNCH_SHARE * gain or abs(math.atan2(y, x)) < LAUNCH_TURN_RAD:
+            return
+        forward: Axis = ("-x" if x < 0 else "+x") if abs(x) > abs(y) else ("-y" if y < 0 else "+y")
+        suggestion = "[" + ", ".join(f"'{axis}'" for axis in facing(forward, self._scales.mounting)) + "]"
+        limit = f"at most {math.degrees(LAUNCH_TURN_RAD):.0f} deg from x"
+        push = f"GPS gained {gain:.0f} m/s, its x {x:+.0f} and its y {y:+.0f} ({limit})"
+        yield SensorContradiction("imu", f"IMU is turned about z: {push}; write sensors.imu.mounting = {suggestion}")
 
     def _still_zero(self, scans: Sequence[Scan]) -> Iterator[SensorContradiction]:
         """Before the first motion: whether a pitot that was zeroed still rests there."""

@@ -29,7 +29,7 @@ from daq.sensors.base import (
     Wait,
     WrongChipError,
 )
-from daq.sensors.mounting import Mounting, Rotation, check_mounting, rotation
+from daq.sensors.mounting import AS_PRINTED, Mounting, Rotation, check_mounting, rotation
 from daq.utilities.constants import GRAVITY
 
 # bank 0
@@ -87,7 +87,7 @@ class ImuConfig(SensorSection):
     gyro_range_dps: Literal[250, 500, 1000, 2000] = 500
     accel_lowpass_hz: Positive = 11.5
     gyro_lowpass_hz: Positive = 11.6
-    mounting: Mounting = ("+x", "+y", "+z")
+    mounting: Mounting = AS_PRINTED
 
     _rotation = field_validator("mounting")(check_mounting)
 

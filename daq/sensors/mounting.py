@@ -5,6 +5,7 @@ from typing import Literal
 
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Mounting = tuple[Axis, Axis, Axis]
+AS_PRINTED: Mounting = ("+x", "+y", "+z")
 Rotation = Callable[[int, int, int], tuple[int, int, int]]
 """Chip x, y, z counts to body x, y, z counts."""
 
@@ -34,7 +35,7 @@ def rotation(mounting: Mounting) -> Rotation:
 
     A reversed axis maps -32768 to 32767, so that the result always fits 16 bits; that count is out of range anyway.
     """
-    if tuple(mounting) == ("+x", "+y", "+z"):
+    if tuple(mounting) == AS_PRINTED:
         return _as_it_is
     (i, si), (j, sj), (k, sk) = (("xyz".index(axis[1]), -1 if axis[0] == "-" else 1) for axis in mounting)
 

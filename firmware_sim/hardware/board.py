@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.sensors.config import ExtraConfig, SensorsConfig
+from daq.sensors.mounting import AS_PRINTED, rotation
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.cockpit import Cockpit
 from firmware_sim.hardware.registers.ads1115 import Ads1115Chip
@@ -68,6 +69,15 @@ class BoardWiring:
         """The driver that the logger has for a device; empty where it has none."""
         return getattr(self.sensors.section(device), "driver", "")
 
+    @property
+    def body_from_chip(self) -> NDArray[np.float64]:
+        """Matrix (3, 3) that turns the IMU's printed axes into body axes: the scenario's, else as the logger has it mounted."""
+        stated = self.instruments.models.imu.body_from_chip
+        if stated is not None:
+            return np.array(stated)
+        turn = rotation(getattr(self.sensors.section("imu"), "mounting", AS_PRINTED))
+        return np.array([turn(*unit) for unit in ((1, 0, 0), (0, 1, 0), (0, 0, 1))], float).T
+
 
 def build_board(wiring: BoardWiring) -> dict[str, PoweredChip]:
     """All chips of the aircraft by device; with a cockpit the servo driver and the second capture co-processor too."""
@@ -94,7 +104,7 @@ def addressed(board: Mapping[str, PoweredChip], places: Mapping[str, int]) -> di
 def _imu(wiring: BoardWiring, device: str) -> PoweredChip:
     instruments = wiring.instruments
     models = instruments.models.imu
-    chip_from_body = np.array(models.body_from_chip).T
+    chip_from_body = wiring.body_from_chip.T
     raw = instruments.inputs(*(f"{s}_{a}" for s in ("accel", "gyro") for a in "xyz"), "imu_temperature")
     turn = np.zeros((7, 7))
     turn[:3, :3] = turn[3:6, 3:6] = chip_from_body
@@ -112,7 +122,7 @@ def _imu(wiring: BoardWiring, device: str) -> PoweredChip:
 def _mag(wiring: BoardWiring, device: str) -> PoweredChip:
     models, imu = wiring.instruments.models, wiring.chips["imu"]
     assert isinstance(imu, Icm20948Chip)
-    turn = MAG_FROM_CHIP @ np.array(models.imu.body_from_chip).T
+    turn = MAG_FROM_CHIP @ wiring.body_from_chip.T
     raw = wiring.instruments.inputs("mag_x", "mag_y", "mag_z")
     inputs = wiring.bend(device, lambda time_ns: turn @ np.asarray(raw(time_ns)))
     mag = Ak09916Chip(imu, inputs, max(models.mag.field.noise), wiring.instruments.generator(device))

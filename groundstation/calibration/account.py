@@ -36,7 +36,7 @@ def account(
         notes.append(
             f"{part:.0%} of the scans are here: brought to one instant between neighbours up to {BRIDGED:.2f} s apart"
         )
-    notes += _health_notes(table)
+    notes += _health_notes(table, columns)
     notes += _uncalibrated(table, calibration)
     for instrument, count in readings.extrapolated.items():
         notes.append(f"{instrument}: {count} samples outside the calibrated range, extrapolated")
@@ -81,8 +81,8 @@ def _uncalibrated(table: ScanTable, calibration: CalibrationSet) -> list[str]:
     ]
 
 
-def _health_notes(table: ScanTable) -> list[str]:
-    """Sensor groups that were not in order: while starting, at times, or throughout."""
+def _health_notes(table: ScanTable, columns: Mapping[str, Array]) -> list[str]:
+    """Sensor groups that were not in order: while starting, at times, or throughout, unless others measured their columns."""
     first = {g: _first_value(table, g) for g in table.usable}
     troubled = {g: ok for g, ok in table.usable.items() if not ok.all()}
     never = [g for g in troubled if first[g] is None]
@@ -97,11 +97,17 @@ def _health_notes(table: ScanTable) -> list[str]:
         count = int(np.sum(~ok[first[group] :])) if group not in never else 0
         if count:
             notes.append(f"sensor group {group} was not in order in {count} of {len(table)} scans: not measured there")
-    if never:
-        notes.append(
-            f"sensors not fitted, or never in order: {', '.join(never)}; columns that they alone measure are left out"
-        )
+    missing = {g: lost for g in never if (lost := _unmeasured(g, columns))}
+    if missing:
+        named = list(dict.fromkeys(name for lost in missing.values() for name in lost))
+        notes.append(f"sensors not fitted, or never in order: {', '.join(missing)}; not measured: {', '.join(named)}")
     return notes
+
+
+def _unmeasured(group: str, columns: Mapping[str, Array]) -> list[str]:
+    """Columns of a group that no other sensor measured either: an angle may come from a potentiometer or an encoder."""
+    own = dict.fromkeys(name for channel in channels_of(group) for name in channel.columns)
+    return [name for name in own if name not in columns or not np.isfinite(columns[name]).any()]
 
 
 def _first_value(table: ScanTable, group: str) -> int | None:

@@ -57,10 +57,11 @@ class TriadModel(SimulatorTable):
 
 
 class ImuModel(SimulatorTable):
-    """[sensors.imu]: ICM-20948. body_from_chip: matrix that turns printed chip axes into body axes (chip face down)."""
+    """[sensors.imu]: ICM-20948. body_from_chip: matrix that turns printed chip axes into body axes (chip face down); left out,
+    the chip sits as the logger's configuration has it mounted."""
 
     position: Vector = _ZERO
-    body_from_chip: Matrix = _IDENTITY
+    body_from_chip: Matrix | None = None
     accel: TriadModel = TriadModel(noise=(0.05, 0.05, 0.08), turn_on=0.02)
     gyro: TriadModel = TriadModel(noise=(0.007, 0.007, 0.005), turn_on=0.001)
     die_above_air_k: float = Field(default=8.0, description="self-heating of the board [K]")

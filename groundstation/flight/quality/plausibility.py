@@ -12,6 +12,7 @@ from daq.utilities.constants import FOOT, GRAVITY, MILE_PER_HOUR, NAUTICAL_MILE,
 from groundstation.flight.arrays import Array, integral, slope_and_agreement, windows
 from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.kinematics import GYROS, heading_rate
+from groundstation.flight.quality.mounting import turned_imu
 
 Columns = Mapping[str, Array]
 Reversals = Mapping[tuple[str, ...], tuple[str, list[tuple[Array, Array]]]]
@@ -57,23 +58,13 @@ PULL_AGREES = 0.25
 def suspicions(time: Array, columns: Columns) -> list[Finding]:
     """What is odd about columns (N,) whose values look like another unit or sign; empty when nothing is suspicious."""
     present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
-    checks = (
-        _time,
-        _gravity,
-        _angles,
-        _rates,
-        _speed,
-        _others,
-        _attitude_rate,
-        _pressure_speed,
-        _ground_speed,
-        _sideways,
-        _upwards,
-    )
+    units = (_time, _gravity, _angles, _rates, _speed, _others, _pressure_speed, _ground_speed)
+    signs = (_gravity_sign, _attitude_rate, _sideways, _upwards)
     with np.errstate(
         over="ignore", divide="ignore", invalid="ignore"
     ):  # of absurd values, which the checks themselves find
-        return [finding for check in checks for finding in check(time, present)]
+        turned = list(turned_imu(time, present))  # explains every sign that would be asked for
+        return [*turned, *(f for check in (*units, *(() if turned else signs)) for f in check(time, present))]
 
 
 def _suspect(columns: str | tuple[str, ...], what: str) -> Finding:
@@ -134,7 +125,10 @@ def _gravity(time: Array, c: Columns) -> Iterator[Finding]:
         else:
             hint = f"are ax, ay, az in {unit}?" if unit else "check unit and axes of ax, ay, az"
         yield _suspect(("ax", "ay", "az"), f"the median specific force is {size:.4g}, not near 9.8 m/s2; {hint}")
-    elif _median(c["az"]) > 0.5 * GRAVITY:
+
+
+def _gravity_sign(time: Array, c: Columns) -> Iterator[Finding]:
+    if "az" in c and 0.5 * GRAVITY < _median(c["az"]) < 1.3 * GRAVITY:
         yield _suspect("az", "positive in the mean, but with z down level flight has -9.8 m/s2; turn it with sign = -1")
 
 

@@ -118,6 +118,29 @@ def test_each_contradiction_is_said_once_within_ten_seconds_of_motion(flight: di
     assert sum(words in h for h in heard) == 1, heard
 
 
+@pytest.mark.parametrize(
+    ("push", "words"),
+    [
+        ((0.35, 0.0), None),
+        ((0.35, 0.12), None),  # banked
+        ((0.02, 0.02), None),  # too little to tell a direction
+        ((-0.35, 0.0), "['-x', '-y', '+z']"),
+        ((0.0, 0.35), "['+y', '-x', '+z']"),
+        ((0.0, -0.35), "['-y', '+x', '+z']"),
+    ],
+)
+def test_a_launch_that_does_not_push_along_body_x_names_the_mounting(
+    push: tuple[float, float], words: str | None
+) -> None:
+    truth = AirTruth(CONFIG)
+    assert said(truth, scans(6, force=(0.15, 0.0, -0.99))) == []  # a tail dragger at rest
+    launch = [
+        s for k in range(5) for s in scans(1, speed=3.4 * k, start=120 + 20 * k, force=(0.15 + push[0], push[1], -0.99))
+    ]
+    heard = [h for h in said(truth, launch) if "about z" in h]
+    assert ([h[-len(words) :] for h in heard] == [words]) if words else not heard
+
+
 def test_a_healthy_flight_with_wind_is_not_accused() -> None:
     truth = AirTruth(CONFIG)
     for speed, wind in ((18.0, 7.0), (18.0, -7.0), (25.0, 0.0)):

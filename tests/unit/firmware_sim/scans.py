@@ -29,9 +29,10 @@ def standing(
     """Scans of `duration_s` from power-up, the aircraft they were made on, and the sampler."""
     clock = SimulatedClock(START_UTC_NS)
     faults = FaultSet(parse_faults(lines, "test"), 0, seed)
-    aircraft = build_aircraft(Still(truth), models or SensorModels(), faults, clock, seed)
+    sensors = config or cdfp_sensors()
+    aircraft = build_aircraft(Still(truth), models or SensorModels(), faults, clock, seed, sensors)
     gnss = SimulatedSerial(aircraft.gnss, clock.monotonic_ns)
-    sampler = Sampler(config or cdfp_sensors(), aircraft.bus, gnss, clock, rate_hz=rate_hz)
+    sampler = Sampler(sensors, aircraft.bus, gnss, clock, rate_hz=rate_hz)
     sampler.start()
     start, period = clock.monotonic_ns(), round(1e9 / rate_hz)
     scans = []

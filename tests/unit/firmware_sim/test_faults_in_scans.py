@@ -156,14 +156,15 @@ def test_scans_do_not_depend_on_luck() -> None:
     assert [s.values for s in first] != [s.values for s in other]
 
 
-def test_chip_turned_on_its_board_is_turned_back_by_the_configured_mounting() -> None:
-    """The same mounting said twice, as a matrix to the simulator and as axes to the driver."""
+@pytest.mark.parametrize("stated", [True, False])
+def test_chip_turned_on_its_board_is_turned_back_by_the_configured_mounting(stated: bool) -> None:
+    """Stated by the scenario as a matrix too, or left out: the simulated chip then sits as the logger has it mounted."""
     from daq.sensors.icm20948 import ImuConfig
     from tests.unit.daq.cdfp_fit import cdfp_sensors
 
     # body x lies along chip y, body y along chip z, body z along chip x
     matrix = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
-    models = SensorModels().altered(imu={"body_from_chip": matrix})
+    models = SensorModels().altered(imu={"body_from_chip": matrix}) if stated else SensorModels()
     config = cdfp_sensors().model_copy(update={"imu": ImuConfig(mounting=("+y", "+z", "+x"))})
     truth = truth_at_rest(ax=2.0, ay=-3.0, p=0.5, q=-0.2, r=0.1, magnetic=(20e-6, -10e-6, 40e-6))
     scans, _, _ = standing(models=models, config=config, truth=truth, duration_s=3.0)
