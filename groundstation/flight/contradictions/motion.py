@@ -94,7 +94,7 @@ def heading_and_course(time: Array, c: Columns) -> Iterator[Contradiction]:
     turn = fit[1]
     text = (
         f"course by GNSS, wind taken out, lies {np.degrees(turn.value):+.0f} +- {np.degrees(turn.std):.0f} deg from psi: "
-        "magnetic declination, or a compass that is turned or disturbed"
+        "magnetic declination, a compass that is turned or disturbed, or none"
     )
     moves = "wind, and the constant of a reconstructed sideslip; no derivative of a vane's"
     sides, favoured = ("psi", "vn", "ve"), "vn, ve"

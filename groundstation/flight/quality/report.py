@@ -259,7 +259,7 @@ def time_skew(flight: Flight) -> Finding:
     """Attitude against integrated gyro, measured against commanded surfaces.
 
     Warns when an attitude lags or leads the gyro by more than ATTITUDE_LATE and three of its bounds, when a surface moves
-    before its command, or follows it by more than 0.2 s.
+    before its command by more than two bounds, or follows it by more than 0.2 s.
     """
     sentences = []
     attitudes, surfaces = attitude_skew(flight), control_skew(flight)
@@ -270,7 +270,7 @@ def time_skew(flight: Flight) -> Finding:
                 f"(+-{skew.std * 1e3:.0f}); correct its delay in the calibration file"
             )
     for skew in surfaces:
-        if skew.delay < -max(0.01, 3 * skew.std) or skew.delay > 0.2:
+        if skew.delay < -max(0.01, 2 * skew.std) or skew.delay > 0.2:
             sentences.append(
                 f"{skew.late} follows {skew.early} by {skew.delay * 1e3:.0f} ms (+-{skew.std * 1e3:.0f}), which no servo does"
             )

@@ -139,4 +139,5 @@ def _correlation_delay(parts: list[tuple[Array, Array, Array]]) -> tuple[float, 
     bend = left_cost - 2 * middle + right_cost
     fraction = 0.5 * (left_cost - right_cost) / bend if bend > 0 else 0.0
     sigma2 = middle / max(samples - 1, 1)
-    return float(lags[lowest] + fraction * (lags[1] - lags[0])), float(np.sqrt(sigma2 / curvature))
+    steps = interval / np.sqrt(12.0)  # a step lies anywhere between two samples, and a line is drawn between them
+    return float(lags[lowest] + fraction * (lags[1] - lags[0])), float(np.hypot(np.sqrt(sigma2 / curvature), steps))
