@@ -60,10 +60,10 @@ def test_no_motion_no_answer() -> None:
 
 @pytest.mark.parametrize("phase", [0.0, 0.01, 0.02, 0.03, 0.04])
 def test_bound_of_a_servo_s_delay_counts_that_steps_lie_between_samples(phase: float) -> None:
-    """A command in steps at the sampling clock, whichever way its edges lie, and a servo of 5 ms: at 20 Hz nothing is surer than 14 ms."""
+    """Few steps, wherever their edges lie, and a servo of 5 ms: at 20 Hz nothing is surer than 14 ms."""
     t = 0.05 * np.arange(600)
-    command = 0.1 * np.sign(np.sin(2.0 * np.pi * (t - phase) / 2.0 + 1e-3))
-    surface = 0.1 * np.sign(np.sin(2.0 * np.pi * (t - 0.005 - phase) / 2.0 + 1e-3))
+    command = 0.1 * np.sign(np.sin(2.0 * np.pi * (t - phase) / 5.37))
+    surface = 0.1 * np.sign(np.sin(2.0 * np.pi * (t - 0.005 - phase) / 5.37))
     (skew,) = control_skew(Flight.build("x", t, {"cmd_a": command, "delta_a": surface}))
-    assert skew.std >= 0.05 / np.sqrt(12.0)
+    assert skew.std > 0.014
     assert abs(skew.delay - 0.005) < 2.0 * skew.std
