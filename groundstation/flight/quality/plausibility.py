@@ -12,7 +12,7 @@ from daq.utilities.constants import FOOT, GRAVITY, MILE_PER_HOUR, NAUTICAL_MILE,
 from groundstation.flight.arrays import Array, integral, slope_and_agreement, windows
 from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.kinematics import GYROS, heading_rate
-from groundstation.flight.quality.mounting import turned_imu
+from groundstation.flight.quality.axes import wrong_axes
 
 Columns = Mapping[str, Array]
 Reversals = Mapping[tuple[str, ...], tuple[str, list[tuple[Array, Array]]]]
@@ -63,8 +63,8 @@ def suspicions(time: Array, columns: Columns) -> list[Finding]:
     with np.errstate(
         over="ignore", divide="ignore", invalid="ignore"
     ):  # of absurd values, which the checks themselves find
-        turned = list(turned_imu(time, present))  # explains every sign that would be asked for
-        return [*turned, *(f for check in (*units, *(() if turned else signs)) for f in check(time, present))]
+        mixed = list(wrong_axes(time, present))  # explains every sign that would be asked for
+        return [*mixed, *(f for check in (*units, *(() if mixed else signs)) for f in check(time, present))]
 
 
 def _suspect(columns: str | tuple[str, ...], what: str) -> Finding:
