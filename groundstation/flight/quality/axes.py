@@ -7,6 +7,7 @@ mistake that people make is undone in turn, and the one after which that holds i
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import permutations, product
 
 import numpy as np
@@ -127,6 +128,14 @@ def turned(c: Columns, axes: Axes, names: tuple[str, ...]) -> dict[str, Array]:
     return found
 
 
+def _exchanged(c: Columns, a: str, b: str) -> dict[str, Array]:
+    return {**c, a: c[b], b: c[a]}
+
+
+def _reversed(c: Columns, names: tuple[str, ...]) -> dict[str, Array]:
+    return {**c, **{n: -c[n] for n in names}}
+
+
 def boresight(axes: Axes) -> list[float]:
     """Roll, pitch and yaw [rad] of the recorded axes from the body axes, as attitude.toml states them."""
     m = TURNS[axes]  # its columns are the recorded axes in body axes
@@ -163,12 +172,12 @@ def _mistakes() -> Iterator[Mistake]:
                 f"the {who} turned: what was recorded as {', '.join(axes)} lies along the aircraft's x, y, z. Turn it by "
                 f"matrix = {matrix} in {files}{level}, or by the map of the import; then correct its mounting"
             )
-            yield Mistake(names, text, lambda c, axes=axes, names=names: turned(c, axes, names), axes)
+            yield Mistake(names, text, partial(turned, axes=axes, names=names), axes)
     for a, b in EXCHANGES:
         text = "exchanged, they agree with the rest of the motion as they do not now: are the two columns mixed up?"
-        yield Mistake((a, b), text, lambda c, a=a, b=b: {**c, a: c[b], b: c[a]})
+        yield Mistake((a, b), text, partial(_exchanged, a=a, b=b))
     for signs in REVERSALS:
-        yield Mistake(signs, "", lambda c, signs=signs: {**c, **{n: -c[n] for n in signs}})
+        yield Mistake(signs, "", partial(_reversed, names=signs))
 
 
 TURNS = _turns()  # the first is as claimed

@@ -8,7 +8,7 @@ from groundstation.flight.quality.axes import EXCHANGES, TURNS, Axes, boresight,
 from groundstation.flight.quality.plausibility import suspicions
 
 GRAVITY = 9.80665
-STEP = 0.02
+STEP = 0.04
 TIME = np.arange(0.0, 24.0, STEP)
 
 
