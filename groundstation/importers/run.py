@@ -31,6 +31,7 @@ from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, built_in_m
 from groundstation.importers.records import by_boot, joined_flights, joined_topics, topics_of_px4
 from groundstation.importers.series import Log, TimeSeries, even_time_base, native_rate, without_damaged_times
 from groundstation.importers.servos import outputs_elsewhere, with_servos
+from groundstation.importers.slips import without_slips
 
 DEFAULT_RATE = 50.0
 """Highest rate [Hz] of the common time base of a log whose series have times of their own, unless stated."""
@@ -133,12 +134,13 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
     with np.errstate(over="ignore", invalid="ignore"):  # what is beyond any measurement is left out just below
         imported = flight_columns(log, mapping, time, resampled)
     columns, value_notes = credible_values(imported.values)
+    columns, slips = without_slips(time, columns)
     if not columns:
         raise ImportDataError(
             f"{path}: nothing in it is known as a flight column; found {listed(log.series, 12)}; "
             "write a mapping file (--map)"
         )
-    notes = [*log.notes, *imported.notes, *value_notes]
+    notes = [*log.notes, *imported.notes, *value_notes, *slips]
     if mapping.title.startswith(EXAMPLE) and mapping.servos:
         notes.append("surfaces by the trim and travel of an example map: copy it and write down those of this aircraft")
     if no_output:
