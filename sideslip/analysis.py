@@ -55,14 +55,12 @@ def _imported(
     number: int, path: Path, mapping: Path | None, aircraft: str | None, extra: Sequence[str | None], stages: "Stages"
 ) -> "tuple[Flight, str, bool]":
     """The flight of a log, the key of its stage and whether it was imported in this run."""
-    import hashlib
     from dataclasses import replace
 
-    from daq.utilities.input_files import check_file
     from groundstation.flight import read_flight, write_flight
-    from groundstation.importers.errors import ImportDataError
+    from groundstation.importers.run import check_log, log_digest
 
-    check_file(path, error=ImportDataError)
+    check_log(path)
     target = stages.path(f"import_{number}.mcap")
 
     def work() -> dict[str, object]:
@@ -71,8 +69,7 @@ def _imported(
         write_flight(flight, target)
         return {"name": flight.name, "path": flight.provenance.path, "sha256": flight.provenance.sha256}
 
-    with path.open("rb") as opened:
-        sha = hashlib.file_digest(opened, "sha256").hexdigest()
+    sha = log_digest(path)
     stage = stages.run(f"import_{number}", [sha, path.name, *extra], work, target)
     flight = read_flight(target)
     provenance = replace(flight.provenance, path=str(path), sha256=sha)
@@ -81,10 +78,11 @@ def _imported(
 
 def _read(path: Path, mapping: Path | None, aircraft: str | None) -> "Flight":
     """A flight as it stands, a raw recording calibrated, or somebody else's log imported."""
+    from groundstation.importers.about import is_foreign_log
     from groundstation.importers.records import with_aircraft
     from groundstation.importers.run import import_data
 
-    if path.suffix.lower() in READY and mapping is None:
+    if path.suffix.lower() in READY and mapping is None and not is_foreign_log(path):
         from groundstation.calibration.recording import open_flight
 
         flight = open_flight(path)

@@ -20,9 +20,10 @@ _ENOUGH = 64  # bytes of a file that tell a dataflash log
 
 
 def is_foreign_log(path: Path) -> bool:
-    """Whether a file is an autopilot's log by its ending; a .bin or .log, which others write too, by its first bytes."""
+    """Whether a file is an autopilot's log by its ending; a .bin or .log, which others write too, by its first bytes; or a bag,
+    a folder too."""
     suffix = path.suffix.lower()
-    if suffix in BAGS:
+    if suffix in BAGS or path.is_dir():
         return is_bag(path)
     if suffix not in LOGS or not path.is_file():
         return False

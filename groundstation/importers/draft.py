@@ -1,7 +1,8 @@
 """`import LOG --draft-map`: a mapping proposed, each line with its evidence, and UNKNOWN where the log cannot tell."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.utilities.errors import UserError
-from daq.utilities.input_files import check_file, parse_toml, read_bytes
+from daq.utilities.input_files import parse_toml, read_bytes
 from daq.utilities.plain_words import one_line
 from groundstation.importers.columns import chosen_source, flight_kind
 from groundstation.importers.draft_names import (
@@ -28,8 +29,9 @@ from groundstation.importers.draft_surfaces import drafted_servos, surface_lines
 from groundstation.importers.endings import TABLES
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.table_time import stamps_of
+from groundstation.importers.functions import OUTPUT
 from groundstation.importers.mapping import EXAMPLE, ColumnSource, FileFormat, Map, Time
-from groundstation.importers.run import import_data, read_logs
+from groundstation.importers.run import check_log, import_data, read_logs
 from groundstation.importers.series import Array, Log, native_rate
 from groundstation.importers.units import UNITS
 
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 
 FIRST_BYTES = 65_536  # of a file, among which its header line is
 SURFACES = ("delta_e", "delta_a", "delta_r")
+NONE: Mapping[str, str] = {}
 MOST_LEFT = 40  # columns in no flight column that are listed
 
 
@@ -46,7 +49,7 @@ def draft_map(paths: Sequence[Path]) -> str:
     if not paths:
         raise ImportDataError("no file to draft a mapping for")
     path = paths[0]
-    check_file(path, error=ImportDataError)
+    check_log(path)
     table = _table(path) if path.suffix.lower() in TABLES else None
     lines = _of_log(path) if table is None else _of_table(path, table)
     text = "\n".join([*lines, ""])
@@ -67,7 +70,9 @@ def _of_log(path: Path) -> list[str]:
     gyros = {n: chosen_source(log, mapping.columns.get(n, ())) for n in ("p", "q", "r")}
     lines, shares = drafted_servos(log, {n: s.parts[0].column for n, s in gyros.items() if s is not None})
     missing = [s for s in SURFACES if s not in shares and s not in mapping.columns]
-    return [*_head(path), *lines, "", "[columns]", *surface_lines(shares, missing), *_columns(log, mapping)]
+    own = _own_messages(log, mapping) if log.kind == "bag" else []
+    missing = [s for s in missing if not any(line.startswith(f"{s} = ") for line in own)]
+    return [*_head(path), *lines, "", "[columns]", *surface_lines(shares, missing), *_columns(log, mapping), *own]
 
 
 def _columns(log: Log, mapping: Map) -> Iterator[str]:
@@ -102,6 +107,67 @@ def _toml_value(value: object) -> str:
     return '"' + str(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
+def _recognised(
+    names: Sequence[str],
+    values: Mapping[str, Array],
+    time: Array | None,
+    header_units: Mapping[str, str | None],
+    row_units: Mapping[str, str],
+    full_names: Mapping[str, str] = NONE,
+) -> tuple[list[str], dict[str, str]]:
+    """Lines for the columns (N,) that their names and values tell, those that nothing tells among them; and flight column ->
+    name. header_units: of flight columns, row_units: of names, as the file states them; full_names: of names that are the end
+    of those in the file only."""
+
+    def full(name: str) -> str:
+        return full_names.get(name, name)
+
+    candidates = candidate_columns(names)
+    columns = {column: labels[0] for column, labels in candidates.items()}
+    turned = {}
+    for rate, angle in ANGLES.items():
+        if len(candidates.get(rate, ())) > 1 and angle in columns:
+            columns[rate], turned[rate] = rate_that_turns(candidates[rate], columns[angle], values, time)
+    lines = []
+    for column, name in columns.items():
+        guess = unit_of(column, columns, values, time)
+        header_unit = header_units.get(column)
+        name_unit = unit_in_name(name)
+        bare = name == column and guess.sure  # a flight column's bare name states no unit, and the values tell it
+        if header_unit and not bare:
+            guess = UnitGuess(header_unit, f"by its header; {guess.why}", True)
+        elif row_units.get(name):
+            guess = UnitGuess(row_units[name], f"by the row of units; {guess.why}", True)
+        elif name_unit is not None and unit_fits(name_unit, column):
+            guess = UnitGuess(name_unit, f"the unit stands in its name; {guess.why.partition('; UNKNOWN')[0]}", True)
+        evidence = f"{'' if guess.sure else 'CHECK: '}by its name; {guess.why}"
+        if len(candidates[column]) > 1:
+            others = [one_line(full(label)) for label in candidates[column] if label != name]
+            evidence += "".join(f"; {why}" for why in (turned.get(column, ""), f"also {', '.join(others)}") if why)
+        lines.append(f'{column} = {{ column = {_toml_value(full(name))}, unit = "{guess.unit}" }}      # {evidence}')
+    unmapped = [n for n in names if n not in columns.values()]
+    lines += [f"# {one_line(full(n))}: UNKNOWN, in no flight column of this draft" for n in unmapped[:MOST_LEFT]]
+    lines += [f"# {len(unmapped) - MOST_LEFT} more columns are UNKNOWN"] if len(unmapped) > MOST_LEFT else []
+    return lines, columns
+
+
+def _own_messages(log: Log, mapping: Map) -> list[str]:
+    """Lines for the series of a bag that no kind of message known here gives: by their names, brought to the times of the fastest
+    of those that their names tell."""
+    mapped = {t.column for sources in mapping.columns.values() for s in sources for t in s.parts}
+    of_standard = {name.rpartition(".")[0].partition(".")[0] for name in mapped}
+    foreign = [n for n in log.series if n.partition(".")[0] not in of_standard and not OUTPUT.fullmatch(n)]
+    fields = Counter(n.partition(".")[2] for n in foreign)
+    full_names = {n.partition(".")[2] if fields[n.partition(".")[2]] == 1 else n: n for n in foreign}
+    meant = [full_names[n] for labels in candidate_columns(list(full_names)).values() for n in labels]
+    if not meant:
+        return []
+    fastest = max((log.series[n] for n in meant), key=native_rate)
+    values = {n: np.interp(fastest.time, log.series[f].time, log.series[f].values) for n, f in full_names.items()}
+    lines, _ = _recognised(list(full_names), values, fastest.time, {}, {}, full_names)
+    return [line for line in lines if line.partition(" ")[0] not in mapping.columns]
+
+
 def _of_table(path: Path, table: "ImportedTable") -> list[str]:
     """A table, whose columns are recognised by their names and values."""
     from groundstation.importers.formats.tables import header_map
@@ -114,32 +180,8 @@ def _of_table(path: Path, table: "ImportedTable") -> list[str]:
     if by_name is None and time_name is not None:
         time_lines[0] += "      # CHECK: it rises from row to row in even steps, as time does"
     names = [n for n in table.numeric if n != time_name]
-    candidates = candidate_columns(names)
-    columns = {column: labels[0] for column, labels in candidates.items()}
-    turned = {}
-    for rate, angle in ANGLES.items():
-        if len(candidates.get(rate, ())) > 1 and angle in columns:
-            columns[rate], turned[rate] = rate_that_turns(candidates[rate], columns[angle], table.numeric, time)
-    lines = []
-    for column, name in columns.items():
-        guess = unit_of(column, columns, table.numeric, time)
-        header_unit = by_header.columns[column][0].unit if column in by_header.columns else None
-        name_unit = unit_in_name(name)
-        bare = name == column and guess.sure  # a flight column's bare name states no unit, and the values tell it
-        if header_unit and not bare:
-            guess = UnitGuess(header_unit, f"by its header; {guess.why}", True)
-        elif table.units.get(name):
-            guess = UnitGuess(table.units[name], f"by the row of units; {guess.why}", True)
-        elif name_unit is not None and unit_fits(name_unit, column):
-            guess = UnitGuess(name_unit, f"the unit stands in its name; {guess.why.partition('; UNKNOWN')[0]}", True)
-        evidence = f"{'' if guess.sure else 'CHECK: '}by its name; {guess.why}"
-        if len(candidates[column]) > 1:
-            others = [one_line(label) for label in candidates[column] if label != name]
-            evidence += "".join(f"; {why}" for why in (turned.get(column, ""), f"also {', '.join(others)}") if why)
-        lines.append(f'{column} = {{ column = {_toml_value(name)}, unit = "{guess.unit}" }}      # {evidence}')
-    unmapped = [n for n in names if n not in columns.values()]
-    lines += [f"# {one_line(n)}: UNKNOWN, in no flight column of this draft" for n in unmapped[:MOST_LEFT]]
-    lines += [f"# {len(unmapped) - MOST_LEFT} more columns are UNKNOWN"] if len(unmapped) > MOST_LEFT else []
+    stated = {column: sources[0].unit for column, sources in by_header.columns.items()}
+    lines, columns = _recognised(names, table.numeric, time, stated, table.units)
     missing = [c for c in ("ax", "p", "phi", "V", *SURFACES) if c not in columns and c in COLUMN_BY_NAME]
     lines += [f"# {c} = UNKNOWN: no column looks like it" for c in missing]
     return [*_head(path), "", "[time]", *time_lines, "", "[columns]", *lines]

@@ -9,3 +9,30 @@ BAGS = (".mcap", ".db3")
 
 FOREIGN = frozenset({".csv", ".parquet", ".mat", ".ulg", ".ulog", ".tlog"})
 """Those that no recording of ours has; what a rescue tool writes may be called .bin, .dat or .txt."""
+
+_PACKED = "packed; unpack it ('{tool} {{file}}') and import what was in it"
+OTHERS = {
+    ".bag": "a ROS 1 bag; 'rosbags-convert --src {file} --dst {stem}' (pip install rosbags) makes a folder of it that is read",
+    ".zstd": _PACKED.format(tool="zstd -d"),
+    ".zst": _PACKED.format(tool="zstd -d"),
+    ".lz4": _PACKED.format(tool="lz4 -d"),
+    ".gz": _PACKED.format(tool="gunzip"),
+    ".xz": _PACKED.format(tool="xz -d"),
+    ".bz2": _PACKED.format(tool="bunzip2"),
+    ".zip": _PACKED.format(tool="unzip"),
+    ".7z": _PACKED.format(tool="7z x"),
+    ".xlsx": "an Excel workbook; save its sheet as CSV UTF-8 and import that",
+    ".xls": "an Excel workbook; save its sheet as CSV UTF-8 and import that",
+    ".ods": "a spreadsheet; save its sheet as CSV and import that",
+    ".json": "JSON is not read; write its records as a table (pandas: read_json, to_csv) and import that",
+    ".bbl": "a Betaflight blackbox; 'blackbox_decode {file}' makes a CSV of it",
+    ".bfl": "a Betaflight blackbox; 'blackbox_decode {file}' makes a CSV of it",
+    ".tdms": "a LabVIEW file; write its channels as a table (npTDMS: as_dataframe, to_csv) and import that",
+    ".mf4": "an ASAM MDF file; write its channels as a table (asammdf: to_dataframe, to_csv) and import that",
+    ".h5": "HDF5 of no layout that is known; write its channels as a table, or as a MATLAB 7.3 file (.mat)",
+    ".hdf5": "HDF5 of no layout that is known; write its channels as a table, or as a MATLAB 7.3 file (.mat)",
+    ".pkl": "a pickle runs code when it is read, so it is not; write the frame by to_parquet or to_csv",
+    ".npz": "numpy's arrays are not read; write them as a table (pandas: DataFrame, to_csv) or as .mat (scipy: savemat)",
+    ".npy": "numpy's arrays are not read; write them as a table (numpy: savetxt, with a header) or as .mat (scipy: savemat)",
+}
+"""Endings of other files that people have -> what they are and the way out."""

@@ -30,9 +30,10 @@ _BY_SURFACE: Mapping[str, tuple[int, ...]] = {
 }
 """Surface -> functions of outputs that have a part in it."""
 OUTPUT = re.compile(
-    r"RCOU\.C\d+|actuator_outputs(\[\d+\])?\.output\[\d+\]|actuator_servos\.control\[\d+\]|SERVOOUTPUT_RAW\.servo\d+_raw"
+    r"RCOU\.C\d+|actuator_outputs(\[\d+\])?\.output\[\d+\]|actuator_servos\.control\[\d+\]"
+    r"|SERVO_OUTPUT_RAW(\[\d+\])?\.servo\d+_raw|\S*/rc/out\.channels\[\d+\]"
 )
-"""ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVOOUTPUT_RAW."""
+"""ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVO_OUTPUT_RAW, what mavros makes of it."""
 ENDINGS = ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")  # ArduPilot's parameters of a servo output, SERVOn_
 _UNTOLD = frozenset({1, *range(51, 67)})  # functions that pass a stick on: what it moves is not said
 

@@ -6,8 +6,11 @@ Sources: ArduPilot `mode.h` of Plane, Copter and Rover; PX4 `vehicle_status.msg`
 
 from collections.abc import Iterable, Mapping, Sequence
 
+import numpy as np
+
 from daq.utilities.plain_words import one_line
-from groundstation.flight.marks import LONGEST_TEXT, Mark, Marks, mode_changes
+from groundstation.flight.marks import LONGEST_TEXT, FlightMode, Mark, Marks, mode_changes
+from groundstation.importers.series import TimeSeries
 
 PLANE: Mapping[int, str] = {
     0: "MANUAL", 1: "CIRCLE", 2: "STABILIZE", 3: "TRAINING", 4: "ACRO", 5: "FBWA", 6: "FBWB",
@@ -118,3 +121,17 @@ def armings(time: Iterable[float], armed: Iterable[bool]) -> tuple[Mark, ...]:
     """An event for each change of the state of the motors, the first included."""
     states = mode_changes(time, ("armed" if a else "disarmed" for a in armed), 0.0)
     return tuple(Mark(m.start, m.name) for m in states)
+
+
+PX4_ARMED = 2  # vehicle_status.arming_state ARMING_STATE_ARMED
+
+
+def px4_marks(series: Mapping[str, TimeSeries], messages: Iterable[Mark] = ()) -> Marks:
+    """Modes and arming by PX4's vehicle_status; messages as they were logged."""
+    mode, arming = series.get("vehicle_status.nav_state"), series.get("vehicle_status.arming_state")
+    modes: tuple[FlightMode, ...] = ()
+    if mode is not None:
+        names = [PX4_NAVIGATION.get(int(n), f"mode {n:g}") if np.isfinite(n) else "unknown" for n in mode.values]
+        modes = mode_changes(mode.time.tolist(), names, max(float(s.time[-1]) for s in series.values()))
+    events = armings(arming.time.tolist(), (arming.values == PX4_ARMED).tolist()) if arming is not None else ()
+    return Marks(modes, events, tuple(messages))

@@ -5,23 +5,34 @@ attitude is turned from east-north-up to north-east-down.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from groundstation.flight.marks import Mark, Marks, mode_changes
 from groundstation.importers.attitude import ANGLES, euler_from_quaternion, with_attitudes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.evidence import EVIDENCE
 from groundstation.importers.formats.bag_series import Topic
-from groundstation.importers.formats.bags import read_bag
+from groundstation.importers.formats.bags import WORDS, read_bag
 from groundstation.importers.mapping import ColumnSource, Map, built_in_map
+from groundstation.importers.modes import armings, mark_text, px4_marks
 from groundstation.importers.series import MESSAGE, Log, TimeSeries
 
-_PX4 = re.compile(r"px4_msgs/msg/(\w+)")
+_PX4 = re.compile(r"px4_msgs/(\w+)")
+_PX4_TOPIC = re.compile(r".*/fmu/(?:in|out)/(\w+?)(?:_v\d+)?")
+"""A topic of PX4's bridge is called as its uORB topic; its kind may have another name (SensorGps of vehicle_gps_position)."""
 PX4_US = 1e-6
 _SIDE = {"x": 1, "y": -1, "z": -1}  # sign of a body axis of ROS in ours
+_ORIENTATIONS: Mapping[str, str] = {
+    "geometry_msgs/PoseStamped": "pose.orientation",
+    "geometry_msgs/PoseWithCovarianceStamped": "pose.pose.orientation",
+    "nav_msgs/Odometry": "pose.pose.orientation",
+    "geometry_msgs/QuaternionStamped": "quaternion",
+}
+"""Kind of message -> its field that is an attitude."""
 TURNED = "messages of ROS: axes turned from x forward, y left, z up and east, north, up to ours (REP 103)"
 _BY_FIELDS: Mapping[str, frozenset[str]] = {
     "sensor_msgs/msg/Imu": frozenset({"angular_velocity.x", "linear_acceleration.x"}),
@@ -37,12 +48,16 @@ _BY_FIELDS: Mapping[str, frozenset[str]] = {
 _FIELD = "field."  # what `rostopic echo -p` writes before the name of each
 
 
-def read_ros(path: Path) -> tuple[Log, Map]:
-    """A bag as a log with the mapping that its kinds of messages make. Raises ImportDataError where nothing can be read."""
-    bag = read_bag(path)
+def read_ros(paths: Sequence[Path]) -> tuple[Log, Map]:
+    """A bag, of one file or several, as a log with the mapping that its kinds of messages make.
+
+    Raises ImportDataError where nothing can be read.
+    """
+    bag = read_bag(paths)
     px4 = {n: t for n, t in bag.topics.items() if _PX4.fullmatch(t.kind)}
     if px4:
-        log = Log("ulog", with_attitudes(_px4_series(px4)), notes=tuple(bag.notes))
+        found = with_attitudes(_px4_series(px4))
+        log = Log("ulog", found, notes=tuple(bag.notes), marks=px4_marks(found))
         return EVIDENCE["ulog"](log), built_in_map("px4")
     series: dict[str, TimeSeries] = {}
     columns: dict[str, list[ColumnSource]] = {}
@@ -53,12 +68,31 @@ def read_ros(path: Path) -> tuple[Log, Map]:
         rotated |= _standard(topic, topic_series, columns, kinds)
         series |= topic_series
     if not series:
-        raise ImportDataError(f"{path}: no numbers in the messages of this bag")
+        raise ImportDataError(f"{paths[0]}: no numbers in the messages of this bag")
     notes = [*bag.notes]
     if rotated:
         notes.append(TURNED)
-    log = Log("bag", series, notes=tuple(notes), kinds=kinds)
+    marks = _mavros_marks(bag.topics.values(), max(float(s.time[-1]) for s in series.values()))
+    log = Log("bag", series, notes=tuple(notes), kinds=kinds, marks=marks)
     return log, Map(format=1, title="bag", columns={n: tuple(s) for n, s in columns.items()})
+
+
+def _mavros_marks(topics: Iterable[Topic], end: float) -> Marks:
+    """Modes and arming by mavros' State, messages by its StatusText."""
+    marks = Marks()
+    for topic in topics:
+        if topic.kind not in WORDS:
+            continue
+        words = [mark_text(w) for w in topic.words]
+        rows = sorted(zip(topic.stamps().tolist(), words, range(len(words)), strict=True))
+        time = [t for t, _, _ in rows]
+        if topic.kind.endswith("/State"):
+            armed = topic.columns.get("armed", [0.0] * len(words))
+            modes = mode_changes(time, (w for _, w, _ in rows), end)
+            marks = replace(marks, modes=modes, events=armings(time, (armed[i] > 0 for _, _, i in rows)))
+        else:
+            marks = replace(marks, messages=tuple(Mark(t, w) for t, w, _ in rows))
+    return marks
 
 
 def of_topic_table(path: Path, log: Log, mapping: Map) -> tuple[Log, Map]:
@@ -94,8 +128,8 @@ def _px4_series(topics: dict[str, Topic]) -> dict[str, TimeSeries]:
     series: dict[str, TimeSeries] = {}
     counts: dict[str, int] = {}
     for topic in topics.values():
-        match = _PX4.fullmatch(topic.kind)
-        name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", match[1]).lower() if match else topic.name
+        by_topic, by_kind = _PX4_TOPIC.fullmatch(topic.name), topic.kind.rpartition("/")[2]
+        name = by_topic[1] if by_topic else re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", by_kind).lower()
         number = counts.get(name, 0)
         counts[name] = number + 1
         series |= topic.series(f"{name}[{number}]" if number else name, PX4_US)
@@ -113,34 +147,39 @@ def _standard(
             source = {"column": f"{name}.{field}", "unit": unit, "sign": sign}
             columns.setdefault(column, []).append(ColumnSource.model_validate(source))
 
-    match topic.kind.split("/")[-1], topic.kind.split("/")[0]:
-        case "Imu", "sensor_msgs":
+    match topic.kind.replace("/msg/", "/"):
+        case "sensor_msgs/Imu":
             for rate, force, axis in zip("pqr", ("ax", "ay", "az"), "xyz", strict=True):
                 give(rate, f"angular_velocity.{axis}", "rad/s", _SIDE[axis])
                 give(force, f"linear_acceleration.{axis}", "m/s2", _SIDE[axis])
             _attitude(name, "orientation", made, columns, kinds)
             return True
-        case "TwistStamped", "geometry_msgs" if "body" not in name:
-            give("vn", "twist.linear.y", "m/s")
-            give("ve", "twist.linear.x", "m/s")
-            give("vd", "twist.linear.z", "m/s", -1)
+        case "geometry_msgs/TwistStamped" | "geometry_msgs/TwistWithCovarianceStamped" as kind if "body" not in name:
+            field = "twist.twist.linear" if "Covariance" in kind else "twist.linear"
+            give("vn", f"{field}.y", "m/s")
+            give("ve", f"{field}.x", "m/s")
+            give("vd", f"{field}.z", "m/s", -1)
             return True
-        case "PoseStamped", "geometry_msgs":
-            _attitude(name, "pose.orientation", made, columns, kinds)
+        case kind if kind in _ORIENTATIONS:
+            _attitude(name, _ORIENTATIONS[kind], made, columns, kinds)
             return True
-        case "QuaternionStamped", "geometry_msgs":
-            _attitude(name, "quaternion", made, columns, kinds)
+        case "sensor_msgs/MagneticField":
+            for field, axis in zip(("mx", "my", "mz"), "xyz", strict=True):
+                give(field, f"magnetic_field.{axis}", "T", _SIDE[axis])
             return True
-        case "NavSatFix", _:
+        case "sensor_msgs/NavSatFix" | "foxglove.LocationFix":
             for column, unit in (("latitude", "deg"), ("longitude", "deg"), ("altitude", "m")):
                 give("altitude_gnss" if column == "altitude" else column, column, unit)
-        case "FluidPressure", _:
+        case "sensor_msgs/FluidPressure":
             give("p_dynamic" if re.search(r"diff|dyn|pitot", name) else "p_static", "fluid_pressure", "Pa")
-        case "Temperature", _:
+        case "sensor_msgs/Temperature":
             give("temperature", "temperature", "degC")
             kinds[f"{name}.temperature"] = "assumed"
-        case "VfrHud", _:
+        case "mavros_msgs/VfrHud":
             give("V_cas", "airspeed", "m/s")
+        case "mavros_msgs/RCOut":
+            made |= {n: replace(s, command=True) for n, s in made.items()}
+            kinds |= dict.fromkeys(made, "computed")
     return False
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.recordings.profile import OURS, mcap_profile
 from daq.utilities.input_files import check_file
 from daq.utilities.plain_words import listed, plain_name
 from groundstation.flight import Flight, Provenance
@@ -20,15 +21,17 @@ from groundstation.flight.flight import CHANNELS
 from groundstation.flight.marks import PARAMETERS
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.importers.columns import ImportedColumns, flight_columns, source_text
-from groundstation.importers.endings import BAGS, LOGS, TABLES
+from groundstation.importers.endings import BAGS, LOGS, OTHERS, TABLES
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.evidence import EVIDENCE
+from groundstation.importers.formats.bags import bag_files, parts_of_one_bag
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.functions import function_contradictions
 from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, built_in_map, load_map
 from groundstation.importers.records import by_boot, joined_flights, joined_topics, topics_of_px4
 from groundstation.importers.series import Log, TimeSeries, even_time_base, native_rate, without_damaged_times
 from groundstation.importers.servos import outputs_elsewhere, with_servos
+from groundstation.importers.slips import without_slips
 
 DEFAULT_RATE = 50.0
 """Highest rate [Hz] of the common time base of a log whose series have times of their own, unless stated."""
@@ -58,7 +61,7 @@ def import_data(
         raise ImportDataError("no file to import")
     user_map = load_map(mapping) if isinstance(mapping, (str, Path)) else mapping
     for file in paths:
-        check_file(file, error=ImportDataError)
+        check_log(file)
     flight = joined_flights([_record(*record, rate_hz, accept_implausible) for record in _records(paths, user_map)])
     unknown = flight.unknown_columns
     if unknown and not any(flight.measured(c) for c in flight.known_columns):
@@ -67,6 +70,28 @@ def import_data(
             f" 'sideslip import {paths[0]} --draft-map -o map.toml' drafts"
         )
     return flight
+
+
+def refuse_others(path: Path) -> None:
+    """Raises ImportDataError for a file of a kind that is known and not read, with the way out."""
+    cure = OTHERS.get(path.suffix.lower())
+    if cure is not None:
+        raise ImportDataError(f"{path}: {cure.format(file=path, stem=path.stem)}")
+
+
+def check_log(path: Path) -> None:
+    """Raises ImportDataError for what is neither an ordinary file nor the folder of a bag."""
+    for file in bag_files(path) if path.is_dir() else [path]:
+        check_file(file, error=ImportDataError)
+
+
+def log_digest(path: Path) -> str:
+    """SHA-256 of a log; of the folder of a bag that of its files' one after the other."""
+    digests = []
+    for file in bag_files(path) if path.is_dir() else [path]:
+        with file.open("rb") as opened:
+            digests.append(hashlib.file_digest(opened, "sha256").hexdigest())
+    return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
 
 def _over(user_map: Map | None, base: Map) -> Map:
@@ -78,9 +103,20 @@ def _records(paths: Sequence[Path], user_map: Map | None) -> list[tuple[Path, Lo
     topics = topics_of_px4(paths) if user_map is None or user_map.time is None else None
     if topics is not None:
         return [(paths[0], EVIDENCE[topics.kind](topics), _over(user_map, built_in_map("px4")))]
-    records = [(file, log, mapping) for file in paths for log, mapping in read_logs(file, user_map)]
+    records = [(part[0], log, mapping) for part in _bags(paths) for log, mapping in read_logs(part, user_map)]
     joined_record = joined_topics(records)
     return [(paths[0], *joined_record)] if joined_record is not None else records
+
+
+def _bags(paths: Sequence[Path]) -> list[list[Path]]:
+    """Each file by itself, and those of one bag that was split together."""
+    parts: list[list[Path]] = []
+    for path in paths:
+        if parts and parts_of_one_bag(parts[-1][-1], path):
+            parts[-1].append(path)
+        else:
+            parts.append([path])
+    return parts
 
 
 def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_implausible: bool) -> Flight:
@@ -98,12 +134,13 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
     with np.errstate(over="ignore", invalid="ignore"):  # what is beyond any measurement is left out just below
         imported = flight_columns(log, mapping, time, resampled)
     columns, value_notes = credible_values(imported.values)
+    columns, slips = without_slips(time, columns)
     if not columns:
         raise ImportDataError(
             f"{path}: nothing in it is known as a flight column; found {listed(log.series, 12)}; "
             "write a mapping file (--map)"
         )
-    notes = [*log.notes, *imported.notes, *value_notes]
+    notes = [*log.notes, *imported.notes, *value_notes, *slips]
     if mapping.title.startswith(EXAMPLE) and mapping.servos:
         notes.append("surfaces by the trim and travel of an example map: copy it and write down those of this aircraft")
     if no_output:
@@ -151,18 +188,24 @@ def _provenance(
         **log.marks.to_json(),
         **({PARAMETERS: dict(log.parameters)} if log.parameters else {}),
     }
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return Provenance("imported", str(path), digest, plain_name(mapping.aircraft), detail=detail)
+    return Provenance("imported", str(path), log_digest(path), plain_name(mapping.aircraft), detail=detail)
 
 
-def read_logs(path: Path, user_map: Map | None = None) -> list[tuple[Log, Map]]:
-    """The records of a file, each with its mapping. Raises ImportDataError for a file that cannot be read."""
+def read_logs(path: Path | Sequence[Path], user_map: Map | None = None) -> list[tuple[Log, Map]]:
+    """The records of a file, each with its mapping; of a bag, the folder or several files that it was split into.
+
+    Raises ImportDataError for a file that cannot be read.
+    """
+    paths = [path] if isinstance(path, Path) else list(path)
+    path = paths[0]
     suffix = path.suffix.lower()
+    if path.is_dir():
+        paths = bag_files(path)
+    if path.is_dir() or suffix in BAGS:
+        log, base = _read_bag(paths)
+        return [(log, _over(user_map, base))]
     if suffix in TABLES:
         return _read_tables(path, user_map)
-    if suffix in BAGS:
-        log, base = _read_bag(path)
-        return [(log, _over(user_map, base))]
     if suffix not in LOGS:
         log, base = _package_reader(path)(path)
         return [(log, _over(user_map, base))]
@@ -186,15 +229,14 @@ def _read_autopilot(kind: str, path: Path) -> list[Log]:
     return read_tlog(path)
 
 
-def _read_bag(path: Path) -> tuple[Log, Map]:
-    from groundstation.importers.formats.bags import OURS, mcap_profile
+def _read_bag(paths: Sequence[Path]) -> tuple[Log, Map]:
     from groundstation.importers.ros import read_ros
 
-    if path.suffix.lower() == ".mcap" and mcap_profile(path) == OURS:
+    if paths[0].suffix.lower() == ".mcap" and mcap_profile(paths[0]) == OURS:
         raise ImportDataError(
-            f"{path}: written by this program: a flight is taken as it is, a raw recording by 'sideslip calibrate'"
+            f"{paths[0]}: written by this program: a flight is taken as it is, a raw recording by 'sideslip calibrate'"
         )
-    return read_ros(path)
+    return read_ros(paths)
 
 
 def _package_reader(path: Path) -> Callable[[Path], tuple[Log, Map]]:
@@ -203,6 +245,7 @@ def _package_reader(path: Path) -> Callable[[Path], tuple[Log, Map]]:
     package = next((p for p in packages if p.name == path.suffix.lower().removeprefix(".")), None)
     if package is None:
         endings = (*TABLES, *LOGS, *BAGS, *(f".{p.name}" for p in packages))
+        refuse_others(path)
         raise ImportDataError(f"{path}: files of this kind are not known; give {', '.join(endings)}")
     try:
         reader: Callable[[Path], tuple[Log, Map]] = package.load()
@@ -253,7 +296,7 @@ def _time_base(path: Path, log: Log, mapping: Map, rate: float | None) -> Array:
         topics = sorted({name.split(".")[0] for name in log.series})
         raise ImportDataError(
             f"{path}: none of the expected messages is in this log; it has {listed(topics, 15) or 'nothing'}; "
-            "name columns in a mapping file (--map)"
+            "name columns in a mapping file (--map; --draft-map proposes one)"
         )
     fastest = max(native_rate(s) for s in series.values())
     return even_time_base(series, rate or min(DEFAULT_RATE, fastest))

@@ -37,11 +37,13 @@ def content_of(file: Path) -> dict[str, Any]:
     """What is in a file, as `info --json` has it. Raises UserError for what cannot be read, or is a table to be imported."""
     from groundstation.importers.about import is_foreign_log, log_info
     from groundstation.importers.endings import FOREIGN
+    from groundstation.importers.run import refuse_others
 
     if file.suffix == ".tlog":
         return _tlog_info(file)
     if is_foreign_log(file):
         return log_info(file)
+    refuse_others(file)
     if file.suffix.lower() in FOREIGN - {*_READ_HERE} and file.is_file():
         raise UserError(
             f"{file}: a log of another program; convert it to a flight with 'sideslip import {file} -o FLIGHT.mcap'"

@@ -135,7 +135,9 @@ class _Blocks:
             x, y = (_without_line(_means(v[: count * size].reshape(count, size), each)) for v in (signal, integrated))
             span = np.diff(time[: count * size].reshape(count, size)[:, [0, -1]], axis=1)[:, 0]
             whole = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1) & (size >= FEWEST_SAMPLES)
-            whole &= span < 1.5 * float(np.median(span)) if count else True
+            whole &= span < 1.5 * (size - 1) * float(
+                np.median(np.diff(time))
+            )  # none across the gap between two stretches
             a, b, off = (np.where(whole, np.sqrt(np.mean(v**2, axis=1)), np.nan) for v in (x, y, x - y))
             follows = whole & (np.mean(x * y, axis=1) > FOLLOWS * a * b)
         return cls((a, b), follows, float(np.median(off[follows])) if follows.any() else np.inf)

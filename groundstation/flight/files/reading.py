@@ -124,6 +124,7 @@ def _provenance_from(meta: Mapping[str, Any]) -> Provenance:
 
 def _read_mcap(path: Path) -> _Read:
     from daq.contract.recordings.flight_rows import described, flight_rows
+    from daq.contract.recordings.profile import OURS, mcap_profile
     from daq.contract.recordings.recording import RecordingError
     from daq.contract.recordings.segments import read_parts
 
@@ -132,6 +133,11 @@ def _read_mcap(path: Path) -> _Read:
     except RecordingError as error:
         raise FlightError(f"{error}; damaged, or no flight at all") from error
     flight = flights[0]
+    profile = mcap_profile(path)
+    if profile is not None and profile != OURS:
+        raise FlightError(
+            f"{path}: a bag of another program; 'sideslip import {path} -o FLIGHT.mcap' makes a flight of it"
+        )
     if any(s.entries for s in flights) or (
         all(s.sound for s in flights) and not any(FLIGHT_TOPIC in s.kept for s in flights)
     ):

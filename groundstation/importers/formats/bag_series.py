@@ -7,24 +7,26 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.importers.series import TimeSeries
+from groundstation.importers.series import Array, TimeSeries
 
 LONGEST = 32  # elements of an array that become series: 32 outputs of an autopilot; longer ones are images and clouds
 DEEPEST = 8  # messages within messages
 MOST = 2_000  # numbers of one message
-STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+STAMPS = (("header.stamp.sec", "header.stamp.nanosec"), ("timestamp.seconds", "timestamp.nanos"))
+"""Seconds and nanoseconds of the sender's own stamp: of ROS, and of Foxglove's messages."""
 
 
 @dataclass
 class Topic:
-    """name, and kind of its messages (`sensor_msgs/msg/Imu`); time received [s] and numbers of each."""
+    """name, and kind of its messages (`sensor_msgs/Imu`); time received [s], numbers and words of each."""
 
     name: str
     kind: str
     time: list[float] = field(default_factory=list)
     columns: dict[str, list[float]] = field(default_factory=dict)
+    words: list[str] = field(default_factory=list)
 
-    def add_message(self, time: float, row: Mapping[str, float]) -> None:
+    def add_message(self, time: float, row: Mapping[str, float], words: str = "") -> None:
         """Keep a message; NaN where it lacks a field that others have."""
         count = len(self.time)
         for name, value in row.items():
@@ -32,6 +34,7 @@ class Topic:
             column += [np.nan] * (count - len(column))
             column.append(value)
         self.time.append(time)
+        self.words.append(words)
 
     def series(self, prefix: str, unit_of_stamp: float | None = None) -> dict[str, TimeSeries]:
         """Series by `prefix.field`, by the sender's stamp where it has one, else by the time received [s].
@@ -40,14 +43,20 @@ class Topic:
         """
         count = len(self.time)
         columns = {n: np.array([*v, *[np.nan] * (count - len(v))]) for n, v in self.columns.items()}
-        time = np.array(self.time)
+        time = self.stamps()
         if unit_of_stamp is not None and "timestamp" in columns:
             time = columns["timestamp"] * unit_of_stamp
-        elif all(n in columns for n in STAMP) and np.all(columns[STAMP[0]] + columns[STAMP[1]] > 0):
-            time = columns[STAMP[0]] + 1e-9 * columns[STAMP[1]]
         order = np.argsort(time, kind="stable")
         columns = {n: v for n, v in columns.items() if not n.startswith(("header.", "timestamp"))}
         return {f"{prefix}.{n}": TimeSeries(time[order], v[order]) for n, v in columns.items()}
+
+    def stamps(self) -> Array:
+        """Time [s] of each message (N,): the sender's own where each has one, else that of its arrival."""
+        for seconds, nanoseconds in STAMPS:
+            parts = [np.array(self.columns.get(n, ())) for n in (seconds, nanoseconds)]
+            if all(p.size == len(self.time) for p in parts) and np.all(parts[0] + parts[1] > 0):
+                return np.asarray(parts[0] + 1e-9 * parts[1])
+        return np.array(self.time)
 
 
 def numbers_of(message: Any) -> dict[str, float]:

@@ -1,41 +1,46 @@
 """MCAP files and ROS 2 bags of other programs (rosbag2 as MCAP and SQLite): the messages, decoded by the schemas they carry.
 
-Formats: MCAP specification (mcap.dev), message encodings `cdr` with `ros2msg` schemas, `protobuf` and `json`;
-rosbag2_storage_sqlite3 (tables topics, messages, and since Iron message_definitions). Bags older than that carry no
-definitions: those of the standard messages are in `ros_definitions`.
+Formats: MCAP specification (mcap.dev), message encodings as in `bag_decoders`; rosbag2_storage_sqlite3 (tables topics, messages,
+and since Iron message_definitions). Bags older than that carry no definitions: those of the standard messages are in
+`ros_definitions`.
 """
 
-import contextlib
-import io
-import json
+import re
 import sqlite3
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
 from daq.contract.recordings.expand import Bad, expand_within
+from daq.contract.recordings.profile import OURS, mcap_profile
+from daq.utilities.input_files import read_text
+from daq.utilities.plain_words import listed
+from groundstation.importers.endings import BAGS
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.bag_decoders import (
+    Decode,
+    UnknownSchemaError,
+    mcap_decoder,
+    sqlite_decoder,
+    unpacked,
+)
 from groundstation.importers.formats.bag_series import Topic, numbers_of
 
 SQLITE = b"SQLite format 3\0"
-OURS = "sideslip"  # profile of the recordings and flights that this program writes
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-HEADER_OPCODE, HEADER_AT = 1, 17  # the header record, and where its profile begins
-HEAD_BYTES = 4096  # read to find the profile
 LARGEST_RECORD = 64 << 20
 """Bytes of one record of an MCAP file, and of a chunk unpacked: a chunk of a bag has a few megabytes."""
 LONGEST_MESSAGE = 1 << 20
 """Bytes of a message that is decoded: pictures and clouds of points are longer, and hold no series."""
-LONGEST_DEFINITION = 1 << 16  # bytes of the definition of a message, with those it uses: px4_msgs' longest has 10 kB
 _DAMAGE = (ValueError, LookupError, TypeError, AttributeError, OverflowError, EOFError, MemoryError, struct.error)
-Decode = Callable[[bytes], Any]
-
-
-class UnknownSchemaError(Exception):
-    """Messages of a kind that nothing here decodes."""
+METADATA = "metadata.yaml"  # of a bag's folder: which files it has, in their order
+_LISTED = re.compile(r"^\s*relative_file_paths:\s*\n((?:\s*- .*\n?)+)", re.MULTILINE)
+PACKED = (".zstd", ".zst")  # ending that rosbag2 gives a file which it has packed
+_NUMBERED = re.compile(r"(.+)_(\d+)")
+WORDS: Mapping[str, str] = {"mavros_msgs/State": "mode", "mavros_msgs/StatusText": "text"}
+"""Kind of a message -> its field of words that is kept."""
 
 
 @dataclass
@@ -65,23 +70,35 @@ class Bag:
             self.unread[name] = f"messages of {len(data)} bytes; at most {LONGEST_MESSAGE} are read"
             return
         try:
-            row = numbers_of(decode(data))
+            message = decode(unpacked(data, LONGEST_MESSAGE))
+            row = numbers_of(message)
         except Exception as error:  # noqa: BLE001 - protobuf and struct raise classes of their own for damaged bytes
             self.damaged += 1
             if not isinstance(error, _DAMAGE):
                 self.unread.setdefault(name, type(error).__name__)
             return
-        self.topics.setdefault(name, Topic(name, kind)).add_message(time_ns * 1e-9, row)
+        kind = kind.replace("/msg/", "/")
+        field_of_words = WORDS.get(kind)
+        words = str(_field(message, field_of_words)) if field_of_words else ""
+        self.topics.setdefault(name, Topic(name, kind)).add_message(time_ns * 1e-9, row, words)
 
 
-def read_bag(path: Path) -> Bag:
-    """Every message of a bag that can be decoded. Raises ImportDataError where the file is none, or nothing in it can be read."""
-    with path.open("rb") as file:
-        head = file.read(len(SQLITE))
-    bag = _sqlite(path) if head == SQLITE else _mcap(path)
+def _field(message: Any, name: str) -> object:
+    return message.get(name, "") if isinstance(message, Mapping) else getattr(message, name, "")
+
+
+def read_bag(paths: Sequence[Path]) -> Bag:
+    """Every message of a bag, of one file or of several in their order, that can be decoded.
+
+    Raises ImportDataError where a file is none, or nothing in the bag can be read.
+    """
+    bag = Bag()
+    for path in paths:
+        with path.open("rb") as file:
+            head = file.read(len(SQLITE))
+        (_sqlite if head == SQLITE else _mcap)(path, bag)
     if not bag.topics:
-        reasons = "; ".join(f"{t}: {w}" for t, w in list(bag.unread.items())[:4]) or "it holds no messages"
-        raise ImportDataError(f"{path}: no message of this bag can be read: {reasons}")
+        raise ImportDataError(f"{paths[0]}: no message of this bag can be read: {_why_unread(bag)}")
     if bag.damaged:
         bag.notes.append(f"{bag.damaged} messages of the bag are damaged and left out")
     if bag.unread:
@@ -90,8 +107,22 @@ def read_bag(path: Path) -> Bag:
     return bag
 
 
+def _why_unread(bag: Bag) -> str:
+    if bag.unread:
+        by_reason: dict[str, list[str]] = {}
+        for topic, reason in bag.unread.items():
+            by_reason.setdefault(reason, []).append(topic)
+        return "; ".join(f"{listed(topics, 3)}: {reason}" for reason, topics in list(by_reason.items())[:4])
+    return f"all {bag.damaged} are damaged" if bag.damaged else "it holds no messages"
+
+
 def is_bag(path: Path) -> bool:
-    """Whether a file is an MCAP file or a ROS 2 bag that this program has not written."""
+    """Whether a file is an MCAP file or a ROS 2 bag that this program has not written, or a folder one of such files."""
+    if path.is_dir():
+        try:
+            return is_bag(bag_files(path)[0])
+        except ImportDataError:
+            return False
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -101,27 +132,49 @@ def is_bag(path: Path) -> bool:
     return profile is not None and profile != OURS
 
 
-def mcap_profile(path: Path) -> str | None:
-    """The profile that the header of an MCAP file names; None where it has no header. Reads its first bytes only."""
+def bag_files(folder: Path) -> list[Path]:
+    """The files of a bag's folder in their order: as its metadata.yaml lists them, else by their numbers.
+
+    Raises ImportDataError where it has none.
+    """
     try:
-        with path.open("rb") as file:
-            head = file.read(HEAD_BYTES)
-    except OSError:
-        return None
-    if not head.startswith(MCAP_MAGIC) or len(head) < HEADER_AT + 4 or head[len(MCAP_MAGIC)] != HEADER_OPCODE:
-        return None
-    size = int.from_bytes(head[HEADER_AT : HEADER_AT + 4], "little")
-    profile = head[HEADER_AT + 4 : HEADER_AT + 4 + size]
-    return profile.decode("utf-8", "replace") if len(profile) == size else None
+        files = [p for p in folder.iterdir() if p.is_file()]
+    except OSError as error:
+        raise ImportDataError(f"{folder}: cannot be read ({error.strerror})") from error
+    found = sorted((p for p in files if p.suffix.lower() in BAGS), key=_place)
+    if not found:
+        packed = [p.name for p in files if p.suffix.lower() in PACKED and Path(p.stem).suffix.lower() in BAGS]
+        unpack = f"; its files are packed: 'zstd -d {folder / packed[0]}' unpacks one" if packed else ""
+        raise ImportDataError(f"{folder}: a folder without the files of a bag (.mcap, .db3){unpack}")
+    listing = folder / METADATA
+    if not listing.is_file():
+        return found
+    match = _LISTED.search(read_text(listing, "bag's metadata", ImportDataError))
+    names = re.findall(r"- *['\"]?([^'\"\n]+?)['\"]? *$", match[1], re.MULTILINE) if match else []
+    listed_files = [folder / Path(name).name for name in names]
+    return listed_files if set(listed_files) == set(found) else found
+
+
+def _place(path: Path) -> tuple[str, int]:
+    """Name and number of a file of a bag: rosbag2 calls them NAME_0, NAME_1, ..., NAME_10."""
+    match = _NUMBERED.fullmatch(path.stem)
+    return (match[1], int(match[2])) if match else (path.stem, -1)
+
+
+def parts_of_one_bag(first: Path, second: Path) -> bool:
+    """Whether two files are the one after the other of a bag that was split."""
+    if first.suffix.lower() not in BAGS or first.parent != second.parent or first.suffix != second.suffix:
+        return False
+    (name, number), (other, following) = _place(first), _place(second)
+    return name == other and 0 <= number == following - 1
 
 
 # ------------------------------------------------------------------------------------------------------------------- MCAP
 
 
-def _mcap(path: Path) -> Bag:
+def _mcap(path: Path, bag: Bag) -> None:
     from mcap.exceptions import McapError
 
-    bag = Bag()
     schemas: dict[int, Any] = {}
     channels: dict[int, Any] = {}
     decoders: dict[int, Decode | None] = {}
@@ -137,7 +190,7 @@ def _mcap(path: Path) -> Bag:
                         channel = channels[record.channel_id]
                         schema = schemas.get(channel.schema_id)
                         if record.channel_id not in decoders:
-                            make = partial(_mcap_decoder, channel, schema)
+                            make = partial(mcap_decoder, channel, schema)
                             decoders[record.channel_id] = bag.decoder(channel.topic, "schema", make)
                         decode = decoders[record.channel_id]
                         if decode is not None:
@@ -149,7 +202,6 @@ def _mcap(path: Path) -> Bag:
                 f"{path}: not an MCAP file, or its first chunk is cut off or damaged ({error})"
             ) from error
         bag.notes.append(f"the file is cut off or damaged ({type(error).__name__}); the whole messages before are used")
-    return bag
 
 
 def _mcap_records(file: IO[bytes]) -> Iterator[Any]:
@@ -167,41 +219,10 @@ def _mcap_records(file: IO[bytes]) -> Iterator[Any]:
         yield from breakup_chunk(record)
 
 
-def _mcap_decoder(channel: Any, schema: Any) -> Decode:
-    if channel.message_encoding == "json":
-        return json.loads
-    if channel.message_encoding == "cdr" and schema is not None and schema.encoding == "ros2msg":
-        return _cdr(schema.name, schema.data.decode())
-    if channel.message_encoding == "protobuf" and schema is not None:
-        return _protobuf(schema)
-    kind = f"{channel.message_encoding or 'no encoding'} with {schema.encoding if schema else 'no'} schema"
-    raise UnknownSchemaError(f"{kind} is not known; cdr with ros2msg, protobuf and json are")
-
-
-def _cdr(name: str, definition: str) -> Decode:
-    from mcap_ros2.decoder import generate_dynamic
-
-    if len(definition) > LONGEST_DEFINITION:
-        raise UnknownSchemaError(f"a definition of {len(definition)} letters; at most {LONGEST_DEFINITION} are read")
-    with contextlib.redirect_stderr(io.StringIO()):  # it says there what it raises
-        decoders: Mapping[str, Decode] = generate_dynamic(name, definition)
-    return decoders[name] if name in decoders else decoders[name.replace("/msg/", "/")]
-
-
-def _protobuf(schema: Any) -> Decode:
-    from mcap_protobuf.decoder import DecoderFactory
-
-    decode: Decode | None = DecoderFactory().decoder_for("protobuf", schema)
-    if decode is None:
-        raise ValueError("no protobuf schema")
-    return decode
-
-
 # ----------------------------------------------------------------------------------------------------------------- SQLite
 
 
-def _sqlite(path: Path) -> Bag:
-    bag = Bag()
+def _sqlite(path: Path, bag: Bag) -> None:
     try:
         with sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True) as file:
             # Neither views nor virtual tables, which have no pages: what they hold is computed.
@@ -217,7 +238,7 @@ def _sqlite(path: Path) -> Bag:
             definitions: dict[str, str] = dict(file.execute(query)) if "message_definitions" in tables else {}
             topics = {number: (name, kind) for number, name, kind in file.execute("select id, name, type from topics")}
             decoders = {
-                number: bag.decoder(name, "definition", partial(_sqlite_decoder, kind, definitions))
+                number: bag.decoder(name, "definition", partial(sqlite_decoder, kind, definitions))
                 for number, (name, kind) in topics.items()
             }
             query = "select topic_id, timestamp, data from messages order by timestamp"
@@ -229,15 +250,3 @@ def _sqlite(path: Path) -> Bag:
         if not bag.topics:
             raise ImportDataError(f"{path}: damaged SQLite bag ({error})") from error
         bag.notes.append(f"the bag is damaged ({error}); the whole messages before are used")
-    return bag
-
-
-def _sqlite_decoder(kind: str, definitions: Mapping[str, str]) -> Decode:
-    from groundstation.importers.formats.ros_definitions import STANDARD
-
-    text = definitions.get(kind) or STANDARD.get(kind)
-    if text is None:
-        raise UnknownSchemaError(
-            f"{kind}: this bag carries no definitions; convert it with 'ros2 bag convert' to MCAP, which does"
-        )
-    return _cdr(kind, text)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.utilities.plain_words import listed, one_line
+from daq.utilities.plain_words import listed, one_line, plain_name
 from groundstation.flight.arrays import Array, Mask
 from groundstation.flight.files.csv_columns import is_number
 from groundstation.importers.errors import ImportDataError
@@ -26,8 +26,10 @@ EXCEL_DAYS, MATLAB_DAYS = (30_000.0, 80_000.0), (700_000.0, 800_000.0)
 """Numbers of days of 1982-2119: of Excel since 1899-12-30, of MATLAB's datenum since the year 0."""
 
 YEAR_DAYS = 365
-_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,:]\d*)?)")
-"""Time of day, with the day of the year before it in IRIG time."""
+_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,:]\d*)?)(?:\s*([AaPp])\.?[Mm]\.?)?")
+"""Time of day, with the day of the year before it in IRIG time, or which half of the day behind it."""
+_CALENDAR = re.compile(r"(\d{1,4}[./-]\d{1,2}[./-]\d{1,4})[ T,]+(\d.*)")
+"""A date as people write it, and a time of day. Which of its numbers is the day decides nothing: a new date is a new day."""
 
 _SECONDS = re.compile(r"(?i)(?P<head>(?:.*[._/ ])?(?:tv_?)?)(?:sec|secs|seconds)")
 _NANOSECONDS = re.compile(r"(?i)n(?:ano)?_?(?:sec|secs|seconds)")
@@ -61,9 +63,9 @@ def stamps_of(
         rows = len(next(iter(numeric.values()), np.zeros(0)))
         stamps = Stamps(np.arange(rows) / float(time.rate_hz or 1.0))
     elif name in dates:
-        stamps = Stamps(dates[name])
+        stamps = _with_seconds_filled(name, Stamps(dates[name]))
     elif name in words:
-        stamps = _of_words(path, name, words[name], words.get(time.date or "", ()), time)
+        stamps = _with_seconds_filled(name, _of_words(path, name, words[name], words.get(time.date or "", ()), time))
     elif name in numeric:
         stamps = _of_numbers(path, name, numeric[name], time)
     else:
@@ -140,12 +142,7 @@ def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
         if evened is None:
             return Stamps(seconds, notes=(note,), origin=origin)
         return Stamps(evened, notes=(note, "its stamps are coarse, and were put on even times"), origin=origin)
-    spread = _spread(seconds)
-    if spread is not None:
-        return Stamps(
-            spread, notes=(f"time column {name} has whole seconds only: its rows were spread over each second",)
-        )
-    return Stamps(seconds, origin=origin)
+    return _with_seconds_filled(name, Stamps(seconds, origin=origin))
 
 
 def _epoch(values: Array) -> str:
@@ -175,6 +172,15 @@ def _evened(seconds: Array) -> Array | None:
     return regular if np.max(np.abs(seconds - regular)) <= 1.1 * quantum else None
 
 
+def _with_seconds_filled(name: str, stamps: Stamps) -> Stamps:
+    """The stamps, of whole seconds with the rows spread over each."""
+    spread = _spread(stamps.seconds)
+    if spread is None:
+        return stamps
+    note = f"time column {plain_name(name)} has whole seconds only: its rows were spread over each second"
+    return replace(stamps, seconds=spread, notes=(*stamps.notes, note))
+
+
 def _spread(seconds: Array) -> Array | None:
     """Rows of one whole second spread over it, in their order; None where stamps are no whole seconds or hardly repeat.
 
@@ -201,6 +207,10 @@ def _of_words(path: Path, name: str, cells: Sequence[str], days: Sequence[str], 
     first = next((c for c in cells if c), "")
     if _CLOCK.fullmatch(first):
         return _clocks(path, name, cells, days)
+    match = _CALENDAR.fullmatch(first)
+    if match is not None and _CLOCK.fullmatch(match[2]) and not _is_date(first):
+        split = [cell.partition(match[0][len(match[1])]) for cell in cells]
+        return _clocks(path, name, [c.lstrip(" T,") for _, _, c in split], [day for day, _, _ in split])
     if time.unit != "iso" and not _is_date(first):
         word = next((c for c in cells if c and not is_number(c)), first)
         raise ImportDataError(
@@ -253,7 +263,8 @@ def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) ->
         if match is not None:
             irig = irig or match[1] is not None
             second = float(match[4].replace(",", ".").replace(":", "."))
-            clock[i] = DAY * float(match[1] or 0) + 3600.0 * float(match[2]) + 60.0 * float(match[3]) + second
+            hour = float(match[2]) if match[5] is None else float(match[2]) % 12.0 + 12.0 * (match[5] in "Pp")
+            clock[i] = DAY * float(match[1] or 0) + 3600.0 * hour + 60.0 * float(match[3]) + second
     if days and not irig:
         clock = clock + DAY * _day_numbers(days)
     else:

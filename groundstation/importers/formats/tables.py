@@ -1,24 +1,34 @@
 """CSV and Parquet tables: any header, any order, with the units in the mapping file or in the header."""
 
-import codecs
 import csv
 import itertools
 import re
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.utilities.input_files import read_bytes
 from daq.utilities.plain_words import listed, one_line, plain_name
 from groundstation.flight.arrays import Array
 from groundstation.flight.files.csv_columns import plain_columns
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS, read_parquet
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.table_text import (
+    EMPTY,
+    LONGEST_PREAMBLE,
+    cells_of,
+    decimal_of,
+    delimiter_of,
+    lines_above_header,
+    lines_of,
+    numbers_of_cells,
+    text_of,
+    unit_row,
+    without_end,
+)
 from groundstation.importers.formats.table_time import sender_stamp, stamp_columns, stamps_of, without_sentinels
 from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time
 from groundstation.importers.series import Log, TimeSeries
@@ -28,17 +38,11 @@ RECORD = "record number"  # series that counts the records of a file in which ti
 WORDS_AMONG_NUMBERS = 0.1  # a column with a larger share of cells that are no numbers is one of words
 DATE_NAMES = ("date", "Date", "DATE")  # columns that hold the day beside a time of day
 _TIME_NAMES = ("time", "t", "Time", "TIME", "time_s")
-_ALIKE = 4  # lines below the column names that must have as many cells
-_LONGEST_PREAMBLE = 200
+FEW_UNEVEN, UNEVEN = 2, 0.01
+"""Lines, and share of them, without as many cells as the header that are left out: a logger's slips, not another table."""
 _CELLS_AT_ONCE = 400_000  # turned into numbers together: 30 MB as text
-_EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
-_DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d*,\d+(e[-+]?\d+)?\s*$", re.IGNORECASE)
-_DECIMAL_POINT = re.compile(r"^\s*[-+]?\d*\.\d+(e[-+]?\d+)?\s*$", re.IGNORECASE)
 _HEADER_UNIT = re.compile(r"^\s*(?P<name>[^\[\](]+?)\s*[\[(]\s*(?P<unit>[^\])]*)\s*[\])]\s*$")
 _DIGIT = re.compile(r"\d")
-_BLANK_LINES = re.compile(r"^(?:[^\S\n]*+(?:#[^\n]*+)?\n)++", re.MULTILINE)
-"""Lines in a row with nothing in them but a remark."""
-_LINE = re.compile(r"[^\n]+")
 NAME_THE_TIME = (
     "name the time column in a mapping file (--map; --draft-map proposes one), or the rate where there is none: "
     "[time] rate_hz = 50"
@@ -94,19 +98,18 @@ def _with_sender_stamp(table: ImportedTable) -> ImportedTable:
 
 
 def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> ImportedTable:
-    text = _BLANK_LINES.sub("", _text(path).replace("\r\n", "\n").replace("\r", "\n") + "\n")
-    text, notes = _without_cut_line(text, layout)
-    first_lines = list(itertools.islice(_lines(text), _LONGEST_PREAMBLE + _ALIKE))
+    text, notes = without_end(text_of(path), layout)
+    first_lines = list(itertools.islice(lines_of(text), LONGEST_PREAMBLE))
     last_line = text[text.rfind("\n", 0, -1) + 1 : -1]
-    preamble = layout.header_line - 1 if layout.header_line else _lines_above_header(first_lines, last_line, layout)
+    preamble = layout.header_line - 1 if layout.header_line else lines_above_header(first_lines, last_line, layout)
     if preamble and not layout.header_line:
         notes.insert(0, f"{preamble} lines above the column names passed over")
-    lines = itertools.islice(_lines(text), preamble, None)
+    lines = itertools.islice(lines_of(text), preamble, None)
     top = next(lines, None)
     if top is None:
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
-    delimiter = layout.delimiter or _delimiter(top)
-    rows = _cells(itertools.chain([top], lines), delimiter)
+    delimiter = layout.delimiter or delimiter_of(top)
+    rows = cells_of(itertools.chain([top], lines), delimiter)
     header = [h.strip() for h in (list(layout.names) or next(rows))]
     _check_header(path, header)
     if needs_time:
@@ -114,8 +117,8 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
     first_rows = list(itertools.islice(rows, layout.skip_after_header, layout.skip_after_header + 50))
     if not first_rows:
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
-    units = _unit_row(header, first_rows[0])
-    decimal = layout.decimal or _decimal(delimiter, first_rows)
+    units = unit_row(header, first_rows[0])
+    decimal = layout.decimal or decimal_of(delimiter, first_rows)
     body_start = preamble + (not layout.names) + layout.skip_after_header + bool(units)
     columns = _plain_columns(text, header, body_start, delimiter, decimal)
     if columns:
@@ -149,35 +152,50 @@ class _MixedColumns:
         self._values: list[list[Array]] = [[] for _ in header]
         self._wrong = [0] * len(header)
         self._example: list[tuple[str, int] | None] = [None] * len(header)
+        self._rows = self._repeated = 0
+        self._uneven: list[tuple[int, int]] = []
         self._words: dict[int, list[str]] = {i: [] for i, name in enumerate(header) if can_be_time(name)}
 
     def read(self, rows: Iterator[list[str]], needs_time: bool) -> None:
-        """Use all rows. Raises ImportDataError naming the line that has not as many cells as the header.
+        """Use all rows. Raises ImportDataError naming the first of many lines that have not as many cells as the header.
 
         needs_time: one of the columns that can be the time must hold it; where none of some hundred thousand rows has a digit
         there, no more are read.
         """
-        width = len(self._header)
-        at_once = max(1, _CELLS_AT_ONCE // width)
+        at_once = max(1, _CELLS_AT_ONCE // len(self._header))
         while block := list(itertools.islice(rows, at_once)):
-            if set(map(len, block)) != {width}:
-                uneven = next(i for i, row in enumerate(block) if len(row) != width)
-                raise ImportDataError(
-                    f"{self._path}: table line {self._row + uneven} has {len(block[uneven])} cells, the header has {width}; if "
-                    "the column names stand further down, say in which line in a mapping file: [file] header_line"
-                )
-            columns = list(zip(*block, strict=True))
-            if needs_time and len(block) == at_once and self._row == self._first:
+            whole = self._whole_rows(block)
+            columns = list(zip(*(row for _, row in whole), strict=True))
+            if needs_time and len(whole) == at_once and self._row == self._first:
                 self._check_time(columns)
             for i, cells in enumerate(columns):
-                values, bad_rows = _numbers(cells, self._decimal)
+                values, bad_rows = numbers_of_cells(cells, self._decimal)
                 self._values[i].append(values)
                 self._wrong[i] += len(bad_rows)
                 if bad_rows and self._example[i] is None:
-                    self._example[i] = (cells[bad_rows[0]].strip(), self._row + bad_rows[0])
+                    self._example[i] = (cells[bad_rows[0]].strip(), whole[bad_rows[0]][0])
                 if i in self._words:
                     self._words[i] += [cell.strip() for cell in cells]
             self._row += len(block)
+
+    def _whole_rows(self, block: list[list[str]]) -> list[tuple[int, list[str]]]:
+        """The rows of a block that have as many cells as the header and do not repeat it, each with its line."""
+        width = len(self._header)
+        numbered = list(enumerate(block, start=self._row))
+        if set(map(len, block)) == {width} and self._header not in block:
+            self._rows += len(block)
+            return numbered
+        self._uneven += [(line, len(row)) for line, row in numbered if len(row) != width]
+        whole = [(line, row) for line, row in numbered if len(row) == width and row != self._header]
+        self._repeated += len(block) - sum(len(row) != width for row in block) - len(whole)
+        self._rows += len(whole)
+        if len(self._uneven) > max(FEW_UNEVEN, UNEVEN * (self._row + len(block) - self._first)) or not whole:
+            line, cells = self._uneven[0] if self._uneven else (self._first, width)
+            raise ImportDataError(
+                f"{self._path}: table line {line} has {cells} cells, the header has {width}; if the column names stand further "
+                "down, say in which line in a mapping file: [file] header_line"
+            )
+        return whole
 
     def _check_time(self, columns: Sequence[Sequence[str]]) -> None:
         if not self._words or any(_DIGIT.search(" ".join(columns[i])) for i in self._words):
@@ -192,11 +210,18 @@ class _MixedColumns:
         """What was read."""
         numeric: dict[str, Array] = {}
         words: dict[str, list[str]] = {}
+        if self._repeated:
+            notes.append(f"{self._repeated} lines that repeat the column names left out")
+        if self._uneven:
+            (line, cells), width = self._uneven[0], len(self._header)
+            notes.append(
+                f"{len(self._uneven)} lines without {width} cells left out (the first, of {cells}, table line {line})"
+            )
         for i, name in enumerate(self._header):
             example = self._example[i]
             if not name:
                 continue
-            if self._wrong[i] > WORDS_AMONG_NUMBERS * (self._row - self._first):
+            if self._wrong[i] > WORDS_AMONG_NUMBERS * self._rows:
                 words[name] = self._words.get(i, [])
                 continue
             numeric[name] = np.concatenate(self._values[i]) if self._values[i] else np.zeros(0)
@@ -208,70 +233,13 @@ class _MixedColumns:
         return ImportedTable(numeric, words, units=units, notes=tuple(notes))
 
 
-def _lines(text: str) -> Iterator[str]:
-    """The lines of a text without empty ones."""
-    return (line[0] for line in _LINE.finditer(text))
-
-
-def _without_cut_line(text: str, layout: FileFormat) -> tuple[str, list[str]]:
-    """The text without a last line that has fewer cells than the two before it, as a program that died leaves it; and a note."""
-    ends = [len(text)]
-    for _ in range(3):
-        ends.append(text.rfind("\n", 0, max(ends[-1] - 1, 0)) + 1)
-    lines = [text[b : a - 1] for a, b in itertools.pairwise(ends)]
-    if ends[-1] == 0 or not all(lines):
-        return text, []
-    delimiter = layout.delimiter or _delimiter(lines[1])
-    counts = [len(row) for row in _cells(lines, delimiter)]
-    if len(counts) < 3 or not counts[0] < counts[1] == counts[2]:
-        return text, []
-    note = f"the last line is cut off ({counts[0]} of {counts[1]} cells): left out"
-    return text[: ends[1]], [note]
-
-
 def _plain_columns(text: str, header: list[str], above: int, delimiter: str, decimal: str) -> list[Array] | None:
     """The columns below so many lines, where they are nothing but numbers."""
     if '"' in text or delimiter == " " or len(set(header)) < len(header):
         return None
     style = {"delimiter": delimiter, "decimal": decimal}
-    columns = plain_columns(text.encode(), header, skip_lines=above, empty=tuple(_EMPTY), **style)
+    columns = plain_columns(text.encode(), header, skip_lines=above, empty=tuple(EMPTY), **style)
     return columns and [np.where(np.isinf(values), np.nan, values) for values in columns]
-
-
-def _lines_above_header(lines: list[str], last: str, layout: FileFormat) -> int:
-    """How many lines stand above the column names: the first line of words only that has as many cells as the lines below and
-    the last one, among which are numbers. 0 where there is none."""
-    if layout.names:
-        return 0
-    for i in range(min(len(lines) - _ALIKE, _LONGEST_PREAMBLE)):
-        delimiter = layout.delimiter or _delimiter(lines[i])
-        names, *rows = list(_cells([*lines[i : i + 1 + _ALIKE], last], delimiter)) or [[]]
-        if any(len(row) != len(names) for row in rows) or len(names) < 2 or all(find_unit(name) for name in names):
-            continue
-        decimal = layout.decimal or _decimal(delimiter, rows)
-        worded = len(_numbers(names, decimal)[1]) == sum(1 for name in names if name.strip())
-        if worded and any(len(_numbers(row, decimal)[1]) < len(row) for row in rows[_ALIKE - 1 :]):
-            return i
-    return 0
-
-
-def _cells(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
-    return (line.split() for line in lines) if delimiter == " " else csv.reader(lines, delimiter=delimiter)
-
-
-def _text(path: Path) -> str:
-    """The file as text: UTF-8 or UTF-16 with or without a mark, else Latin-1."""
-    data = read_bytes(path, error=ImportDataError)
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return data.decode("utf-16", "replace")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    text = text.rstrip("\0")  # blocks that a power cut left unwritten
-    if "\0" in text:
-        raise ImportDataError(f"{path}: not a text file; a CSV is expected")
-    return text
 
 
 def _check_header(path: Path, header: list[str]) -> None:
@@ -279,7 +247,7 @@ def _check_header(path: Path, header: list[str]) -> None:
         raise ImportDataError(
             f"{path}: {sum(map(bool, header))} column names of {len(header)}; 1 to {MOST_COLUMNS} can be read"
         )
-    if all(h and not _numbers([h], ".")[1] for h in header):
+    if all(h and not numbers_of_cells([h], ".")[1] for h in header):
         raise ImportDataError(
             f"{path}: the first line holds numbers, not column names; add a line of names above it (time,ax,ay,...) "
             "or give them in a mapping file: [file] names = [...]"
@@ -287,64 +255,6 @@ def _check_header(path: Path, header: list[str]) -> None:
     duplicates = sorted(name for name, count in Counter(header).items() if name and count > 1)
     if duplicates:
         raise ImportDataError(f"{path}: column {plain_name(duplicates[0])!r} appears twice in the header")
-
-
-def _delimiter(line: str) -> str:
-    delimiter = max((";", "\t", ","), key=line.count)
-    return delimiter if delimiter in line else " "
-
-
-def _decimal(delimiter: str, body: list[list[str]]) -> str:
-    """A comma where cells are like 12,5 and the comma does not part them."""
-    if delimiter == ",":
-        return "."
-    cells = [cell for row in body[:50] for cell in row]
-    comma, point = (any(pattern.match(c) for c in cells) for pattern in (_DECIMAL_COMMA, _DECIMAL_POINT))
-    return "," if comma and not point else "."
-
-
-def _unit_row(header: list[str], row: list[str]) -> dict[str, str]:
-    """The units of a row below the header that holds words, and no number but the unit 1; empty when it is an ordinary row."""
-    cells = [c.strip().strip("[]()") for c in row]
-    words = [c for c in cells if c and _numbers([c], ".")[1]]
-    if len(cells) != len(header) or len(words) + cells.count("1") != sum(map(bool, cells)):
-        return {}
-    if not any(find_unit(c) for c in words):
-        return {}
-    return {h: c for h, c in zip(header, cells, strict=True) if h and c}
-
-
-def _numbers(cells: Sequence[str], decimal: str) -> tuple[Array, list[int]]:
-    """Values, NaN where empty, infinite or no number; and the rows of the cells that are no numbers."""
-    if decimal == ",":
-        cells = [c.replace(",", ".") for c in cells]
-    bad_rows: list[int] = []
-    try:
-        values = np.array(cells, float)
-    except ValueError:
-        values = np.full(len(cells), np.nan)
-        number = lru_cache(maxsize=None)(_number)  # the same words stand in a column again and again
-        for i, cell in enumerate(cells):
-            value = number(cell)
-            if value is None:
-                bad_rows.append(i)
-            else:
-                values[i] = value
-    values[np.isinf(values)] = np.nan
-    return values, bad_rows
-
-
-def _number(cell: str) -> float | None:
-    """The value of a cell, NaN when it is empty, None when it is no number."""
-    word = cell.strip().lower()
-    if word in _EMPTY:
-        return np.nan
-    if word[0].isalpha() and word[0] not in "in":  # inf and nan: asked here, for an exception takes ten times as long
-        return None
-    try:
-        return float(word)
-    except ValueError:
-        return None
 
 
 def header_map(table: ImportedTable, given: Container[str] = ()) -> tuple[Map, tuple[str, ...]]:

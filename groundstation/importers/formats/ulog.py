@@ -12,16 +12,15 @@ import numpy as np
 from daq.utilities.input_files import read_bytes
 from daq.utilities.packages import missing
 from daq.utilities.plain_words import LONGEST_NAME, one_line
-from groundstation.flight.marks import FlightMode, Mark, Marks, mode_changes
+from groundstation.flight.marks import Mark
 from groundstation.importers.attitude import euler_from_quaternion
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.ulog_scan import MAGIC, UlogScan
-from groundstation.importers.modes import PX4_NAVIGATION, armings, mark_text
+from groundstation.importers.modes import mark_text, px4_marks
 from groundstation.importers.series import Log, TimeSeries
 
 _DAMAGE = (KeyError, IndexError, ValueError, TypeError, OSError, AttributeError)
 """What pyulog raises on bytes that are not what was written."""
-PX4_ARMED = 2  # vehicle_status.arming_state ARMING_STATE_ARMED
 
 
 def read_ulog(path: Path) -> Log:
@@ -66,16 +65,5 @@ def read_ulog(path: Path) -> Log:
         notes.append(f"the logger of this ULog reports {scan.dropouts} dropouts, together {seconds:.3g} s")
     system = one_line(str(log.msg_info_dict.get("ver_sw", "")), LONGEST_NAME)
     detail = {"firmware": system} if system else {}
-    marks = _marks(series, scan)
+    marks = px4_marks(series, (Mark(t, mark_text(text)) for t, text in scan.logged))
     return Log("ulog", series, notes=tuple(notes), detail=detail, parameters=scan.parameters, marks=marks)
-
-
-def _marks(series: dict[str, TimeSeries], scan: UlogScan) -> Marks:
-    """Modes and arming by vehicle_status, messages as the logger kept them."""
-    mode, arming = series.get("vehicle_status.nav_state"), series.get("vehicle_status.arming_state")
-    modes: tuple[FlightMode, ...] = ()
-    if mode is not None:
-        names = [PX4_NAVIGATION.get(int(n), f"mode {n:g}") if np.isfinite(n) else "unknown" for n in mode.values]
-        modes = mode_changes(mode.time.tolist(), names, max(float(s.time[-1]) for s in series.values()))
-    events = armings(arming.time.tolist(), (arming.values == PX4_ARMED).tolist()) if arming is not None else ()
-    return Marks(modes, events, tuple(Mark(t, mark_text(text)) for t, text in scan.logged))

@@ -286,10 +286,15 @@ def test_lines_above_the_column_names_are_passed_over_and_counted(tmp_path: Path
         assert np.array_equal(flight.time if name == "time" else flight[name], values)
 
 
-def test_a_broken_row_is_not_taken_for_a_preamble(tmp_path: Path, flown: Columns) -> None:
+def test_a_broken_row_is_no_preamble_and_left_out(tmp_path: Path, flown: Columns) -> None:
     lines = write_csv(tmp_path / "log.csv", {n: flown[n] for n in ("time", "phi", "p")}).read_text().splitlines()
     lines[2] = lines[2].rpartition(",")[0]
     path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines))
+    flight = import_data(path)
+    assert len(flight) == len(lines) - 2
+    assert any("1 lines without 3 cells left out (the first, of 2, table line 3)" in n.text for n in flight.notes)
+    lines[3:9] = [line.rpartition(",")[0] for line in lines[3:9]]
     path.write_text("\n".join(lines))
     with pytest.raises(ImportDataError, match=r"table line 3 has 2 cells, the header has 3; .*header_line"):
         import_data(path)

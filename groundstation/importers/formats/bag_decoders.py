@@ -1,0 +1,81 @@
+"""What decodes the messages of a bag, by the schemas it carries: ROS 2 (CDR), ROS 1, protobuf and JSON."""
+
+import contextlib
+import io
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from daq.contract.recordings.expand import expand_within
+from groundstation.importers.formats.ros1_messages import ros1_decoder
+from groundstation.importers.formats.ros_definitions import STANDARD
+
+LONGEST_DEFINITION = 1 << 16  # bytes of the definition of a message, with those it uses: px4_msgs' longest has 10 kB
+ZSTD = b"\x28\xb5\x2f\xfd"
+"""What a message begins with that rosbag2 has packed by itself (compression_mode: message); CDR begins with 0, 0 or 0, 1."""
+DEFINITIONS = ("ros2msg", "ros1msg")
+Decode = Callable[[bytes], Any]
+
+
+class UnknownSchemaError(Exception):
+    """Messages of a kind that nothing here decodes."""
+
+
+def mcap_decoder(channel: Any, schema: Any) -> Decode:
+    """Of the messages of a channel of an MCAP file. Raises UnknownSchemaError."""
+    encoding, kind = channel.message_encoding, schema.encoding if schema else "no"
+    if encoding == "json":
+        return json.loads
+    if schema is not None and kind in DEFINITIONS and len(schema.data) > LONGEST_DEFINITION:
+        raise UnknownSchemaError(f"a definition of {len(schema.data)} letters; at most {LONGEST_DEFINITION} are read")
+    if encoding == "cdr" and kind == "ros2msg":
+        return _cdr(schema.name, schema.data.decode())
+    if encoding == "cdr" and schema is not None and schema.name in STANDARD:  # whatever language defines it there
+        return _cdr(schema.name, STANDARD[schema.name])
+    if encoding == "ros1" and kind == "ros1msg":
+        return ros1_decoder(schema.name, schema.data.decode())
+    if encoding == "protobuf" and schema is not None:
+        return _protobuf(schema)
+    raise UnknownSchemaError(
+        f"{encoding or 'no encoding'} with {kind} schema is not read; cdr with ros2msg, ros1, protobuf and json are: "
+        "'rosbags-convert --src BAG --dst NEW' (pip install rosbags) writes them so"
+    )
+
+
+def sqlite_decoder(kind: str, definitions: Mapping[str, str]) -> Decode:
+    """Of the messages of a kind in an SQLite bag, by its own definitions or the standard one. Raises UnknownSchemaError."""
+    text = definitions.get(kind) or STANDARD.get(kind)
+    if text is None:
+        raise UnknownSchemaError(
+            f"{kind}: this bag carries no definitions; convert it with 'ros2 bag convert' to MCAP, which does"
+        )
+    if len(text) > LONGEST_DEFINITION:
+        raise UnknownSchemaError(f"a definition of {len(text)} letters; at most {LONGEST_DEFINITION} are read")
+    return _cdr(kind, text)
+
+
+def unpacked(data: bytes, most: int) -> bytes:
+    """A message as it was before rosbag2 packed it. Raises `Bad` beyond `most` bytes."""
+    if not data.startswith(ZSTD):
+        return data
+    from zstandard import get_frame_parameters
+
+    stated = get_frame_parameters(data).content_size
+    return expand_within("zstd", data, stated if 0 < stated <= most else most, most)
+
+
+def _cdr(name: str, definition: str) -> Decode:
+    from mcap_ros2.decoder import generate_dynamic
+
+    with contextlib.redirect_stderr(io.StringIO()):  # it says there what it raises
+        decoders: Mapping[str, Decode] = generate_dynamic(name, definition)
+    return decoders[name] if name in decoders else decoders[name.replace("/msg/", "/")]
+
+
+def _protobuf(schema: Any) -> Decode:
+    from mcap_protobuf.decoder import DecoderFactory
+
+    decode: Decode | None = DecoderFactory().decoder_for("protobuf", schema)
+    if decode is None:
+        raise ValueError("no protobuf schema")
+    return decode
