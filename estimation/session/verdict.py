@@ -23,7 +23,7 @@ from estimation.session.evidence import (
     parameter_scatter,
     predictability,
 )
-from estimation.session.lack_sentences import ambiguous_text, lack_text
+from estimation.session.lack_sentences import ADD, ambiguous_text, lack_text
 from estimation.session.plausible_derivatives import implausible_derivatives
 from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible_values
 from estimation.structure.odd_flights import OddFlight
@@ -189,11 +189,11 @@ def of_structure(
     for odd in odd_flights:
         doubts.append(Doubt(DoubtKind.ODD_FLIGHT, odd.text))
         against += [odd.text] if odd.moves > NOTABLE else []
-    for lack in lacks:
-        text = lack_text(lack)
-        doubts.append(Doubt(DoubtKind.LACK, text))
+    for lack in sorted(lacks, key=lambda lack: not lack.possible):
+        text, advice = lack_text(lack), ADD if lack.possible else ""
+        doubts.append(Doubt(DoubtKind.LACK, text + advice))
         if lack.matters(structure.bears):
-            against.append(text)
+            against = [*(t.removesuffix(advice) for t in against), text + advice]  # said once
         elif recommendation.method in FILTERS:  # which takes up whatever is left out
             against.append(f"{text}; {recommendation.method} may take that for process noise")
     for lack in ambiguous:
@@ -202,7 +202,8 @@ def of_structure(
     names = tuple(dict.fromkeys(n for lack in (*lacks, *ambiguous) for n in lack.names))
     if not against:
         return replace(recommendation, lacks=names) if lacks else recommendation
-    reason = "; ".join(against) if recommendation.method != NOBODY else _joined("; ".join(against), recommendation.why)
+    reason = "; ".join(against)
+    reason = reason if recommendation.method != NOBODY else _joined(reason, recommendation.why)
     return Recommendation(NOBODY, reason, names)
 
 
