@@ -40,7 +40,7 @@ FACTORS_ELSE = (0.75, 1.33)  # of any other channel: a calibration, not another 
 LONGEST_LAG = 0.5  # s either way: vanes, servos and telemetry lag by 0.02 to 0.2
 FARTHEST = 0.75  # of the span, from the CG: a nose boom of a slender aeroplane
 STEEP, MOST_FORCE, MOST_MOMENT = 0.35, 5.0, 1.0
-"""What a nonlinear term may make of a force and of a moment coefficient at an angle of 20 deg [rad]: more than wings and tails do."""
+"""What a nonlinear term may make of a force and of a moment coefficient at an angle of 20 deg [rad]: more than all wings do."""
 NOTABLE = 1.0  # bounds by which a printed value has to move
 BORNE = 3.0
 """Bounds up to which what leaving something out moves is counted in the bounds instead of forbidding a recommendation: its
