@@ -2,7 +2,8 @@
 
 The model is driven by its own one-step prediction errors: x <- x + K (z - y) at every sample (steady-state Kalman
 filter in innovations form; Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5). Innovations of the right
-model are white, so both bounds agree. The fit that a result reports is that of one-step predictions. Two forms:
+model are white, so both bounds agree. The fit that a result reports is that of one-step predictions. An output that shows
+later than it happens is compared and corrects nothing: what it shows is of a state gone by. Two forms:
 
 - `filter_error`: the gain is estimated together with the parameters, with exact sensitivities, instead of being derived from a
   process-noise model: asymptotically the same estimate without a Riccati equation.
@@ -214,7 +215,11 @@ def _by_free_gain(model: Model, data: list[FlightData], options: OutputErrorOpti
     first = output_error(model, data, options=options)
     if first.status is Status.DIVERGED:
         return first.with_method("fem")
-    names = [[f"gain_{s}_{o}" if o in model.state_names else "" for o in model.output_names] for s in model.state_names]
+    corrects = [o in model.state_names and o not in model.output_delays for o in model.output_names]
+    names = [
+        [f"gain_{s}_{o}" if c else "" for o, c in zip(model.output_names, corrects, strict=True)]
+        for s in model.state_names
+    ]
     noise = first.noise
     fallback = float(np.median(list(noise.values())))
     parameters = [
@@ -346,6 +351,7 @@ def _law(
 ) -> GainLaw:
     """The gain's law about the mean of what was flown."""
     A, C = mean_matrices(simulator, data, values)
+    C[[simulator.model.output_names.index(o) for o in simulator.model.output_delays]] = 0.0  # corrects nothing
     states = tuple(simulator.model.state_names.index(s) for s in unit)
     return gain_law(A, C, _step(data), noise, np.array(list(unit.values())), states)
 

@@ -59,22 +59,21 @@ def _alike(edges: Array) -> bool:
 def _edges_from_rest(u: Array, noise: float) -> Array:
     """(n, 2) size and first share of each edge of a control (N,) that comes out of rest."""
     step = np.diff(u)
-    edges = []
-    k = 2
-    while k < step.size:
+    if step.size < 3:
+        return np.zeros((0, 2))
+    before = np.maximum(np.abs(step[:-2]), np.abs(step[1:-1]))
+    most = (
+        1.001 * np.convolve(np.abs(step), np.ones(LONGEST))[LONGEST + 1 :]
+    )  # that an edge from the third step on can have
+    edges, end = [], 0
+    for k in (np.flatnonzero((before <= REST * most) & (most > NOISY * noise)) + 2).tolist():
         rise = step[k : k + LONGEST] * np.sign(step[k])
         way = rise[: int(np.argmax(rise <= 0.0)) if (rise <= 0.0).any() else rise.size]
         size = float(way.sum())
-        if (
-            size > NOISY * noise
-            and size > 0.0
-            and np.abs(step[k - 2 : k]).max() <= REST * size
-            and way[0] > REST * size
-        ):
+        large = size > max(NOISY * noise, 0.0) and way[0] > REST * size
+        if k >= end and large and before[k - 2] <= REST * size:
             edges.append((size, float(way[0]) / size))
-            k += max(1, way.size)
-        else:
-            k += 1
+            end = k + way.size
     return np.array(edges).reshape(-1, 2)
 
 

@@ -29,6 +29,7 @@ RATES = {"p": "phi", "q": "theta"}
 FASTEST = 20.0  # rad/s: 1100 deg/s
 LARGE = 0.7  # rad: an angle of flow or surface beyond 40 deg is rare
 RELATED = 0.7  # correlation from which a rate and the slope of its angle tell of each other's unit
+ABSURD = 1e9  # rad/s: what no unit and no clock makes of a rate, but a damaged record may hold
 WILD = 2.0  # times the range of a channel: a spike within it may be real, and pulls a fit of hundreds of samples little
 SLOWEST = 5.0  # s between samples: a fifth of a phugoid; nothing that an estimate needs shows in slower records
 SAME_UNITS = {
@@ -137,7 +138,7 @@ def _ratio_to_slope(flight: Flight, rate: str, angle: str) -> float | None:
         jump = np.diff(flight[angle])
         slope = jump / dt
         mean = 0.5 * (flight[rate][1:] + flight[rate][:-1])
-    usable = same_segment & np.isfinite(slope) & np.isfinite(mean) & (np.abs(jump) < np.pi)
+        usable = same_segment & (np.abs(slope) < ABSURD) & (np.abs(mean) < ABSURD) & (np.abs(jump) < np.pi)
     if usable.sum() < 2 * STUCK_SAMPLES:
         return None
     a, b = slope[usable] - slope[usable].mean(), mean[usable] - mean[usable].mean()

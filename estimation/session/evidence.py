@@ -53,7 +53,7 @@ def gain_of_filter(ml: Result, fem: Result) -> FilterErrorGain:
     Residuals are compared channel by channel, as for the diagonal R of either; the channels' correlation, which the filter
     error also estimates, is no sign of process noise.
     """
-    from scipy.stats import chi2  # here: whoever only describes a session needs no scipy
+    from scipy.special import chdtri  # here: whoever only describes a session needs no scipy
 
     total, values = 0.0, 0
     for a, b in _channels(ml, fem):
@@ -64,7 +64,7 @@ def gain_of_filter(ml: Result, fem: Result) -> FilterErrorGain:
             total += count * float(np.log(max(ratio, 1e-300)))
             values += count
     gains = sum(len(row) for row in fem.extra.get("gain", {}).values())
-    return FilterErrorGain(total, float(chi2.ppf(CHANCE, max(gains, 1))), total / max(values, 1))
+    return FilterErrorGain(total, float(chdtri(max(gains, 1), 1.0 - CHANCE)), total / max(values, 1))
 
 
 def beneath_instruments(ml: Result) -> bool:

@@ -111,7 +111,7 @@ def _lacks(session: EstimationSession) -> list[Lack]:
 
 def _wanted(lack: Lack, model: Model, wish: StructureWish) -> bool:
     """Whether something that is lacking is to be added."""
-    if not lack.holds:  # the other flights do not confirm it
+    if not (lack.holds and lack.possible):  # the other flights do not confirm it, or nothing of that kind has that size
         return False
     if wish is StructureWish.AUTO:
         return True

@@ -23,10 +23,11 @@ from estimation.session.evidence import (
     parameter_scatter,
     predictability,
 )
+from estimation.session.lack_sentences import ADD, ambiguous_text, lack_text
 from estimation.session.plausible_derivatives import implausible_derivatives
 from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible_values
 from estimation.structure.odd_flights import OddFlight
-from estimation.structure.score_test import Lack, StructureTest
+from estimation.structure.score_test import StructureTest
 
 NOBODY = "none"
 TRUST: Mapping[str, int] = {"ml": 0, "fem-noise": 1, "fem": 2, "ngn-improved": 3, "ls": 4, "ngn": 5}
@@ -188,47 +189,22 @@ def of_structure(
     for odd in odd_flights:
         doubts.append(Doubt(DoubtKind.ODD_FLIGHT, odd.text))
         against += [odd.text] if odd.moves > NOTABLE else []
-    for lack in lacks:
-        text = lack_text(lack)
-        doubts.append(Doubt(DoubtKind.LACK, text))
-        against += [text] if lack.matters(structure.bears) else []
+    for lack in sorted(lacks, key=lambda lack: not lack.possible):
+        text, advice = lack_text(lack), ADD if lack.possible else ""
+        doubts.append(Doubt(DoubtKind.LACK, text + advice))
+        if lack.matters(structure.bears):
+            against = [*(t.removesuffix(advice) for t in against), text + advice]  # said once
+        elif recommendation.method in FILTERS:  # which takes up whatever is left out
+            against.append(f"{text}; {recommendation.method} may take that for process noise")
     for lack in ambiguous:
         text = ambiguous_text(lack)
         doubts.append(Doubt(DoubtKind.LACK, text))
     names = tuple(dict.fromkeys(n for lack in (*lacks, *ambiguous) for n in lack.names))
     if not against:
         return replace(recommendation, lacks=names) if lacks else recommendation
-    reason = "; ".join(against) if recommendation.method != NOBODY else _joined("; ".join(against), recommendation.why)
+    reason = "; ".join(against)
+    reason = reason if recommendation.method != NOBODY else _joined(reason, recommendation.why)
     return Recommendation(NOBODY, reason, names)
-
-
-def lack_text(lack: Lack) -> str:
-    """What the model lacks, how sure that is, what it moves and how it is added."""
-    leading = lack.leading
-    name, bounds = leading.worst
-    rivals = (
-        f" (or {', '.join(r.candidate.phrase for r in lack.rivals)}: these flights cannot tell which)"
-        if lack.rivals
-        else ""
-    )
-    size = f"{leading.value:.3g} {leading.candidate.parameter.unit}".removesuffix(" 1")
-    moves = f"leaving it out moves {name} by {bounds:.1f} of its bounds" if name else "it moves nothing that is printed"
-    return (
-        f"the model lacks {leading.candidate.phrase}{rivals}: score {abs(leading.score):.1f} where chance reaches"
-        f" {leading.threshold:g}, about {size}; {moves}; add it with: --structure auto"
-    )
-
-
-def ambiguous_text(lack: Lack) -> str:
-    """What has been added, what would have served as well, and how to tell them apart."""
-    leading = lack.leading.candidate
-    rivals = ", ".join(f"{r.candidate.phrase} ({r.candidate.name} = {r.value:.3g})" for r in lack.rivals)
-    return (
-        f"{leading.name} was added (score {abs(lack.leading.score):.1f}), but {rivals} instead explains these flights as well"
-        f" and moves estimates by up to {lack.apart:.1f} of their bounds, which the bounds now span: to tell them, state"
-        f" {leading.name} in the aircraft file, measure the other (a swing test for inertia), or fly a symmetric pull-up with"
-        " aileron 3-2-1-1"
-    )
 
 
 def _choice(case: _Case, *, tested: bool = False) -> Recommendation:

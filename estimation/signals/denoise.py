@@ -22,6 +22,7 @@ LONGEST_PIECE = 80  # samples; longer quiet stretches are joined from pieces, at
 LEAST = 5  # third differences, for a level to be told
 IN_A_ROW = 40  # of them with nothing missing, for those across what is missing to be left out
 QUIET = 3e-4  # of the range of a signal: noise below this is left alone
+ROUNDING = 1e-12  # of its size: a constant behind a filter is no noisy signal, and takes no draws from those that are
 BLOCK = 640  # samples of a long signal treated at once
 RESCALE = 12  # steps between rescalings of the recursions
 ROWS = 24  # blocks treated at once
@@ -75,7 +76,7 @@ def denoise_many(
     draws: how many `errors` to draw with `rng`; all zero for a signal that is left alone.
     """
     sigmas = [noise_level(v) if noise is None else noise for v in signals]
-    noisy = [i for i, (v, s) in enumerate(zip(signals, sigmas, strict=True)) if v.size >= 8 and s > QUIET * np.ptp(v)]
+    noisy = [i for i, (v, s) in enumerate(zip(signals, sigmas, strict=True)) if v.size >= 8 and s > _least_noise(v)]
     result = [Denoised(v.copy(), s, 0.0, np.zeros((draws, v.size))) for v, s in zip(signals, sigmas, strict=True)]
     smooth = _in_blocks([signals[i] / sigmas[i] for i in noisy], order, draws, rng or np.random.default_rng(0))
     for (row, errors), i in zip(smooth, noisy, strict=True):
@@ -83,6 +84,11 @@ def denoise_many(
         removed = float(np.sqrt(np.mean((signals[i] - values) ** 2)))
         result[i] = Denoised(values, sigmas[i], removed, errors * sigmas[i])
     return result
+
+
+def _least_noise(values: Array) -> float:
+    """Standard deviation of noise from which a signal is made smooth. values: (N,) finite."""
+    return max(QUIET * float(np.ptp(values)), ROUNDING * float(np.abs(values).max(initial=0.0)))
 
 
 def _in_blocks(signals: Sequence[Array], order: int, draws: int, rng: np.random.Generator) -> list[tuple[Array, Array]]:

@@ -73,7 +73,12 @@ class Candidate:
             if self.kind in (CandidateKind.LINEAR, CandidateKind.NONLINEAR, CandidateKind.INERTIA)
             else ParameterRole.INSTRUMENT
         )
-        return Parameter(self.name, UNITS.get(self.kind, "1/rad"), start=self.null, role=role)
+        return Parameter(self.name, UNITS.get(self.kind, f"1/rad{self.power or ''}"), start=self.null, role=role)
+
+    @property
+    def power(self) -> int:
+        """Of the angles in a nonlinear term; 0 in all else."""
+        return (3 if self.term.endswith("^3") else 2) if self.kind is CandidateKind.NONLINEAR else 0
 
 
 def structure_candidates(model: Model) -> tuple[Candidate, ...]:

@@ -51,7 +51,7 @@ def follows_controls(result: Result, data: Sequence[FlightData]) -> str:
 
     result: of a filter error; data: its flights, prepared for its model.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     controls = [i for i, s in enumerate(result.model.inputs) if s.control]
     largest, name = 0.0, ""
@@ -61,7 +61,7 @@ def follows_controls(result: Result, data: Sequence[FlightData]) -> str:
             continue
         unexplained = rest - history @ np.linalg.lstsq(history, rest, rcond=1e-9)[0]
         share = 1.0 - float(unexplained @ unexplained) / float(rest @ rest)
-        if share > max(largest, FOLLOWS) and chi2.sf(len(rest) * share, history.shape[1]) < FOLLOWS_BY_CHANCE:
+        if share > max(largest, FOLLOWS) and chdtrc(history.shape[1], len(rest) * share) < FOLLOWS_BY_CHANCE:
             largest, name = share, result.model.output_names[c]
     if not name:
         return ""

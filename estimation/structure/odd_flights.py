@@ -163,7 +163,7 @@ def _of_flight(
     linear: LinearisedFit, result: Result, moved: Sequence[Sequence[Array]], index: int
 ) -> tuple[float, OddFlight | None]:
     """(chi-square over its freedom, the flight as odd where it is so beyond chance)."""
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     n, k = linear.n, len(linear.tested)
     rest = linear.total([i for i in range(len(linear.flights)) if i != index])
@@ -174,7 +174,7 @@ def _of_flight(
     covariance = _covariance(linear, index, spread, moved)
     weight, rank = _inverse(covariance[:n, :n])
     surprise = float(score[:n] @ weight @ score[:n])
-    probability = min(1.0, len(linear.flights) * float(chi2.sf(surprise, max(rank, 1))))
+    probability = min(1.0, len(linear.flights) * float(chdtrc(max(rank, 1), surprise)))
     if probability > CHANCE:
         return surprise / max(rank, 1), None
     hypothesis, size = _explained(linear, result, index, score, covariance)

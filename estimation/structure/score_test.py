@@ -37,11 +37,17 @@ the other way): more is a product of inertia that is not what the file says."""
 FACTORS = {"alpha": (0.5, 2.0), "beta": (0.5, 2.0)}
 """Scales that a vane in the upwash of an airframe can have (Gracey, NASA RP-1046: 1.1 to 1.8 ahead of a fuselage)."""
 FACTORS_ELSE = (0.75, 1.33)  # of any other channel: a calibration, not another instrument
+LONGEST_LAG = 0.5  # s either way: vanes, servos and telemetry lag by 0.02 to 0.2
+FARTHEST = 0.75  # of the span, from the CG: a nose boom of a slender aeroplane
+STEEP, MOST_FORCE, MOST_MOMENT = 0.35, 5.0, 1.0
+"""What a nonlinear term may make of a force and of a moment coefficient at an angle of 20 deg [rad]: more than all wings do."""
 NOTABLE = 1.0  # bounds by which a printed value has to move
 BORNE = 3.0
 """Bounds up to which what leaving something out moves is counted in the bounds instead of forbidding a recommendation: its
 size is known to a fifth there (a score of 5), so the wider bound holds the truth; beyond, the model is another one and its
 estimates are not to be believed."""
+
+MOMENTS = ("Cl", "Cm", "Cn")
 
 LIKELIEST_FIRST = (
     CandidateKind.LINEAR, CandidateKind.LATE_CONTROL, CandidateKind.SCALE, CandidateKind.LATE_SENSOR, CandidateKind.INERTIA,
@@ -87,13 +93,14 @@ class Tested:
 class Lack:
     """Something the model lacks, and what would serve as well. differs: parameter -> by how much its estimate
     differs with a rival in its place; apart: the most of that in bounds. holdout: twice the log likelihood that it gains on each
-    flight when fitted to all the others, summed; None with one flight."""
+    flight when fitted to all the others, summed; None with one flight. possible: whether the leading one can have that size."""
 
     leading: Tested
     rivals: tuple[Tested, ...] = ()
     differs: Mapping[str, float] = field(default_factory=dict)
     apart: float = 0.0
     holdout: float | None = None
+    possible: bool = True
 
     @property
     def holds(self) -> bool:
@@ -165,7 +172,8 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
             (d / result.parameters[n].std_coloured for n, d in differs.items() if _has_bound(result, n)), default=0.0
         )
         holdout = held_out(linear, taken_up, strongest)
-        lacks.append(Lack(scores[strongest], tuple(scores[k] for k in rivals), differs, apart, holdout))
+        can_be = _possible(scores[strongest], result)
+        lacks.append(Lack(scores[strongest], tuple(scores[k] for k in rivals), differs, apart, holdout, can_be))
         taken_up.append(strongest)
         scores = next_scores
     return StructureTest(tuple(first), tuple(lacks))
@@ -233,6 +241,12 @@ def _possible(tested: Tested, result: Result, *, as_rival: bool = False) -> bool
     roll = result.parameters.get("Cl_da")
     if c.name == "Cn_da" and roll is not None and not as_rival:
         return abs(tested.value) <= ADVERSE * abs(roll.estimate)
+    if c.kind in (CandidateKind.LATE_CONTROL, CandidateKind.LATE_SENSOR):
+        return abs(tested.value) <= LONGEST_LAG
+    if c.kind is CandidateKind.PLACE:
+        return not abs(tested.value) > FARTHEST * result.model.constants.get("b", np.inf)
+    if c.kind is CandidateKind.NONLINEAR:
+        return abs(tested.value) * STEEP**c.power <= (MOST_MOMENT if c.line in MOMENTS else MOST_FORCE)
     if c.kind is CandidateKind.INERTIA:
         Ixx, Izz = (result.model.constants.get(n, np.nan) for n in ("Ixx", "Izz"))
         return not tested.value**2 >= Ixx * Izz

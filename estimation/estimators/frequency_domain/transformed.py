@@ -17,7 +17,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
@@ -154,6 +153,8 @@ class SpectralSegment:
 
     def transformed(self, time: Array, values: Array) -> Complex:
         """(bins, ny, k) transforms of histories (N, ny, k) at the samples of the stretch."""
+        from scipy.interpolate import CubicSpline  # here: state matrices are asked for without it
+
         flat = CubicSpline(time, values.reshape(len(time), -1))(np.minimum(self._fine, time[-1]))
         return self._transform(flat).reshape(self.omega.size, *values.shape[1:])
 

@@ -24,6 +24,7 @@ FOLLOWS = 0.7  # correlation of a signal with its integrated rate, in a block in
 STILL = 0.25  # of the movement that the others show: a slow or damped sensor moves more
 EVIDENT = 3.5  # times the usual disagreement, that the others have to move by
 FEWEST_SAMPLES = 8  # of a block
+HOLE = 3.0  # sample intervals, or one of these means, from which samples are missing
 MEANS = 16  # of neighbouring samples in a block, so that noise from sample to sample hides no slow movement
 SHORTEST_REST = 3.0  # [s] of flight before, between or after failures that is worth naming
 SPREAD = 1.2  # times the movement of a failed sensor, within which it is still failed
@@ -133,11 +134,10 @@ class _Blocks:
         count, each = time.size // size, max(size // MEANS, 1)
         with np.errstate(invalid="ignore"):
             x, y = (_without_line(_means(v[: count * size].reshape(count, size), each)) for v in (signal, integrated))
-            span = np.diff(time[: count * size].reshape(count, size)[:, [0, -1]], axis=1)[:, 0]
+            steps = np.diff(time[: count * size].reshape(count, size), axis=1)
             whole = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1) & (size >= FEWEST_SAMPLES)
-            whole &= span < 1.5 * (size - 1) * float(
-                np.median(np.diff(time))
-            )  # none across the gap between two stretches
+            usual = max(HOLE * float(np.median(steps)), float(np.median(steps.sum(axis=1))) / MEANS) if count else 0.0
+            whole &= steps.max(axis=1, initial=0.0) <= usual  # across a gap nothing is known of how they moved
             a, b, off = (np.where(whole, np.sqrt(np.mean(v**2, axis=1)), np.nan) for v in (x, y, x - y))
             follows = whole & (np.mean(x * y, axis=1) > FOLLOWS * a * b)
         return cls((a, b), follows, float(np.median(off[follows])) if follows.any() else np.inf)

@@ -28,6 +28,7 @@ _RADIANS = (0.5, 2.0)
 """Slope of an angle in radians against what its gyro turns: 57 in degrees, and -1 of the wrong sign."""
 
 _RATES = ("p", "q", "r")
+DAMAGED = 1e5  # times what is plausible: beyond degrees, hundredths of them and microseconds of a servo
 _LONG_UNITS = {"min": 60.0, "h": 3600.0, "days (of Excel or MATLAB)": 86400.0}
 _USUAL_STEP = (0.004, 1.0)  # s between samples of flight dynamics
 _SPEED_UNITS = {"knots": 3600 / NAUTICAL_MILE, "km/h": 3.6, "mph": 1 / MILE_PER_HOUR, "ft/s": 1 / FOOT, "cm/s": 100.0}
@@ -151,7 +152,9 @@ def _angles(time: Array, c: Columns) -> Iterator[Finding]:
             low, high = COLUMN_BY_NAME[name].plausible
             lowest, highest = float(np.nanmin(c[name])), float(np.nanmax(c[name]))
             extreme = highest if highest > -lowest else lowest
-            if (lowest < low - 1e-3 or highest > high + 1e-3) and not is_unwrapped(time, c, name):
+            if damaged := _damaged(c[name], high):
+                yield _suspect(name, damaged)
+            elif (lowest < low - 1e-3 or highest > high + 1e-3) and not is_unwrapped(time, c, name):
                 unit = "deg" if abs(extreme) <= 370 else "cdeg or us"
                 limit = high if extreme > 0 else low
                 yield _suspect(name, f"reaches {extreme:.4g} rad, beyond {limit:.3g}; is it in {unit}?")
@@ -173,8 +176,19 @@ def _rates(time: Array, c: Columns) -> Iterator[Finding]:
         if name in c:
             high = COLUMN_BY_NAME[name].plausible[1]
             largest = float(np.nanmax(np.abs(c[name])))
-            if largest > high:
+            if damaged := _damaged(c[name], high):
+                yield _suspect(name, damaged)
+            elif largest > high:
                 yield _suspect(name, f"reaches {largest:.4g} rad/s, beyond {high:g}; is it in deg/s?")
+
+
+def _damaged(values: Array, high: float) -> str:
+    """Words on values that no unit makes; empty where there are none. values: (N,); high: the largest that are plausible."""
+    absurd = np.abs(values) > DAMAGED * high
+    if not absurd.any():
+        return ""
+    largest = np.nanmax(np.abs(values))
+    return f"shows {largest:.2g} at {int(absurd.sum())} samples, which no sensor does: damaged values; leave their times out"
 
 
 def _speed(time: Array, c: Columns) -> Iterator[Finding]:

@@ -268,7 +268,7 @@ def test_infinities_of_both_signs_side_by_side_end_without_a_warning(recwarn: py
 
     time = np.arange(200) * 0.05
     p = np.cos(time)
-    p[[50, 51]] = np.inf, -np.inf
+    p[[50, 51, 70, 71]] = np.inf, -np.inf, 1e300, -1e300
     phi = np.sin(time)
     phi[[90, 91]] = np.inf
     flight = Flight.build("f", time, {"p": p, "phi": phi})

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from estimation.engine.compiled import CompiledKernel
 from estimation.engine.kernel import SensitivityColumns
@@ -13,6 +14,7 @@ from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.prepare.pipeline import prepare_all
+from estimation.structure.candidates import structure_candidates, with_candidates
 from groundstation.flight import Flight
 from tests.unit.estimation.truth import DEG, NOISE, STRONG, TRUE, Case, fly
 
@@ -108,6 +110,25 @@ def test_in_calm_air_it_is_output_error(calm: list[Flight]) -> None:
             assert abs(a.estimate - b.estimate) < 1.5 * b.std_coloured
             assert a.std_coloured < 2.0 * b.std_coloured
         assert by_noise.extra["process_noise"]["beta"] < 0.5 * DEG
+
+
+def test_a_vane_that_shows_late_does_not_steer_the_filter(calm: list[Flight]) -> None:
+    """In calm air both filters are output error, whose estimates are right; steered by the lagging vane they had Cn_r
+    and Cn_beta three bounds off it."""
+    made = calm[0]
+    late = CubicSpline(made.time, made["beta"])(np.maximum(made.time - 0.07, 0.0))
+    flight = made.with_columns(beta=late)
+    lag = [c for c in structure_candidates(LATERAL) if c.name == "delay_beta"]
+    model = with_candidates(LATERAL, lag)
+    by_output = output_error(model, flight)
+    assert by_output.parameters["delay_beta"].estimate == pytest.approx(0.07, abs=0.01)
+    for method in (filter_error, process_noise_error):
+        filtered = method(model, flight)
+        assert filtered.converged
+        assert not any(row.get("beta") for row in filtered.extra["gain"].values())
+        for n in STRONG:
+            a, b = filtered.parameters[n], by_output.parameters[n]
+            assert abs(a.estimate - b.estimate) < 1.5 * b.std_coloured, (method, n)
 
 
 def test_a_free_gain_that_finds_nothing_gives_way(calm: list[Flight], monkeypatch: pytest.MonkeyPatch) -> None:

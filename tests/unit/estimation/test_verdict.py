@@ -21,6 +21,9 @@ from estimation.session import runner
 from estimation.session.evidence import driven_outputs, gain_of_filter
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY, verdict
+from estimation.structure.candidates import Candidate, CandidateKind
+from estimation.structure.score_test import Lack, StructureTest
+from estimation.structure.score_test import Tested as Score
 from groundstation.flight import Flight, MissingColumnError, write_flight
 from sideslip.verbs.estimate import estimate
 from tests.studies.verdict_study import JET_AIRCRAFT, JET_TRUE, jet_flights
@@ -65,6 +68,19 @@ def test_gusts_recommend_the_filter_and_output_error_alone_is_not_believed(rough
     alone = verdict({"ml": rough["ml"]})
     assert alone.recommended.method == NOBODY
     assert "--method ml,fem,ls" in alone.recommended.why
+
+
+def test_a_filter_is_not_believed_beside_something_left_out(
+    rough: Mapping[str, Result], calm: Mapping[str, Result]
+) -> None:
+    """It takes what is left out for process noise, however little that moves; output error bears so little."""
+    scale = Candidate("scale_beta", CandidateKind.SCALE, null=1.0, channel="beta", phrase="a wrong scale of beta")
+    left = StructureTest((), (Lack(Score(scale, -6.5, 0.96, {"CY_r": 0.4})),), added=("delay_beta",))
+    found = verdict(rough, structure=left).recommended
+    assert (found.method, found.lacks) == (NOBODY, ("scale_beta",))
+    assert "fem may take that for process noise" in found.why
+    assert verdict(rough, structure=StructureTest((), ())).recommended.method == "fem"
+    assert verdict(calm, structure=left).recommended.method == "ml"
 
 
 def test_a_record_without_noise_has_no_process_noise(rough: Mapping[str, Result]) -> None:

@@ -50,6 +50,16 @@ def test_nothing_fails_in_a_sound_flight(seed: int) -> None:
     assert failing(turning_flight(seed, hz=10.0, seconds=90.0, sway=0.1), "", holds, 0.0, 0.0) == []
 
 
+def test_nothing_fails_across_the_gaps_between_manoeuvres() -> None:
+    """What is cut out and joined, a second apart: heading jumps there, and no gyro shows it."""
+    cut = []
+    for k in range(12):
+        made = turning_flight(k, hz=20.0, seconds=30.0 + 5.0 * k, sway=0.25)
+        part = {n: v[-600:] for n, v in made.items()}
+        cut.append(part | {"time": part["time"] - part["time"][0] + 31.0 * k})
+    assert failing({n: np.concatenate([c[n] for c in cut]) for n in cut[0]}, "", holds, 0.0, 0.0) == []
+
+
 @pytest.mark.parametrize(("begin", "end"), [(22.0, 41.0), (33.0, 60.0)])
 @pytest.mark.parametrize(
     ("names", "failure"),
