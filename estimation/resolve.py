@@ -16,6 +16,7 @@ from estimation.estimators.estimator import Estimator
 from estimation.estimators.registry import find_estimator
 from estimation.models import Model, load_model
 from estimation.models.load import asks_for_aircraft, check_model
+from estimation.prepare.measured_cg import with_cg_history
 from estimation.prepare.measured_mass import with_mass_history
 from estimation.prepare.stretches import flights_of_segments, select_segments, unique_names
 from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, motion_settled
@@ -72,7 +73,8 @@ def resolve(
         craft = which_aircraft(read, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
         loaded, notes = load_model(model, craft), ()
     loaded, flown, mass_notes = with_mass_history(loaded, read, craft)
-    notes = (*(f"simulation: {note}" for note in notes), *mass_notes)
+    loaded, flown, cg_notes = with_cg_history(loaded, flown)
+    notes = (*(f"simulation: {note}" for note in notes), *mass_notes, *cg_notes)
     return ResolvedCall(with_initial_states(loaded, hold_initial, free_initial), craft, flown, method_names, notes)
 
 

@@ -30,8 +30,8 @@ DERIVATIVES = tuple(f"{coefficient}_{c}" for coefficient, terms in EQUATIONS.ite
 
 class Sample(NamedTuple):
     """One calibrated scan: time [s], angles [rad], rates [rad/s], V true airspeed [m/s], ax ay az at the CG [m/s2], rho [kg/m3],
-    thrust [N]. What only the pitching plane needs is NaN where it is not known. mass: now [kg], NaN
-    where nobody measures it."""
+    thrust [N]. What only the pitching plane needs is NaN where it is not known. mass: now [kg]; cg_x: of the CG now, ahead of
+    the airframe's [m]; NaN where nobody measures them."""
 
     time: float
     beta: float
@@ -51,6 +51,7 @@ class Sample(NamedTuple):
     delta_e: float = math.nan
     thrust: float = math.nan
     mass: float = math.nan
+    cg_x: float = math.nan
 
     @property
     def credible(self) -> bool:
@@ -64,12 +65,15 @@ class Sample(NamedTuple):
 LATERAL_FIELDS = 13
 SIGNALS = Sample._fields[1:LATERAL_FIELDS]
 """Signals of the lateral motion, in the order of a sample; names are those of the flight's columns."""
-PITCH_SIGNALS = Sample._fields[LATERAL_FIELDS:-1]
+PITCH_SIGNALS = Sample._fields[LATERAL_FIELDS:-2]
 """Those that come to them for the pitching plane."""
 
 MASS = "mass"
 """Flight column of the whole aircraft's mass [kg] as fuel is burnt, where there is one."""
 FARTHEST_MASS = 2.0  # times the stated one, or a part of it: further off a unit is wrong (pounds are 2.2)
+CG = "cg_x"
+"""Flight column of the place of the centre of gravity, ahead of the aircraft file's [m], where there is one."""
+FARTHEST_CG = 0.1  # of the span, either way, some half of the chord: no aircraft flies further off, a wrong unit does
 
 _RANGES = tuple(COLUMN_BY_NAME[name].plausible for name in SIGNALS)
 
@@ -118,6 +122,10 @@ class Airframe:
     def mass_as(self, measured: float) -> float:
         """The airframe's mass [kg] as measured in flight; as stated where that is not known (NaN), or none that it can have."""
         return self.mass * self.mass_ratio(measured)
+
+    def cg_ahead(self, measured: float) -> float:
+        """How far the CG is ahead of the airframe's [m]; 0 where that is not known (NaN), or none that it can have."""
+        return measured if abs(measured) < FARTHEST_CG * self.span else 0.0
 
     def believed(self, name: str) -> float:
         """The believed value of a derivative, zero where nothing is believed."""

@@ -199,6 +199,7 @@ def linear_pitch(airframe: Airframe, values: Mapping[str, float], sample: Sample
         np.array([values.get(f"{c}_alpha", 0.0), rate * values.get(f"{c}_q", 0.0), values.get(f"{c}_de", 0.0)])
         for c in ("CL", "Cm")
     )
+    moment = moment - a.cg_ahead(sample.cg_x) / a.chord * lift
     rows = np.stack([-q_s / (a.mass_as(sample.mass) * V) * lift, q_s * a.chord / a.Iyy * moment])
     rows[0, 1] += 1.0
     return rows[:, :2], rows[:, 2:]
@@ -215,6 +216,7 @@ def linear_lateral(airframe: Airframe, values: Mapping[str, float], sample: Samp
     rolling = [d["Cl_beta"], rate * d["Cl_p"], rate * d["Cl_r"], 0.0, d["Cl_da"], d["Cl_dr"]]
     yawing = [d["Cn_beta"], rate * d["Cn_p"], rate * d["Cn_r"], 0.0, 0.0, d["Cn_dr"]]
     L, N = q_s * a.span * np.array(rolling), q_s * a.span * np.array(yawing)
+    N = N - a.cg_ahead(sample.cg_x) * a.mass_as(sample.mass) * V * side
     inertia = a.Ixx * a.Izz - a.Ixz**2
     rows = np.array(
         [

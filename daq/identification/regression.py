@@ -9,7 +9,8 @@ With Q(x) = integral of the dynamic pressure times x over an interval between sc
     CD:  integral of (-(m ax - T) cos alpha - m az sin alpha) / S                = Q(1) CD_0 + Q(CL^2) CD_k
     Cm:  (Iyy dq - integral of (Izz - Ixx) p r - Ixz (p^2 - r^2)) / (S c)        = Q(1) Cm_0 + Q(alpha) Cm_alpha + ...
 
-CL in a column of the drag is the measured one, and the simulated one in its instrument.
+Derivatives are about the airframe's CG. With the CG d ahead of it, Cn gains integral of m d ay / (S b) on its left side, and Cm
+loses integral of m d az / (S c). CL in a column of the drag is the measured one, and the simulated one in its instrument.
 """
 
 import math
@@ -127,7 +128,7 @@ def _lateral_forces(a: Airframe, s: Sample) -> tuple[float, ...]:
     return (
         a.mass_as(s.mass) * s.ay / a.area,
         ((a.Izz - a.Iyy) * s.q * s.r - a.Ixz * s.p * s.q) * per_span,
-        ((a.Iyy - a.Ixx) * s.p * s.q + a.Ixz * s.q * s.r) * per_span,
+        ((a.Iyy - a.Ixx) * s.p * s.q + a.Ixz * s.q * s.r + a.cg_ahead(s.cg_x) * a.mass_as(s.mass) * s.ay) * per_span,
     )
 
 
@@ -161,7 +162,8 @@ def lift_and_drag(a: Airframe, s: Sample) -> tuple[float, float]:
 
 def _longitudinal_forces(a: Airframe, s: Sample) -> tuple[float, ...]:
     coupling = (a.Izz - a.Ixx) * s.p * s.r - a.Ixz * (s.p * s.p - s.r * s.r)
-    return *lift_and_drag(a, s), -coupling / (a.area * a.chord)
+    by_cg = a.cg_ahead(s.cg_x) * a.mass_as(s.mass) * s.az
+    return *lift_and_drag(a, s), -(coupling + by_cg) / (a.area * a.chord)
 
 
 def _longitudinal_gains(a: Airframe, first: Sample, last: Sample) -> tuple[float, ...]:

@@ -70,7 +70,8 @@ State = TypeVar("State", LateralState, PitchState)
 
 
 class MotionInputs(NamedTuple):
-    """What drives the lateral motion at one instant: pitch rate, attitude, angle of attack, airspeed, density, surfaces, mass."""
+    """What drives the lateral motion at one instant: pitch rate, attitude, angle of attack, airspeed, density, surfaces,
+    mass, and how far the CG is ahead of the airframe's [m]."""
 
     q: float
     theta: float
@@ -80,6 +81,7 @@ class MotionInputs(NamedTuple):
     delta_a: float
     delta_r: float
     mass_ratio: float = 1.0
+    cg_ahead: float = 0.0
 
 
 NOWHERE = LateralState(0.0, 0.0, 0.0, 0.0)
@@ -168,6 +170,7 @@ class SimulatedMotion(_Simulation[LateralState, MotionInputs]):
             aileron.at(part),
             rudder.at(part),
             rest * self._airframe.mass_ratio(a.mass) + part * self._airframe.mass_ratio(b.mass),
+            rest * self._airframe.cg_ahead(a.cg_x) + part * self._airframe.cg_ahead(b.cg_x),
         )
 
     def _rates(self, x: LateralState, u: MotionInputs) -> LateralState:
@@ -180,7 +183,7 @@ class SimulatedMotion(_Simulation[LateralState, MotionInputs]):
         Cl += d["Cl_dr"] * u.delta_r
         Cn = d["Cn_0"] + d["Cn_beta"] * x.beta + d["Cn_p"] * p_hat + d["Cn_r"] * r_hat + d["Cn_dr"] * u.delta_r
         roll = q_s * a.span * Cl + a.Ixz * x.p * u.q - (a.Izz - a.Iyy) * u.q * x.r
-        yaw = q_s * a.span * Cn - a.Ixz * u.q * x.r - (a.Iyy - a.Ixx) * x.p * u.q
+        yaw = q_s * (a.span * Cn - u.cg_ahead * CY) - a.Ixz * u.q * x.r - (a.Iyy - a.Ixx) * x.p * u.q
         side = q_s * CY / (a.mass * u.mass_ratio) + GRAVITY * math.cos(u.theta) * math.sin(x.phi)
         return LateralState(
             x.p * math.sin(u.alpha) - x.r * math.cos(u.alpha) + side / u.V,
@@ -235,7 +238,8 @@ class SimulatedPitch(_Simulation[PitchState, PitchInputs]):
         gx = (q_s * (CL * sin - CD * cos) + u.thrust) / mass - GRAVITY * math.sin(u.theta)
         gz = q_s * (-CL * cos - CD * sin) / mass + GRAVITY * math.cos(u.theta) * math.cos(u.phi)
         alpha_rate = x.q - math.tan(u.beta) * (u.p * cos + u.r * sin) + (gz * cos - gx * sin) / (u.V * math.cos(u.beta))
-        moment = q_s * a.chord * Cm + (a.Izz - a.Ixx) * u.p * u.r - a.Ixz * (u.p * u.p - u.r * u.r)
+        by_cg = -a.cg_ahead(u.cg_x) * (CL * cos + CD * sin)
+        moment = q_s * (a.chord * Cm + by_cg) + (a.Izz - a.Ixx) * u.p * u.r - a.Ixz * (u.p * u.p - u.r * u.r)
         return PitchState(alpha_rate, moment / a.Iyy)
 
 

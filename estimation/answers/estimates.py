@@ -199,12 +199,13 @@ class Estimates(Answer):
     @property
     def model(self) -> "Model":
         """The model with the estimates as its values, and the ranges and stretches it was estimated from."""
+        from estimation.prepare.measured_cg import at_stated_cg
         from estimation.prepare.measured_mass import at_mean_mass
         from estimation.session.proof_of_match import flown_ranges, stretches_of_recordings
 
         flights = [f.flight for f in (self.session.flights if self.session.joint else self.session.flights[:1])]
         ranges, stretches = flown_ranges(self.best.model, flights), stretches_of_recordings(flights)
-        return replace(at_mean_mass(self.best.fitted_model), flown=ranges, estimated_from=stretches)
+        return replace(at_stated_cg(at_mean_mass(self.best.fitted_model)), flown=ranges, estimated_from=stretches)
 
     @property
     def passed(self) -> bool:

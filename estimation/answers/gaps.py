@@ -39,6 +39,7 @@ def gap(
     """
     from estimation.gap.effects import catalogue
     from estimation.gap.workflow import Options, run_gap
+    from estimation.prepare.measured_cg import at_stated_cg
     from estimation.prepare.measured_mass import at_mean_mass
     from estimation.resolve import as_listed, resolve
     from estimation.simulation.base_model import Free
@@ -52,7 +53,7 @@ def gap(
     first, rest = problem.flights[: len(training)], problem.flights[len(training) :]
     options = Options(seed=seed, nulls=nulls)
     result = run_gap(problem.model, first, rest, effect_list, options, progress or (lambda what, share: None))
-    before, after = at_mean_mass(result.model_before), at_mean_mass(result.model_after)
+    before, after = (at_stated_cg(at_mean_mass(m)) for m in (result.model_before, result.model_after))
     result = replace(result, model_before=before, model_after=after)
     return GapAnswer(result, problem.flights, tuple(effect_list), seed, problem.notes)
 

@@ -24,6 +24,7 @@ from estimation.estimators.uncertainty import LISTED
 from estimation.models.base import Model, Parameter
 from estimation.prepare.columns import with_derived
 from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
+from estimation.prepare.measured_cg import cg_history
 from estimation.prepare.measured_mass import mass_history
 from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import GAP_FACTOR, Array, Flight
@@ -101,19 +102,21 @@ def _stated_std(p: Parameter) -> float | None:
 
 
 def samples_of(
-    flight: Flight, part: slice, regressions: Sequence[PlaneRegression] = (LATERAL,), mass: float = math.nan
+    flight: Flight, part: slice, regressions: Sequence[PlaneRegression] = (LATERAL,), airframe: Airframe | None = None
 ) -> Iterator[Sample]:
     """Scans of a stretch of a flight, in order. A column that is missing reads NaN; the pitching plane by itself does without the
-    lateral motion, which counts as none. mass [kg]: the airframe's, near which the flight's own must be; NaN: that is not taken.
-    Raises DataError as `mass_history`."""
+    lateral motion, which counts as none. airframe: near whose mass and CG the flight's own must be; None: those are not taken.
+    Raises DataError as `mass_history` and `cg_history`."""
     names = [*SIGNALS, *(PITCH_SIGNALS if regressions != (LATERAL,) else ())]
     lateral = any(r.name == "lateral" for r in regressions)
     absent = () if lateral else [n for n in (*OPTIONAL, "delta_a", "delta_r") if n not in flight.columns]
     size = flight.time[part].size
     columns = [flight.time[part], *(np.zeros(size) if n in absent else flight[n][part] for n in names)]
-    masses = np.full(size, math.nan) if math.isnan(mass) else mass_history(flight, mass)[part]
-    for row, now in zip(np.stack(columns, axis=1).tolist(), masses.tolist(), strict=True):
-        yield Sample(*row)._replace(mass=now)
+    loading = np.full((size, 2), math.nan)
+    if airframe is not None:
+        loading = np.stack([mass_history(flight, airframe.mass), cg_history(flight, airframe.span)], axis=1)[part]
+    for row, (mass, cg_x) in zip(np.stack(columns, axis=1).tolist(), loading.tolist(), strict=True):
+        yield Sample(*row)._replace(mass=mass, cg_x=cg_x)
 
 
 def _fed(airframe: Airframe, terms: LinearTerms, flights: Sequence[Flight]) -> _RecursiveRun:
@@ -123,7 +126,7 @@ def _fed(airframe: Airframe, terms: LinearTerms, flights: Sequence[Flight]) -> _
         for part in flight.segments:
             if not _leads_over(flight, part.start):
                 estimator.restart()
-            for sample in samples_of(flight, part, terms.regressions, airframe.mass):
+            for sample in samples_of(flight, part, terms.regressions, airframe):
                 estimator.add(sample)
                 if sample.time >= due and len(flights) == 1:
                     due = sample.time + EVERY - 1e-6

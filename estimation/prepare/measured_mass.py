@@ -1,7 +1,7 @@
 """Mass as a history: fuel that is burnt, where a flight has a column `mass` [kg].
 
-Every verb that holds a model against flights takes it. Inertia and centre of gravity stay those of the aircraft file: nothing in
-a flight says how they went.
+Every verb that holds a model against flights takes it. Inertia stays that of the aircraft file: nothing in a flight says how
+it went.
 """
 
 from collections.abc import Sequence
@@ -66,10 +66,7 @@ def with_mass_history(
     changed = model.plus(replaced=replaced, inputs=[signal])
     # what takes one number for the whole flight takes its mean
     changed = replace(changed, constants={**model.constants, SYMBOL: float(np.mean(np.concatenate(histories)))})
-    note = (
-        f"mass as measured, {least:.5g} to {greatest:.5g} kg, in place of {stated:.5g} kg; inertia and centre of gravity are the"
-        " aircraft file's"
-    )
+    note = f"mass as measured, {least:.5g} to {greatest:.5g} kg, in place of {stated:.5g} kg; inertia is the aircraft file's"
     with_mass = tuple(f.with_columns(mass=h) for f, h in zip(flights, histories, strict=True))
     return changed, with_mass, (note,)
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import Sample
+from daq.identification.airframe import Airframe, Sample
 from daq.identification.monitor.bank import PLANES, MonitoredPlane, bank
 from daq.identification.monitor.monitor import Alarm, GapMonitor, GapMonitors, MonitorState
 from daq.identification.monitor.nulls import NullConditions
@@ -83,7 +83,7 @@ def watch(
     flight.require(list(terms.signals), "watch")
     values, stds = ({terms.names[n]: v for n, v in numbers.items()} for numbers in values_of(model))
     derived = with_derived(flight, ["rho"])
-    samples, seconds = _manoeuvring(derived, grid_of(derived), terms, airframe.mass)
+    samples, seconds = _manoeuvring(derived, grid_of(derived), terms, airframe)
     _refuse_short(flight, seconds)
     monitors, calibrations = [], []
     for plane in planes:
@@ -136,13 +136,13 @@ def _even(flight: Flight) -> bool:
     return float(np.quantile(np.abs(steps - step), EVEN_SHARE)) < EVEN * step
 
 
-def _manoeuvring(flight: Flight, grid: float, terms: LinearTerms, mass: float) -> tuple[list[Sample], float]:
+def _manoeuvring(flight: Flight, grid: float, terms: LinearTerms, airframe: Airframe) -> tuple[list[Sample], float]:
     """Samples of the stretches about movements, and how long those are [s]: at least what can be watched."""
     shortest = 0.9 * grid
     stretches, last = ManoeuvreDetector(FLYING, FLYING_S, terms.regressions), -math.inf
     samples: list[Sample] = []
     for part in flight.segments:
-        for sample in samples_of(flight, part, terms.regressions, mass):
+        for sample in samples_of(flight, part, terms.regressions, airframe):
             if sample.time - last < shortest:
                 continue
             last = sample.time

@@ -11,9 +11,11 @@ from bisect import bisect_left, bisect_right, insort
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.contract.scan import Scan, decode_scan, encode_scan
-from daq.identification.airframe import MASS, PITCH_SIGNALS, SIGNALS, Sample
+from daq.identification.airframe import CG, MASS, PITCH_SIGNALS, SIGNALS, Airframe, Sample
+from daq.identification.moved_cg import at_moved_cg
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.scan_table import bridged, scan_table
 
@@ -40,7 +42,7 @@ class ScanAlignment:
         self._done = 0  # scans from the front of which samples were given
         self._oldest = 0  # number before which scans are forgotten
         self._dirty: set[int] = set()  # numbers of late scans among those
-        self._mass = math.nan  # [kg] as last read: fuel is read more seldom than scans come
+        self._loading = [math.nan, math.nan]  # mass [kg], CG ahead [m] as last read: more seldom than scans come
         self._latest = self._worked = -math.inf  # time [s] of the latest scan; what it was when samples were last made
 
     def __len__(self) -> int:
@@ -90,21 +92,27 @@ class ScanAlignment:
         self._dirty.clear()
 
     def ready(
-        self, calibrator: Calibrator, *, late: bool = False, all_of_it: bool = False, pitch: bool = False
+        self,
+        calibrator: Calibrator,
+        *,
+        late: bool = False,
+        all_of_it: bool = False,
+        pitch: bool = False,
+        airframe: Airframe | None = None,
     ) -> Iterator[Sample]:
         """New samples in order of time, as far as their neighbours are there; then, if asked, those that late scans change.
 
         late: also these. all_of_it: the last ones too, although none will follow. pitch: with what the pitching plane needs.
-        Raises CalibrationError.
+        airframe: whose CG may move, with the motion as it is there. Raises CalibrationError.
         """
         available = len(self._numbers) if all_of_it else len(self._numbers) - NEIGHBOURS
         end = available if all_of_it else min(available, self._done + AT_ONCE)
         if end > self._done and (end < available or all_of_it or self._latest - self._worked >= self._batch):
             first, self._done, self._worked = self._done, end, self._latest
-            yield from self._samples(first, end, calibrator, pitch)
+            yield from self._samples(first, end, calibrator, pitch, airframe)
         if late or all_of_it:
             for first, last in self._changed():
-                yield from self._samples(first, last, calibrator, pitch)
+                yield from self._samples(first, last, calibrator, pitch, airframe)
             self._dirty.clear()
 
     def _changed(self) -> Iterator[tuple[int, int]]:
@@ -119,7 +127,9 @@ class ScanAlignment:
                 ranges.append((first, last))
         yield from ranges
 
-    def _samples(self, first: int, last: int, calibrator: Calibrator, pitch: bool) -> Iterator[Sample]:
+    def _samples(
+        self, first: int, last: int, calibrator: Calibrator, pitch: bool, airframe: Airframe | None
+    ) -> Iterator[Sample]:
         signals = (*SIGNALS, *PITCH_SIGNALS) if pitch else SIGNALS
         for begin in range(first, last, BLOCK):
             end = min(last, begin + BLOCK)
@@ -127,8 +137,20 @@ class ScanAlignment:
             numbers = self._numbers[low : end + NEIGHBOURS]
             table = bridged(scan_table(decode_scan(self._scans[n]) for n in numbers))
             columns, _ = calibrator.columns(table, aligned=True)
-            masses = columns.get(MASS, np.full(len(table), np.nan))  # of a sensor of one's own
-            rows = np.stack([table.time, *(columns[n] for n in signals), masses], axis=1)
-            for *row, mass in rows[begin - low : end - low].tolist():
-                self._mass = self._mass if math.isnan(mass) else mass
-                yield Sample(*row)._replace(mass=self._mass)
+            # of sensors of one's own
+            mass, cg_x = (_held(columns.get(n), len(table), v) for n, v in zip((MASS, CG), self._loading, strict=True))
+            self._loading = [mass[end - low - 1], cg_x[end - low - 1]]
+            if airframe is not None and np.isfinite(cg_x).any():
+                ahead = np.array([airframe.cg_ahead(value) for value in cg_x.tolist()])
+                columns = {**columns, **at_moved_cg(columns, table.time, ahead)}
+            rows = np.stack([table.time, *(columns[n] for n in signals), mass, cg_x], axis=1)
+            for *row, mass_now, cg_now in rows[begin - low : end - low].tolist():
+                yield Sample(*row)._replace(mass=mass_now, cg_x=cg_now)
+
+
+def _held(values: NDArray[np.float64] | None, size: int, last: float) -> NDArray[np.float64]:
+    """What is read more seldom than scans come, the last value until the next; last: the one before these."""
+    if values is None:
+        return np.full(size, last)
+    known = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(1, size + 1), 0))
+    return np.asarray(np.concatenate([[last], values])[known])

@@ -39,7 +39,8 @@ class LiveState:
     wanted: derivative -> bound to be reached [1/rad]. to_go: derivative -> seconds of manoeuvring as of now until then, 0 when
     there, inf where nothing is gained. excitation: control -> rms movement of the last seconds [rad], as signals. together: pairs
     that are not told apart. late: scans that came late and are not in the numbers yet. point: the test point under way,
-    or the last; before: bounds [1/rad] when it began. mass [kg]: as measured in flight, NaN where nobody does.
+    or the last; before: bounds [1/rad] when it began. mass [kg], cg_x [m] ahead of the airframe's CG: as measured in flight,
+    NaN where nobody does.
     """
 
     time: float
@@ -54,6 +55,7 @@ class LiveState:
     point: FlownPoint | None = None
     before: Mapping[str, float] = field(default_factory=dict)
     mass: float = math.nan
+    cg_x: float = math.nan
 
 
 class LiveIdentification:
@@ -140,7 +142,10 @@ class LiveIdentification:
         revise = self._last is not None and self._last.time >= self._revise_at and not self._behind
         if revise and self._last is not None:
             self._revise_at = self._last.time + REVISE_S
-        for sample in self._alignment.ready(self._calibrator, late=revise, all_of_it=finish, pitch=self._pitch):
+        airframe = self.aircraft.airframe
+        for sample in self._alignment.ready(
+            self._calibrator, late=revise, all_of_it=finish, pitch=self._pitch, airframe=airframe
+        ):
             if self._last is None or sample.time > self._last.time:
                 self._newest(sample)
             for identified in self.stretches.take(sample):
@@ -208,6 +213,7 @@ class LiveIdentification:
             point,
             self._bounds_before,
             last.mass,
+            last.cg_x,
         )
 
     def _value(self, name: str, estimates: LiveEstimates) -> float:

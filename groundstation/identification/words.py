@@ -79,6 +79,8 @@ def _next_line(state: LiveState) -> str:
 def _motion_lines(state: LiveState) -> Iterator[str]:
     if math.isfinite(state.mass):
         yield _mass_words(state.mass, state.aircraft.airframe)
+    if math.isfinite(state.cg_x):
+        yield _cg_words(state.cg_x, state.aircraft.airframe)
     for signal in state.excitation:
         rms_deg = math.degrees(state.excitation.get(signal, 0.0))
         if signal in state.estimates.still:
@@ -99,6 +101,12 @@ def _mass_words(mass: float, airframe: Airframe) -> str:
     if abs(mass / airframe.mass - airframe.mass_ratio(mass)) > 1e-9:
         return f"mass reads {mass:.4g} kg, which is not this aircraft's: {airframe.mass:.4g} kg as stated are taken"
     return f"mass {mass:.4g} kg as measured, {airframe.mass:.4g} kg as stated"
+
+
+def _cg_words(cg_x: float, airframe: Airframe) -> str:
+    if airframe.cg_ahead(cg_x) != cg_x:
+        return f"cg_x reads {cg_x:.3g} m, further than a tenth of the span: the centre of gravity as stated is taken"
+    return f"centre of gravity {cg_x:+.3g} m ahead of the stated one, as measured"
 
 
 def point_lines(state: LiveState) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """Statistics of the gap monitor: false alarms an hour of manoeuvring, and how soon and by what name effects are noticed.
 
-`python -m tests.studies.monitor_statistics [-n 40] [--hours 5] [--plane lateral|longitudinal] [--noise 1] [--ideal] [20hz|link]`.
+`python -m tests.studies.monitor_statistics [-n 40] [--hours 5] [--plane lateral|longitudinal] [--noise 1] [--seed 0] [--ideal]
+[10 12 20 50 100 link]`: scans a second, or what comes over the link.
 Nulls and changed derivatives are flown by the monitor's own equations of motion, with other random numbers than its calibration;
 sudden failures by the simulator through its direct sensor model, which shares no code with it. Effects begin at 20 s of a minute.
 Times are counted from the scan that is the first to differ from the same flight without the effect, same draws, by the noise of a
@@ -39,7 +40,7 @@ WITHIN_S, BEFORE_S = 5.0, 10.0  # s after an effect is shown, and before, that a
 KNOWN = float(norm.isf(WITHIN_S / HOUR_S))
 """Standard deviations that one look every five seconds at one known change passes once an hour."""
 FLIGHT_S, BEGINS = 60.0, BEGINS_S
-CONDITIONS = {"20hz": NullConditions(), "link": NullConditions(rate=11.5, loss=0.05)}
+LINK = NullConditions(rate=11.5, loss=0.05)
 CHANGES = {
     "Cn_da": -0.008,
     "Cl_da": 0.03,
@@ -78,22 +79,24 @@ class Set:
     conditions: NullConditions
     calibration: Calibration
     plane: MonitoredPlane
+    seed: int
 
     @property
     def predictors(self) -> PredictorBank:
         return PredictorBank(self.airframe, self.values, self.effects, self.plane)
 
 
-def made(rate: str, hours: float, plane: MonitoredPlane, noise: float = 1.0) -> Set:
+def made(rate: str, hours: float, plane: MonitoredPlane, noise: float = 1.0, seed: int = 0) -> Set:
     airframe = airframe_for(Case("second", 0.1, False))
     if plane.name != "lateral":
         airframe = airframe_of_file(load_aircraft("cdfp"), (plane.regression,))
     values = {n: airframe.believed(n) for n in plane.regression.derivatives}
-    effects, conditions, rng = bank(values, {}, plane), CONDITIONS[rate], np.random.default_rng(1)
+    effects, rng = bank(values, {}, plane), np.random.default_rng([seed, 1])
+    conditions = LINK if rate == "link" else NullConditions(rate=float(rate), grid=1.0 / float(rate))
     levels = {n: noise * getattr(conditions, n) for n in (*plane.channels, "surface", "V")}
     conditions = replace(conditions, **levels)  # type: ignore[arg-type]
     found = calibrated(airframe, values, effects, conditions, rng=rng, hours=hours, plane=plane)
-    return Set(airframe, values, effects, conditions, found, plane)
+    return Set(airframe, values, effects, conditions, found, plane, seed)
 
 
 def alarms(s: Set, scans: Sequence[FlightsScan]) -> tuple[Array, Array]:
@@ -115,10 +118,9 @@ def false_alarms(s: Set, hours: float, gust: float) -> str:
     """Alarms that stand apart by ten seconds, over so many hours."""
     conditions = replace(s.conditions, gust=gust * s.conditions.gust, gust_spread=USUAL)
     count, flown, hit, flights = 0, 0.0, 0, 0
-    for seed in range(max(1, round(hours * 3600.0 / (100 * 90.0)))):
-        scans = fly(
-            s.airframe, s.values, s.effects, conditions, np.random.default_rng([seed, 71]), 100, 90.0, plane=s.plane
-        )
+    for batch in range(max(1, round(hours * 3600.0 / (100 * 90.0)))):
+        rng = np.random.default_rng([batch, 71, s.seed])
+        scans = fly(s.airframe, s.values, s.effects, conditions, rng, 100, 90.0, plane=s.plane)
         table, _ = alarms(s, scans)
         for flight in range(1, table.shape[1]):
             times = table[table[:, flight] > 0.5, 0]
@@ -151,7 +153,7 @@ def changed(s: Set, name: str, size: float, n: int) -> Changed:
 
     conditions = replace(s.conditions, gust_spread=USUAL)
     scans, without = (
-        fly(s.airframe, s.values, s.effects, conditions, np.random.default_rng([9, n]), n, FLIGHT_S, c, s.plane)
+        fly(s.airframe, s.values, s.effects, conditions, np.random.default_rng([9, n, s.seed]), n, FLIGHT_S, c, s.plane)
         for c in (change, None)
     )
     moved = np.array([a.measured - b.measured for a, b in zip(scans, without, strict=True)])
@@ -218,7 +220,7 @@ def sudden(s: Set, name: str, n: int, rate: str) -> str:
     values = {k: truth[k] for k in DERIVATIVES}
     first, what = [], []
     shown: list[float] = []
-    seeds = list(range(1, n + 1))
+    seeds = list(range(s.seed + 1, s.seed + n + 1))
     sound = direct_flights([scenario.altered(hidden=[])] * n, seeds)
     for seed, (flown, as_before) in enumerate(zip(direct_flights([scenario] * n, seeds), sound, strict=True)):
         changed = np.stack([flown[c] - as_before[c] for c in s.plane.channels], axis=1)[:, :, None]
@@ -251,15 +253,16 @@ def row(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("rates", nargs="*", default=list(CONDITIONS))
+    parser.add_argument("rates", nargs="*", default=["20", "link"])
     parser.add_argument("-n", type=int, default=40, help="flights of each effect")
     parser.add_argument("--hours", type=float, default=5.0, help="of nulls, and of the calibration")
     parser.add_argument("--plane", choices=tuple(PLANES), default="lateral")
     parser.add_argument("--noise", type=float, default=1.0, help="times the usual of every instrument")
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--ideal", action="store_true", help="what could be noticed at all, nothing else")
     given = parser.parse_args(arguments)
     for rate in given.rates:
-        s = made(rate, given.hours, PLANES[given.plane], given.noise)
+        s = made(rate, given.hours, PLANES[given.plane], given.noise, given.seed)
         print(
             f"\n{rate}: thresholds {s.calibration.named:.2f}, {s.calibration.unnamed:.2f} from {s.calibration.hours:.1f} h"
         )

@@ -193,8 +193,9 @@ def _told_anew(told: Alarm, now: Alarm) -> Alarm:
 def _scan_of(s: Sample, plane: MonitoredPlane, airframe: Airframe) -> FlightsScan:
     measured = np.array([[getattr(s, channel)] for channel in plane.channels])
     kind = inputs_of(plane)
-    driving = kind(*(np.array([getattr(s, name)]) for name in kind._fields[:-1]))
-    return FlightsScan(s.time, measured, driving._replace(mass_ratio=np.array([airframe.mass_ratio(s.mass)])))
+    driving = kind(*(np.array([getattr(s, name)]) for name in kind._fields[:-2]))
+    mass_ratio, cg_ahead = np.array([airframe.mass_ratio(s.mass)]), np.array([airframe.cg_ahead(s.cg_x)])
+    return FlightsScan(s.time, measured, driving._replace(mass_ratio=mass_ratio, cg_ahead=cg_ahead))
 
 
 class GapMonitors:

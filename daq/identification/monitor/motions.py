@@ -19,11 +19,12 @@ from daq.utilities.constants import GRAVITY
 Array = NDArray[np.float64]
 LONGEST_STEP = 0.026  # s; as in `simulated_motion`
 AS_STATED = np.ones(1)  # mass over the airframe's, of every flight
+NOT_MOVED = np.zeros(1)  # m, how far the CG is ahead of the airframe's
 
 
 class Inputs(NamedTuple):
     """What is measured for rolling and yawing, (flights,) each: attitude, airspeed, density, surfaces; mass
-    over the airframe's."""
+    over the airframe's; how far the CG is ahead of the airframe's [m]."""
 
     q: Array
     theta: Array
@@ -33,11 +34,12 @@ class Inputs(NamedTuple):
     delta_a: Array
     delta_r: Array
     mass_ratio: Array = AS_STATED
+    cg_ahead: Array = NOT_MOVED
 
 
 class ElevatorInputs(NamedTuple):
     """What is measured for the pitching plane, (flights,) each: the lateral motion, airspeed, density, thrust [N], elevator;
-    mass over the airframe's."""
+    mass over the airframe's; how far the CG is ahead of the airframe's [m]."""
 
     beta: Array
     p: Array
@@ -48,6 +50,7 @@ class ElevatorInputs(NamedTuple):
     thrust: Array
     delta_e: Array
     mass_ratio: Array = AS_STATED
+    cg_ahead: Array = NOT_MOVED
 
 
 AnyInputs = Inputs | ElevatorInputs
@@ -113,8 +116,17 @@ class LateralMotion(MotionOfPlane[Inputs]):
         rows = (d[f"CY_{term}"], a.Izz * Cl + a.Ixz * Cn, a.Ixx * Cn + a.Ixz * Cl)
         return np.stack(np.broadcast_arrays(*rows))
 
+    def _about_cg(self, u: Inputs) -> Mapping[str, Array]:
+        """The same, (..., 3, models, flights), about the CG where it is now: the side force has an arm to the airframe's."""
+        if not np.any(u.cg_ahead):
+            return self._rows
+        a = self._a
+        yaw = -u.cg_ahead / (a.Ixx * a.Izz - a.Ixz**2)
+        arms = np.stack((np.zeros_like(yaw), a.Ixz * yaw, a.Ixx * yaw), axis=-3)
+        return {n: row + arms * row[0] for n, row in self._rows.items()}
+
     def conditions(self, u: Inputs) -> tuple[Array, ...]:
-        a, rows = self._a, self._rows
+        a, rows = self._a, self._about_cg(u)
         # gyroscopic moments: roll Ixz p q - (Izz - Iyy) q r, yaw -Ixz q r - (Iyy - Ixx) p q
         turning = u.q / (a.Ixx * a.Izz - a.Ixz**2)
         p_in_roll, r_in_roll = a.Ixz * (a.Izz - a.Iyy + a.Ixx), a.Izz * (a.Iyy - a.Izz) - a.Ixz**2
@@ -156,13 +168,16 @@ class PitchMotion(MotionOfPlane[ElevatorInputs]):
         mass = a.mass * u.mass_ratio
         lift = along * q_s / mass
         gyroscopic = ((a.Izz - a.Ixx) * u.p * u.r - a.Ixz * (u.p**2 - u.r**2)) / a.Iyy
+        ahead = u.cg_ahead / a.chord
+        # about the CG where it is now; the force across the body is taken to be the lift
+        Cm = {n: d[f"Cm_{n}"] - ahead * d[f"CL_{n}"] for n in ("0", "alpha", "q", "de")}
         return (
             -lift * (d["CL_0"] + d["CL_de"] * u.delta_e),
             -lift * d["CL_alpha"],
             1.0 - lift * rate * d["CL_q"],
-            scale * (d["Cm_0"] + d["Cm_de"] * u.delta_e) + gyroscopic,
-            scale * d["Cm_alpha"],
-            scale * rate * d["Cm_q"],
+            scale * (Cm["0"] + Cm["de"] * u.delta_e) + gyroscopic,
+            scale * Cm["alpha"],
+            scale * rate * Cm["q"],
             along * GRAVITY * np.cos(u.phi),
             np.tan(u.beta) * u.p,
             along * u.thrust / mass + np.tan(u.beta) * u.r,

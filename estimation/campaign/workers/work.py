@@ -131,6 +131,7 @@ def _checked(work: Work, flight: Flight, conditions: Row) -> Iterator[Row]:
 
 
 def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: Row) -> Iterator[Row]:
+    from estimation.prepare.measured_cg import with_cg_history
     from estimation.prepare.measured_mass import with_mass_history
     from estimation.session import runner
     from estimation.session.sanity_checks import DoubtKind
@@ -139,6 +140,7 @@ def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: 
     begin = time.thread_time()
     try:
         model, flown, _ = with_mass_history(model_of(work.subjects[0], craft), [flight], craft)
+        model, flown, _ = with_cg_history(model, flown)
         about = {**about, "model": model.name}
         session = runner.estimate(
             model, flown, craft, [method], extras=_extras(work, method), structure=StructureWish.OFF

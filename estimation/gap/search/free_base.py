@@ -45,6 +45,18 @@ def many(off: Sequence[str], criteria: Criteria) -> bool:
     return len(off) >= criteria.many_derivatives
 
 
+def wrong_numbers(names: Sequence[str], before: Mapping[str, float], baseline: Baseline) -> tuple[str, ...]:
+    """Of derivatives that were set free, those that their numbers are wrong of: further off than bounds allow, and than numbers of a
+    simulation usually are. One of them bends what its neighbours have to be, so that these look off as well."""
+    std, values, criteria = baseline.fit.std(), baseline.fit.values, baseline.criteria
+    moved = {n: abs(values[n] - before[n]) for n in names}
+    return tuple(
+        n
+        for n, move in moved.items()
+        if move > criteria.migrated_bounds * std[n] and move > criteria.wrong_number * abs(before[n])
+    )
+
+
 def largest(screen: Screen, criteria: Criteria) -> str | None:
     """The derivative that gains most, by linear theory; None where none gains clearly."""
     projected = screen.projected()

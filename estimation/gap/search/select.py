@@ -68,7 +68,16 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
     rejected = [Rejected(c.hypothesis.label, c.why_not) for c in judged if c.why_not]
     close = worth_comparing(admissible, criteria)
     ranked = _compared_again(round_, prepared, close, inflation) if close else tuple(admissible)
-    return Choice(ranked, _weights(ranked), tuple(rejected))
+    return Choice(held_first(ranked, criteria), _weights(ranked), tuple(rejected))
+
+
+def held_first(ranked: Sequence[FittedHypothesis], criteria: Criteria) -> tuple[FittedHypothesis, ...]:
+    """The candidates in their order, but a derivative that the base holds at a number before a term that it lacks, where it gains
+    as much: at one angle of attack a `Cn_beta` that is off and a `Cn_alpha_beta` leave the same, and chance would decide."""
+    held = [c for c in ranked if c.hypothesis.form.frees and c.gain >= ranked[0].gain - criteria.exchange]
+    if not held or ranked[0].hypothesis.form.frees:
+        return tuple(ranked)
+    return (held[0], *(c for c in ranked if c is not held[0]))
 
 
 def worth_comparing(sound: Sequence[FittedHypothesis], criteria: Criteria) -> Sequence[FittedHypothesis]:

@@ -56,7 +56,7 @@ def samples(scans: list[FlightsScan], flight: int) -> list[Sample]:
     found = []
     for s in scans:
         beta, p, r, phi, ay = s.measured[:, flight]
-        q, theta, alpha, V, rho, delta_a, delta_r = (float(v[flight]) for v in s.inputs[:-1])
+        q, theta, alpha, V, rho, delta_a, delta_r = (float(v[flight]) for v in s.inputs[:-2])
         found.append(Sample(s.time + 1.0, beta, p, q, r, phi, theta, alpha, V, ay, delta_a, delta_r, rho))
     return found
 

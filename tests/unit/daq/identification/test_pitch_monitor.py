@@ -58,7 +58,7 @@ def samples(scans: Sequence[FlightsScan], flight: int) -> list[Sample]:
             delta_a=0.0,
             delta_r=0.0,
             **{n: float(v) for n, v in zip(PITCH_PLANE.channels, s.measured[:, flight], strict=True)},
-            **{n: float(getattr(s.inputs, n)[flight]) for n in ElevatorInputs._fields[:-1]},
+            **{n: float(getattr(s.inputs, n)[flight]) for n in ElevatorInputs._fields[:-2]},
         )
         for s in scans
     ]
@@ -73,7 +73,7 @@ def test_motion_of_many_is_that_of_one(airframe: Airframe, values: dict[str, flo
     for _ in range(20):
         alpha, q, theta, beta, p, r, phi, elevator = rng.uniform(-0.2, 0.2, 8)
         s = Sample(0, beta, p, q, r, phi, theta, alpha, 17.0, 0, 0, 0, 1.2, thrust=4.0, delta_e=elevator)
-        u = ElevatorInputs(*(np.array([[getattr(s, n)]]) for n in ElevatorInputs._fields[:-1]))
+        u = ElevatorInputs(*(np.array([[getattr(s, n)]]) for n in ElevatorInputs._fields[:-2]))
         x = np.array([alpha, q, theta])[:, None, None]
         one = np.array(alone._rates(PitchState(alpha, q), PitchInputs(s, elevator)))
         np.testing.assert_allclose(many.rates(x, many.conditions(u))[:2, 0, 0], one, rtol=1e-12, atol=1e-12)

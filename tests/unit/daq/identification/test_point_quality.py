@@ -20,7 +20,9 @@ def flown(
     meter, rng, points = PointMeter(("delta_a", "delta_r"), {"delta_a": (-0.3, 0.3)}), np.random.default_rng(3), []
     for k in range(round(seconds * rate)):
         t = k / rate
-        s = dict(zip(Sample._fields, [t, *rng.normal(0.0, 0.15 * DEG, 12), 0, 0, 0, 0, math.nan], strict=True))
+        s = dict(
+            zip(Sample._fields, [t, *rng.normal(0.0, 0.15 * DEG, 12), 0, 0, 0, 0, math.nan, math.nan], strict=True)
+        )
         s |= {"V": 16.0 + 0.1 * rng.standard_normal(), "rho": 1.2, "alpha": s["alpha"] + 0.08}
         s["delta_a"] += 0.02 + 6.0 * DEG * ((begin <= t < begin + 0.5) - 1.0 * (begin + 0.5 <= t < begin + 1.0))
         bend(t, s)

@@ -13,7 +13,15 @@ from estimation.gap.decision.steps import misfit_of
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.search import confirm
 from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, freed_by, impossible, leading, price
-from estimation.gap.search.select import Choice, credible_set, material, promise, shared_inflation, worth_comparing
+from estimation.gap.search.select import (
+    Choice,
+    credible_set,
+    held_first,
+    material,
+    promise,
+    shared_inflation,
+    worth_comparing,
+)
 from estimation.gap.significance.measured_again import own_share
 from estimation.gap.significance.omnibus import Omnibus
 from estimation.gap.significance.screen import Hypothesis, Projected, equivalent_z
@@ -184,6 +192,15 @@ def test_the_six_best_are_compared_again_where_the_best_is_promising() -> None:
     assert list(worth_comparing(many, AS_SET)) == many[:6]
     assert not worth_comparing([candidate(score=1.8), *many], AS_SET)
     assert not worth_comparing([], AS_SET)
+
+
+@pytest.mark.parametrize(("gain", "names"), [(93.0, "bac"), (91.0, "abc")])
+def test_a_number_that_the_base_holds_stands_before_a_term_that_gains_as_much(gain: float, names: str) -> None:
+    """By one angle of attack a derivative that is off and its product with it leave the same flights."""
+    held = candidate("b", gain=gain)
+    freeing = replace(held.hypothesis, form=replace(held.hypothesis.form, frees=("b",)))
+    ranked = [candidate("a"), replace(held, hypothesis=freeing), candidate("c")]
+    assert "".join(c.hypothesis.effect.name for c in held_first(ranked, AS_SET)) == names
 
 
 def test_the_set_holds_nineteen_twentieths_of_the_weight() -> None:

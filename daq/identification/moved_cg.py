@@ -1,0 +1,30 @@
+"""What instruments fixed to the aircraft show of its motion where the centre of gravity has moved along the body.
+
+Calibrated columns hold at the point that the aircraft file calls the CG. With the CG d ahead of it that point lies at
+r = (-d, 0, 0), moves by omega x r against the CG, and is accelerated by omega_dot x r + omega x (omega x r) against it.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def at_moved_cg(columns: Mapping[str, Array], time: Array, ahead: Array) -> dict[str, Array]:
+    """Those of `ax ay az alpha beta` [m/s2, rad] that there are, at the CG `ahead` [m] of where they hold; rates that are not
+    measured count as none."""
+    still = np.zeros(time.size)
+    p, q, r = (np.nan_to_num(columns.get(name, still)) for name in ("p", "q", "r"))
+    q_dot, r_dot = (np.gradient(rate, time) if time.size > 1 else still for rate in (q, r))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        per_speed = np.where(columns.get("V", still) > 0.0, ahead / columns.get("V", still), 0.0)
+    differences = {
+        "ax": -ahead * (q**2 + r**2),
+        "ay": ahead * (r_dot + p * q),
+        "az": -ahead * (q_dot - p * r),
+        "alpha": -per_speed * q,
+        "beta": per_speed * r,
+    }
+    return {name: columns[name] + change for name, change in differences.items() if name in columns}
