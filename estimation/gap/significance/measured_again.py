@@ -53,8 +53,8 @@ class MeasuredAgain:
 
     @cached_property
     def sets(self) -> tuple[tuple[Remade, ...], ...]:
-        """Every repeat, a record each; none where the motion runs away, at once or as it grows: what is lost and gained on a flight
-        that leaves the base by a hundred times its noise says nothing of controls."""
+        """Every repeat, a record each; none where the motion runs away, at once or as it grows: what is lost and gained on a
+        flight that leaves the base by a hundred times its noise says nothing of controls."""
         problem = self.baseline.problem
         exact = [InputErrors({}) for _ in problem.records]
         flyer = NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, exact)
