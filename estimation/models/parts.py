@@ -161,23 +161,23 @@ class ModelParts:
     """Name -> least and greatest value in the flights that the model was estimated from; empty where nobody says."""
     estimated_from: tuple[EstimatedStretch, ...] = ()
 
-    @property
+    @cached_property
     def state_names(self) -> tuple[str, ...]:
         return tuple(s.name for s in self.states)
 
-    @property
+    @cached_property
     def input_names(self) -> tuple[str, ...]:
         return tuple(s.name for s in self.inputs)
 
-    @property
+    @cached_property
     def output_names(self) -> tuple[str, ...]:
         return tuple(s.name for s in self.outputs)
 
-    @property
+    @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         return tuple(p.name for p in self.parameters)
 
-    @property
+    @cached_property
     def free_names(self) -> tuple[str, ...]:
         """Names of the parameters that are estimated."""
         return tuple(p.name for p in self.parameters if not p.fixed)

@@ -83,9 +83,14 @@ class Form:
         return bool(self.states or self.transforms or self.output_delays)
 
     @property
+    def slows_control(self) -> bool:
+        """Whether it makes a control late."""
+        return any(t.kind in ("delay", "lag") for t in self.transforms)
+
+    @property
     def late(self) -> bool:
         """Whether it makes a control or an instrument late."""
-        return bool(self.output_delays) or any(t.kind in ("delay", "lag") for t in self.transforms)
+        return bool(self.output_delays) or self.slows_control
 
     @property
     def play(self) -> bool:

@@ -11,7 +11,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.problem import prior_cost
 from estimation.gap.search.confirm import FittedHypothesis
-from estimation.gap.search.select import Choice
+from estimation.gap.search.select import Choice, individual_inflation
 from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
 from estimation.gap.significance.measure import held_out_gaps, predictive_cost
@@ -83,8 +83,10 @@ def confirmed(
 
 
 def estimates_of(round_: Round, candidate: FittedHypothesis, child: Baseline) -> dict[str, tuple[float, float]]:
-    """Unknown of a candidate -> value and bound in the model that has it, as widely as the nulls scatter."""
-    wider, std = float(np.sqrt(inflation_by_hypothesis(round_).get(candidate.hypothesis.key, 1.0))), child.fit.std()
+    """Unknown of a candidate -> value and bound in the model that has it, as widely as the nulls scatter: of a control that is
+    late as they scatter what it is weighed against, for a small step of it says nothing of one that is found afar."""
+    known = individual_inflation if candidate.hypothesis.form.slows_control else inflation_by_hypothesis
+    wider, std = float(np.sqrt(known(round_).get(candidate.hypothesis.key, 1.0))), child.fit.std()
     return {
         p.name: (float(child.fit.values[p.name]), wider * float(std[p.name]))
         for p in candidate.hypothesis.form.parameters

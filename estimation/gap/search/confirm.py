@@ -6,7 +6,7 @@ divided by the inflation found on the nulls, the price of an estimate far from i
 against the bound.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
+from estimation.gap.fit.baseline import ROUGH, first_values
 from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, prior_cost
 from estimation.gap.fit.spectra import NoiseModel
@@ -28,6 +29,9 @@ SHORTER = (0.3, 0.03)  # of the first start, where the motion runs away from it
 AT_LIMIT = 1e-6  # of a parameter's range: an estimate so near its end was stopped there
 AT_NOTHING = 1e-3  # usual sizes: so near to none it has shrunk to nothing, and the words say so
 ABOVE = 1.0  # of the log-likelihood: a fit that ends so far above the base, which it holds, is lost
+AFAR = 4.0  # usual sizes: where a lag begins that the base may have taken for slow motion of the aircraft
+FOLLOWS = 1.5  # of the cost of the base: derivatives with a wrong lag of that size cost twice to forty times as much
+STRAYED = 0.5  # of what the model states: a derivative farther from it, and by three bounds, may hold such a lag
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,7 @@ def fit_hypothesis(
     hypothesis: Hypothesis,
     guess: Mapping[str, float],
     beyond: float = np.inf,
+    afar: ModelFit | None = None,
 ) -> tuple[LikelihoodProblem, ModelFit]:
     """Fit base and hypothesis together from `guess`; (problem, fit).
 
@@ -61,12 +66,16 @@ def fit_hypothesis(
     is still on its way to something. Where the motion runs away from every start, or the best end is worse than the base,
     the fit begins nearer to no effect: with the base where it was without it, a guess that is right can be unstable, or
     another valley lies between. beyond: a cost that must be in reach, or the fit ends early.
+    afar: one more start (`begun_afar`).
     """
     starts = [_inside(hypothesis, problem, guess)]
     if hypothesis.form.nonlinear:
         typical = {p.name: p.null_value(problem.model) + p.typical for p in hypothesis.form.parameters}
         starts.append(_inside(hypothesis, problem, typical))
     trials = [_begun(problem, base_fit, hypothesis, start, beyond) for start in starts]
+    if afar is not None:
+        trial = replace(problem, model=afar.model)
+        trials.append((trial, fit(trial, afar.values, afar.locals, FIRST_STEPS, enough=ENOUGH, beyond=beyond)))
     for share in SHORTER if all(trial_fit.diverged for _, trial_fit in trials) else ():
         trials.append(_begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond))
         if not trials[-1][1].diverged:
@@ -122,6 +131,35 @@ def _begun(
     locals_ = [carried_local(local, base_fit.model, model) for local in base_fit.locals]
     first = {**model.starts(), **base_fit.values, **start}
     return trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH, beyond=beyond)
+
+
+def begun_afar(problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hypothesis) -> ModelFit | None:
+    """The model's derivatives fitted afresh with a control that is late by some usual sizes; None where that is no way to follow
+    these flights, or the base is where it was expected.
+
+    A servo and a roll, one behind the other, look the same when they change places: about a base that took the slow one for the
+    aircraft's no step leads to the other order.
+    """
+    if not (hypothesis.form.slows_control and strayed(problem, base_fit)):
+        return None
+    none = {p.name: p.null_value(problem.model) for p in hypothesis.form.parameters}
+    start = {p.name: min(none[p.name] + AFAR * p.typical, p.upper) for p in hypothesis.form.parameters}
+    trial = replace(problem, model=awakened(problem.model, hypothesis.form, start))
+    locals_ = [carried_local(local, base_fit.model, trial.model) for local in base_fit.locals]
+    held, limit = [n for n in trial.free if n in start or trial.nuisance(n)], FOLLOWS * base_fit.cost
+    first = {**first_values(trial), **start}
+    found = fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ROUGH, held=held, beyond=limit)
+    return None if found.diverged or found.cost > limit else found
+
+
+def strayed(problem: LikelihoodProblem, base_fit: ModelFit) -> bool:
+    """Whether some derivative of the fitted base is far from what the model states: it may hold a control that is late."""
+    starts, std = problem.model.starts(), base_fit.std()
+    stated = {n: starts[n] for n in problem.parameters if not problem.nuisance(n) and starts[n] != 0.0}
+    bounds = problem.criteria.migrated_bounds
+    return not stated or any(
+        abs(base_fit.values[n] - value) > STRAYED * abs(value) + bounds * std[n] for n, value in stated.items()
+    )
 
 
 def _nearer(
@@ -218,12 +256,13 @@ def impossible(p: EffectParameter, value: float, none: float) -> str:
     return f"{p.name} = {value:.3g} {p.unit} is outside what is physically possible ({p.lower:g} to {p.upper:g})"
 
 
-def leading(screen: Screen, gains: Array, criteria: Criteria) -> list[int]:
+def leading(screen: Screen, gains: Array, criteria: Criteria, further: Collection[int] = ()) -> list[int]:
     """Indices of the hypotheses worth a full fit: the best by linear score and what is tied to the very best.
 
     Of those linear in their unknowns, which a full fit hardly changes, only the ones within sight of the best. Plays always: a
     play smaller than the noise of a surface changes nothing, so that a small step says nothing of one of usual size. Lags of
-    the air too: about a base that has taken one up as damping, a small step of it sets the aircraft swinging.
+    the air too: about a base that has taken one up as damping, a small step of it sets the aircraft swinging. further: asked
+    too.
     """
     order = [int(h) for h in np.argsort(-gains)]
     limit = criteria.in_sight * float(gains[order[0]])
@@ -236,5 +275,5 @@ def leading(screen: Screen, gains: Array, criteria: Criteria) -> list[int]:
     for h in order[len(selected) :]:
         if h not in selected and cosines[np.ix_(best_span, screen.span(h))].max() > criteria.tie:
             selected.append(h)
-    unjudged = [h for h, x in enumerate(screen.hypotheses) if (x.form.play or x.form.lagging) and h not in selected]
-    return [*selected, *unjudged]
+    asked = [x.form.play or x.form.lagging or h in further for h, x in enumerate(screen.hypotheses)]
+    return [*selected, *(h for h, is_asked in enumerate(asked) if is_asked and h not in selected)]

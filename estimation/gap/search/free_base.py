@@ -16,9 +16,12 @@ from estimation.gap.fit.baseline import Baseline, fit_from
 from estimation.gap.search.state import Setting
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for
 from estimation.gap.significance.tangent import Tangent
-from estimation.models.base import Model
+from estimation.models.base import Model, Parameter, ParameterRole
+from estimation.models.expressions import names_in
 
 FACTOR = "k_"  # of a coefficient of a simulation: its derivatives, all free, say the same
+SIMULATED = "_sim"  # what the simulation itself has of a coefficient
+OFF = 0.1  # of the simulation's own: prior width of a derivative that the model has no parameter for
 
 
 def derivatives_off(setting: Setting, baseline: Baseline) -> tuple[str, ...]:
@@ -66,11 +69,23 @@ def largest(screen: Screen, criteria: Criteria) -> str | None:
 
 
 def with_free_derivatives(model: Model, names: Sequence[str]) -> Model:
-    """A base with derivatives free, and the factors on its coefficients held."""
-    factors = [
-        n for n in model.free_names if n.startswith(FACTOR) and f"{n.removeprefix(FACTOR)}_sim" in model.definitions
-    ]
-    return model.freed(*names).fixed(*factors)
+    """A base with derivatives free, and the factors on its coefficients held.
+
+    What the simulation has by a control for which the model has no derivative (yawing moment by the aileron) is off as the others
+    are: with it held, a product of inertia stood for 6 % of a `Cn_da`.
+    """
+    coefficients = [n.removesuffix(SIMULATED) for n in model.definitions if n.endswith(SIMULATED)]
+    controls = {s.name for s in model.inputs if s.control}
+    free = model.freed(*names).fixed(*(FACTOR + c for c in coefficients if FACTOR + c in model.free_names))
+    for c in coefficients:
+        for piece in model.definitions[c + SIMULATED].split(" + "):
+            control = piece.rpartition("*")[2]
+            if control in controls - names_in(model.definitions[c]):
+                share = Parameter(
+                    f"off_{c}_{control}", "1", 0.0, prior_mean=0.0, prior_std=OFF, role=ParameterRole.NUISANCE
+                )
+                free = free.plus(terms={c: f"{share.name}*{piece}"}, parameters=[share])
+    return free
 
 
 def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: Baseline) -> str:

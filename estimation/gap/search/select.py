@@ -14,7 +14,7 @@ from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import prior_cost
 from estimation.gap.records.candidate_model import TIMING
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
-from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, fit_hypothesis, leading
+from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, begun_afar, fit_hypothesis, leading
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import linear_guess
 
@@ -55,9 +55,13 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
     judged: list[FittedHypothesis] = []
     cost_limit = np.inf
-    for h in leading(screen, promise(round_), criteria):
+    afar = {h: begun_afar(problem, base_fit, hypothesis) for h, hypothesis in enumerate(screen.hypotheses)}
+    further = [h for h, begun in afar.items() if begun is not None]
+    for h in leading(screen, promise(round_), criteria, further):
         hypothesis = screen.hypotheses[h]
-        _, model_fit = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h), cost_limit)
+        _, model_fit = fit_hypothesis(
+            problem, base_fit, hypothesis, linear_guess(screen, problem, h), cost_limit, afar[h]
+        )
         candidate = assess(
             problem, base_fit, hypothesis, model_fit, inflation[hypothesis.key], individual[hypothesis.key]
         )

@@ -30,6 +30,7 @@ from estimation.models.base import Model
 from estimation.signals.controls import with_raw_steps
 from estimation.signals.denoise import denoise_many
 
+RAN_AWAY = 3.0  # energies of the flights: with more the base did not follow its own flight, whose motion grows
 REPEATS = 16  # flights made anew: their mean gain is known to a quarter of its scatter, some 4 of a gain of 40
 
 
@@ -52,16 +53,20 @@ class MeasuredAgain:
 
     @cached_property
     def sets(self) -> tuple[tuple[Remade, ...], ...]:
-        """Every repeat, a record each; none where the motion runs away."""
+        """Every repeat, a record each; none where the motion runs away, at once or as it grows: what is lost and gained on a
+        flight that leaves the base by a hundred times its noise says nothing of controls."""
         problem = self.baseline.problem
         exact = [InputErrors({}) for _ in problem.records]
         flyer = NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, exact)
+        pairs = zip(problem.whiteners, self.baseline.fit.residuals, strict=True)
+        limit = RAN_AWAY * sum(w.energy(residual) for w, residual in pairs)
         repeats = []
         for number in range(REPEATS):
             rng = Stream.MEASURED_AGAIN.generator(self.seed, number)
             records = [self._remade(flyer, index, rng) for index in range(len(problem.records))]
-            if all(r is not None for r in records):
-                repeats.append(tuple(r for r in records if r is not None))
+            finite = tuple(r for r in records if r is not None)
+            if len(finite) == len(records) and sum(r.energy for r in finite) < limit:
+                repeats.append(finite)
         return tuple(repeats)
 
     def share(self, gain: float, found: ModelFit) -> float:

@@ -54,7 +54,9 @@ def asked(
     patch.setattr(accepting, "by_timing", lambda *given: timing)
     patch.setattr(accepting, "flight_gains", lambda *given: [50.0, 50.0])
     parameter = EffectParameter("x", "s", 2.0, -10.0, 10.0, none=1.0)
-    hypothesis = stub(form=stub(nonlinear=False, parameters=(parameter,)), label="x", key=("x", "x"))
+    hypothesis = stub(
+        form=stub(nonlinear=False, slows_control=False, parameters=(parameter,)), label="x", key=("x", "x")
+    )
     child = stub(fit=stub(values={"x": 1.0 - bounds}, std=lambda: {"x": 0.5}))
     round_ = stub(
         criteria=AS_SET,

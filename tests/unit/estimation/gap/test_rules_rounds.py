@@ -418,10 +418,14 @@ def test_a_number_is_wrong_that_is_off_by_a_seventh_and_by_three_bounds(
 
 def test_free_derivatives_stand_for_the_factor_on_their_coefficient() -> None:
     base = ROLL.plus(parameters=[Parameter("k_Cl", start=1.0), Parameter("Cl_p", start=-0.4, fixed=True)])
-    base = replace(base, equations=("Cl_sim = 0*p", *base.equations))
+    base = replace(base, equations=("Cl_sim = 0.1*p + 0.2*delta_a", "Cl = k_Cl*Cl_sim + Cl_p*p", *base.equations))
     free = with_free_derivatives(base, ["Cl_p"])
     assert "Cl_p" in free.free_names
     assert "k_Cl" not in free.free_names
+    assert free.definitions["Cl"].endswith("off_Cl_delta_a*0.2*delta_a"), (
+        "what has no parameter may be off as the others are"
+    )
+    assert (free.parameter("off_Cl_delta_a").prior_std, "off_Cl_p" in free.parameter_names) == (0.1, False)
     moved = stub(fit=stub(values={"Cl_p": -0.44, "L_p": -6.1}, std=lambda: {"Cl_p": 0.01, "L_p": 0.2}), criteria=AS_SET)
     words = moved_in_words(["Cl_p", "L_p"], {"Cl_p": -0.4, "L_p": -6.0}, moved)
     assert "all 2 were refitted first: Cl_p from -0.4 to -0.44 +- 0.01." in words
