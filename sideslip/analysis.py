@@ -33,17 +33,15 @@ def analyse(
     aircraft = None if aircraft is None else str(aircraft)
     tell = progress or (lambda what, share: None)
     stages = Stages(Path(output), software())
-    extra = [_content(mapping), aircraft, _content(Path(aircraft)) if aircraft and aircraft.endswith(".toml") else ""]
+    aircraft_file = _content(Path(aircraft)) if aircraft and aircraft.endswith(".toml") else ""
     imported = []
     for number, path in enumerate([*logs, *holdout]):
         tell(f"importing {Path(path).name}", 0.14 * number / (len(logs) + len(holdout)))
-        imported.append(_imported(number, Path(path), mapping, aircraft, extra, stages))
+        imported.append(_imported(number, Path(path), mapping, aircraft, stages))
     flights = unique_names([flight for flight, _, _ in imported])
-    key = digest([k for _, k, _ in imported])
-    imported_flights = Given(
-        tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), key, any(r for _, _, r in imported)
-    )
-    return analyse_flights(imported_flights, aircraft, digest(extra[1:]), stages, tell)
+    keys, repeated = tuple(k for _, k, _ in imported), any(r for _, _, r in imported)
+    imported_flights = Given(tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), keys, repeated)
+    return analyse_flights(imported_flights, aircraft, digest([aircraft, aircraft_file]), stages, tell)
 
 
 def _content(path: Path | None) -> str:
@@ -52,40 +50,40 @@ def _content(path: Path | None) -> str:
 
 
 def _imported(
-    number: int, path: Path, mapping: Path | None, aircraft: str | None, extra: Sequence[str | None], stages: "Stages"
+    number: int, path: Path, mapping: Path | None, aircraft: str | None, stages: "Stages"
 ) -> "tuple[Flight, str, bool]":
-    """The flight of a log, the key of its stage and whether it was imported in this run."""
+    """The flight of a log, the key of its stage and whether it was imported in this run. What is kept of it has the aircraft that
+    the log names: another aircraft file needs no other import."""
     from dataclasses import replace
 
     from groundstation.flight import read_flight, write_flight
+    from groundstation.importers.records import with_aircraft
     from groundstation.importers.run import check_log, log_digest
 
     check_log(path)
     target = stages.path(f"import_{number}.mcap")
 
     def work() -> dict[str, object]:
-        flight = _read(path, mapping, aircraft)
+        flight = _read(path, mapping)
         target.parent.mkdir(parents=True, exist_ok=True)
         write_flight(flight, target)
         return {"name": flight.name, "path": flight.provenance.path, "sha256": flight.provenance.sha256}
 
     sha = log_digest(path)
-    stage = stages.run(f"import_{number}", [sha, path.name, *extra], work, target)
+    stage = stages.run(f"import_{number}", [sha, path.name, _content(mapping)], work, target)
     flight = read_flight(target)
     provenance = replace(flight.provenance, path=str(path), sha256=sha)
-    return replace(flight, name=str(stage.content["name"]), provenance=provenance), stage.key, stage.repeated
+    flight = replace(flight, name=str(stage.content["name"]), provenance=provenance)
+    return (flight if aircraft is None else with_aircraft(flight, aircraft)), stage.key, stage.repeated
 
 
-def _read(path: Path, mapping: Path | None, aircraft: str | None) -> "Flight":
+def _read(path: Path, mapping: Path | None) -> "Flight":
     """A flight as it stands, a raw recording calibrated, or somebody else's log imported."""
     from groundstation.importers.about import is_foreign_log
-    from groundstation.importers.records import with_aircraft
     from groundstation.importers.run import import_data
 
     if path.suffix.lower() in READY and mapping is None and not is_foreign_log(path):
         from groundstation.calibration.recording import open_flight
 
-        flight = open_flight(path)
-    else:
-        flight = import_data(path, mapping)
-    return flight if aircraft is None else with_aircraft(flight, aircraft)
+        return open_flight(path)
+    return import_data(path, mapping)

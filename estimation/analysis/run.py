@@ -36,11 +36,11 @@ Tell = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Given:
-    """flights: imported, to be estimated from; holdout: kept out of every fit; key: of all that the import depends on."""
+    """flights: imported, to be estimated from; holdout: kept out of every fit; keys: of what the import of each depends on."""
 
     flights: tuple[Flight, ...]
     holdout: tuple[Flight, ...]
-    key: str
+    keys: tuple[str, ...]
     repeated: bool
 
 
@@ -52,12 +52,12 @@ def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stage
     tell("contradictions", 0.15)
     parts = [without_failures(f) for f in (*given.flights, *given.holdout)]
     contradicted = [{"flight": f.name, **c.to_json()} for f, found in parts[: len(given.flights)] for c in found]
-    air = [_with_air(f, given.key, stages, tell) for f, _ in parts]
+    air = [_with_air(f, [key, aircraft_key], stages, tell) for (f, _), key in zip(parts, given.keys, strict=True)]
     tell("stretches", 0.3)
     stretches = [choose_stretches(f) for f, _ in air]
     training, holdout = stretches[: len(given.flights)], stretches[len(given.flights) :]
     recipe_of_log = recipe(training[0].flight)
-    key_content = {"air": [s.key for _, s in air], "by": [c.by for c in stretches], "aircraft": aircraft_key}
+    key_content = {"air": _keys(air[: len(training)]), "by": [c.by for c in training], "aircraft": aircraft_key}
     unknown_aircraft = aircraft is None and not any(f.provenance.aircraft for f in given.flights)
     estimate = without_file = None
     if unknown_aircraft:
@@ -74,7 +74,7 @@ def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stage
     gap = (
         None
         if unknown_aircraft
-        else _gap(training, holdout, estimate, aircraft, {**key_content, "estimate": stage.key}, stages, tell)
+        else _gap(training, holdout, estimate, aircraft, {"air": _keys(air), "estimate": stage.key}, stages, tell)
     )
     repeated = [
         n
@@ -94,12 +94,16 @@ def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stage
     return answer
 
 
-def _with_air(flight: Flight, key: str, stages: Stages, tell: Tell) -> tuple[Flight, Stage]:
+def _keys(air: Sequence[tuple[Flight, Stage]]) -> list[str]:
+    return [stage.key for _, stage in air]
+
+
+def _with_air(flight: Flight, key: Sequence[str], stages: Stages, tell: Tell) -> tuple[Flight, Stage]:
     """The flight with reconstructed air data where no vane measured them and they can be had."""
     path = stages.path(f"air_{flight.name}.mcap")
     have = {c for c in flight.columns if flight.measured(c)}
     if have.issuperset(AIR) or not (have.issuperset(RECONSTRUCTION) and have & set(AIRSPEED)):
-        return flight, stages.run(f"air_{flight.name}", [key, "as measured"], dict)
+        return flight, stages.run(f"air_{flight.name}", [*key, "as measured"], dict)
 
     def work() -> dict[str, Any]:
         from estimation.answers.reconstruction import reconstruct
@@ -109,10 +113,10 @@ def _with_air(flight: Flight, key: str, stages: Stages, tell: Tell) -> tuple[Fli
         return {"said": list(reconstruction.lines()), **reconstruction.to_json()}
 
     try:
-        stage = stages.run(f"air_{flight.name}", [key, "reconstructed"], work, path)
+        stage = stages.run(f"air_{flight.name}", [*key, "reconstructed"], work, path)
     except UserError as error:
         reason = str(error)
-        return flight, stages.run(f"air_{flight.name}", [key, reason], lambda: {"said": [reason]})
+        return flight, stages.run(f"air_{flight.name}", [*key, reason], lambda: {"said": [reason]})
     return (replace(read_flight(path), name=flight.name), stage) if path.is_file() else (flight, stage)
 
 

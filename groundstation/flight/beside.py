@@ -21,6 +21,8 @@ SHORTEST = 5.0
 """[s] of common time below which any two flights look alike."""
 ALIKE = 0.3
 """Correlation over all columns from which on two flights are said to lie on each other."""
+BOOTS, AT_ONCE = 10.0, 1.0
+"""[s] within which an autopilot says what it is, and writes the state in which it finds itself."""
 BESIDE = "_model"
 """Ending of the columns that the view draws beside those of a flight."""
 
@@ -85,18 +87,25 @@ def _by_input(first: Flight, second: Flight) -> tuple[float, str] | None:
 
 
 def _by_event(first: Flight, second: Flight) -> tuple[float, str] | None:
-    theirs: dict[str, float] = {}
-    for time, text in _events_of(second):
-        theirs.setdefault(text, time)
-    return next(((time - theirs[text], f"by '{text}'") for time, text in _events_of(first) if text in theirs), None)
+    for own, other in zip(_ranked_events(first), _ranked_events(second), strict=True):
+        theirs: dict[str, float] = {}
+        for time, text in other:
+            theirs.setdefault(text, time)
+        common = next(((time - theirs[text], f"by '{text}'") for time, text in own if text in theirs), None)
+        if common is not None:
+            return common
+    return None
 
 
-def _events_of(flight: Flight) -> list[tuple[float, str]]:
+def _ranked_events(flight: Flight) -> tuple[list[tuple[float, str]], ...]:
+    """What happened, what was said, and what was so from the beginning, each in order of time. What an autopilot says while it
+    boots (its version, its board) stands in every log and tells nothing."""
     marks = marks_of(flight)
-    events = [(m.time, m.text) for m in (*marks.events, *marks.messages)] + [
-        (m.start, f"mode {m.name}") for m in marks.modes
-    ]
-    return sorted(events)
+    events, modes = [(m.time, m.text) for m in marks.events], [(m.start, f"mode {m.name}") for m in marks.modes]
+    begins = min([t for t, _ in (*events, *modes)] + [m.time for m in marks.messages] + [float(flight.time[0])])
+    said = [(m.time, m.text) for m in marks.messages if m.time > begins + BOOTS]
+    happened = [event for event in (*events, *modes[1:]) if event[0] > begins + AT_ONCE]
+    return sorted(happened), sorted(said), sorted([*events, *modes])
 
 
 def _by_correlation(first: Flight, second: Flight) -> tuple[float, str] | None:

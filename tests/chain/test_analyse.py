@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 import sideslip as ss
 from estimation.aircraft import load_aircraft
+from estimation.aircraft.library import BUILT_IN_FOLDER
 from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.world import simulate_many
@@ -98,3 +99,17 @@ def test_without_surfaces_the_way_to_a_map_is_told(folder: Path) -> None:
         "No derivatives: the log is not enough for any model; nearest is longitudinal: it lacks delta_e"
     )
     assert any("--draft-map" in n for n in found.to_json()["next"])
+
+
+def test_a_rerun_does_again_what_has_changed_and_no_more(folder: Path) -> None:
+    log, out = folder / "log.bin", folder / "again"
+    other = folder / "other.bin"
+    other.write_bytes(log.read_bytes())
+    assert ss.analyse(log, aircraft="cdfp", output=out).repeated == ("import", "air", "estimate")
+    assert ss.analyse(log, aircraft="cdfp", holdout=[other], output=out).repeated == ("import", "air")
+    written = (folder / "again" / "stages" / "import_0.mcap").stat().st_mtime_ns
+    aircraft = folder / "heavier.toml"
+    aircraft.write_text((BUILT_IN_FOLDER / "cdfp.toml").read_text().replace("mass = 3.5", "mass = 3.6"))
+    found = ss.analyse(log, aircraft=aircraft, output=out)
+    assert found.repeated == ("air", "estimate")
+    assert (folder / "again" / "stages" / "import_0.mcap").stat().st_mtime_ns == written

@@ -1,5 +1,6 @@
 """Two flights in one view: the second lies on the first, by likeness, by an input, by an event."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from groundstation.cli.view import view
 from groundstation.flight import Flight, Provenance, write_flight
 from groundstation.flight.beside import beside
 from groundstation.flight.errors import FlightError
-from groundstation.flight.marks import Mark, Marks
+from groundstation.flight.marks import FlightMode, Mark, Marks
 
 
 def flown(start: float, begin: float, end: float, seed: int, event: float | None = None) -> Flight:
@@ -41,6 +42,21 @@ def test_an_event_that_both_have(tmp_path: Path) -> None:
     assert beside(first, second, "event").shift == pytest.approx(101.0)
     with pytest.raises(FlightError, match="cannot be laid on f3 by event"):
         beside(first, flown(0.0, 11.0, 40.0, 5), "event")
+
+
+def test_what_an_autopilot_says_while_it_boots_aligns_nothing() -> None:
+    """Each log begins with its version; what both flights did is the change of a mode, 40 and 65 s later."""
+
+    def logged(start: float, manual: float) -> Flight:
+        flight = flown(start, 0.0, 100.0, 9)
+        modes = (FlightMode("FBWA", start, start + manual), FlightMode("MANUAL", start + manual, start + 100.0))
+        said = (Mark(start + 0.2, "ArduPlane V4.5.1 (6a3b91c2)"), Mark(start + 0.2, "ChibiOS: d4fce84e"))
+        marks = Marks(modes, (Mark(start, "disarmed"),), said)
+        return replace(flight, provenance=Provenance(detail=dict(marks.to_json())))
+
+    found = beside(logged(200.0, 40.0), logged(1000.0, 65.0), "event")
+    assert found.shift == pytest.approx(240.0 - 1065.0)
+    assert "mode MANUAL" in found.text
 
 
 def test_two_that_are_not_alike_are_not_correlated() -> None:
