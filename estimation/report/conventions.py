@@ -19,6 +19,8 @@ SIGNS = (
     "+delta_e trailing edge down (nose down), +delta_a rolls left, +delta_r trailing edge to port (force to +y, nose left);"
     " +beta wind from the right, +ay specific force to the right"
 )
+DAMPERS = {"delta_r": ("r", "yaw", "Cn_r and CY_r"), "delta_e": ("q", "pitch", "Cm_q")}
+"""Control -> the state that a damper of it follows, what that is called, and the derivatives that it passes for."""
 OWN = "as the equations of the model have them (a model of one's own)"
 CONSTANTS = {
     "S": "m2",
@@ -39,6 +41,8 @@ def conventions(session: "EstimationSession") -> Iterator[tuple[str, str]]:
     yield "axes", AXES if built_in else OWN
     yield "units", UNITS if built_in else OWN
     yield "signs", SIGNS if built_in else OWN
+    if built_in and (dampers := _dampers(session)):
+        yield "controls", f"as recorded; {dampers}: where one runs, record the surface itself"
     constants = session.model.constants
     constant_texts = [
         f"{n} {constants[n]:.6g} {unit}"
@@ -49,6 +53,16 @@ def conventions(session: "EstimationSession") -> Iterator[tuple[str, str]]:
     yield "CG", _centre(session)
     yield "aircraft", session.aircraft.title or session.aircraft.name
     yield "beliefs before", _sources(session)
+
+
+def _dampers(session: "EstimationSession") -> str:
+    """What no record of a control can tell (docs/validation.md has what it can)."""
+    known = {*session.model.input_names, *session.model.state_names}
+    return "; ".join(
+        f"a {axis} damper behind the record passes for {names} unless it is strong and washed out"
+        for control, (rate, axis, names) in DAMPERS.items()
+        if {control, rate} <= known
+    )
 
 
 def _centre(session: "EstimationSession") -> str:

@@ -67,6 +67,12 @@ def gain_of_filter(ml: Result, fem: Result) -> FilterErrorGain:
     return FilterErrorGain(total, float(chdtri(max(gains, 1), 1.0 - CHANCE)), total / max(values, 1))
 
 
+def corrected_states(results: Mapping[str, Result]) -> str:
+    """The parameters by which some result has the record of a state late or of another scale, which regressions cannot."""
+    instruments = ((n, r.model) for r in results.values() for n in r.names if n.startswith(("delay_", "scale_")))
+    return " and ".join(sorted({n for n, model in instruments if n.partition("_")[2] in model.state_names}))
+
+
 def beneath_instruments(ml: Result) -> bool:
     """Whether output error leaves less of every output than the noise of sound instruments, and next to nothing of its motion.
 

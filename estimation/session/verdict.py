@@ -19,6 +19,7 @@ from estimation.session.aircraft_review import NOTHING, AircraftObjections
 from estimation.session.evidence import (
     ProcessNoise,
     beneath_instruments,
+    corrected_states,
     gain_of_filter,
     parameter_scatter,
     predictability,
@@ -138,6 +139,9 @@ def verdict(
         )
         for method in (m for m in results if m not in TRUSTED_RECONSTRUCTED):
             case.object_to(method, DoubtKind.RECONSTRUCTED, objection)
+    if corrected := corrected_states(results):
+        for method in (m for m in results if m in REGRESSIONS):
+            case.against.setdefault(method, f"it takes records for the motion that {corrected} tells from it")
     for method, reason in (failures or {}).items():
         case.doubts.append(Doubt(DoubtKind.FAILED, f"{method}: {reason}"))
     for method, result in results.items():

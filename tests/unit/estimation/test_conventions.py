@@ -39,8 +39,10 @@ def test_the_printed_answer_and_the_page_state_conventions_and_constants(session
     ):
         assert words in text
     assert "wind tunnel" in text
+    assert "a yaw damper behind the record passes for Cn_r and CY_r" in text
+    assert "pitch damper" not in text
     table = conventions_table(session)
-    assert {"axes", "units", "signs", "constants", "CG"} <= {row[0] for row in table.rows}
+    assert {"axes", "units", "signs", "controls", "constants", "CG"} <= {row[0] for row in table.rows}
 
 
 def test_a_latex_table_has_no_number_for_what_cannot_be_told_and_the_belief_beside_what_can(

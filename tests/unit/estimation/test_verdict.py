@@ -83,6 +83,20 @@ def test_a_filter_is_not_believed_beside_something_left_out(
     assert verdict(calm, structure=left).recommended.method == "ml"
 
 
+def test_a_regression_is_no_witness_against_a_model_that_has_its_vane_late() -> None:
+    """It takes the lagging vane for sideslip: right estimates of four random aeroplanes were refused for that."""
+    made = fly(Case(noise=NOISE), np.random.default_rng(21))[0][0]
+    flight = made.with_columns(beta=np.interp(made.time - 0.1, made.time, made["beta"]))
+    found = runner.estimate(LATERAL, [flight], load_aircraft("cdfp"), ("ml", "ls")).flights[0]
+    assert found.structure is not None
+    assert found.structure.added == ("delay_beta",)
+    assert found.verdict is not None
+    assert found.verdict.recommended.method == "ml"
+    assert "agrees" not in found.verdict.recommended.why
+    only = {"ml": replace(found.results["ml"], status=output_error_module.Status.DIVERGED), "ls": found.results["ls"]}
+    assert "takes records for the motion that delay_beta" in verdict(only).recommended.why
+
+
 def test_a_record_without_noise_has_no_process_noise(rough: Mapping[str, Result]) -> None:
     """What a filter takes up where output error leaves less than any instrument's noise; not where it leaves more, nor where the
     two differ."""
