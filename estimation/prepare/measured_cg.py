@@ -76,7 +76,10 @@ def with_cg_history(model: Model, flights: Sequence[Flight]) -> tuple[Model, tup
         for f, h in zip(flights, histories, strict=True)
     )
     least, greatest = min(h.min() for h in histories), max(h.max() for h in histories) + 0.0  # no -0
-    note = f"centre of gravity as measured, {least:+.3g} to {greatest:+.3g} m ahead of the aircraft file's, about which derivatives are"
+    note = (
+        f"centre of gravity as measured, {least:+.3g} to {greatest:+.3g} m ahead of the aircraft file's; derivatives are about"
+        " the file's"
+    )
     return changed, moved, (note,)
 
 

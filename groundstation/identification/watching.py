@@ -18,8 +18,17 @@ from daq.identification.regression import LiveAircraft
 SEED = 1
 HOURS = 2.5  # of simulated manoeuvring behind the thresholds
 LOST = 0.05  # of what a radio sends
-ON_BOARD_HZ, SLOWER_HZ = 20.0, 17.0  # scans a second of the logger; from which on below they are taken to come by radio
+ON_BOARD_HZ, SLOWER_HZ = 20, 17.0  # scans a second of the logger; from which on below they are taken to come by radio
 AT_ONCE = 60  # samples that have waited, worked off at a call
+
+
+def conditions_at(rate: float) -> NullConditions:
+    """What thresholds are simulated for, by the scans a second that are seen: on board all of them, from 20 a second on; fewer
+    are what a radio delivers of 20."""
+    if rate < SLOWER_HZ:
+        return NullConditions(rate=rate, loss=LOST)
+    whole = max(ON_BOARD_HZ, round(rate))
+    return NullConditions(rate=whole, grid=1.0 / whole)
 
 
 class LiveWatch:
@@ -27,9 +36,7 @@ class LiveWatch:
 
     def __init__(self, aircraft: LiveAircraft, rate: float) -> None:
         self._airframe = aircraft.airframe if aircraft.modelled is None else aircraft.modelled
-        self._conditions = (
-            NullConditions(rate=rate, loss=LOST) if rate < SLOWER_HZ else NullConditions(rate=ON_BOARD_HZ)
-        )
+        self._conditions = conditions_at(rate)
         self._planes = [PLANES[r.name] for r in aircraft.regressions]
         self._monitor: GapMonitors | None = None
         self._waiting: list[Sample] = []

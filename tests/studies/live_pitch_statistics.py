@@ -1,6 +1,7 @@
-"""Statistics of the recursive estimator in the pitching plane: rms error and coverage after 30 s at several rates.
+"""Statistics of the recursive estimator in the pitching plane: rms error and coverage after 30 s or more at several rates.
 
-`python -m tests.studies.live_pitch_statistics [--flights 40] [--rates 10 12.5 20 50 100]`: flights of the project's simulator,
+`python -m tests.studies.live_pitch_statistics [--flights 40] [--rates 10 12.5 20 50 100] [--seconds 30]`:
+flights of the project's simulator,
 elevator and throttle by hand, derivatives about those believed, flown at 100 Hz and thinned. The last
 result is kept in docs/validation/live.md.
 """
@@ -26,10 +27,11 @@ FASTEST = 100.0  # Hz
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=40)
+    parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--first", type=int, default=101, help="seed of the first of them")
     parser.add_argument("--rates", type=float, nargs="+", default=[10.0, 12.5, 20.0, 50.0, 100.0])
     options = parser.parse_args(arguments)
-    scenario = load_scenario("longitudinal").altered(wind={"gust_deg": 0.1})
+    scenario = load_scenario("longitudinal").altered(wind={"gust_deg": 0.1}, flight={"duration_s": options.seconds})
     seeds = list(range(options.first, options.first + options.flights))
     flights = direct_flights([scenario] * len(seeds), seeds, rate_hz=FASTEST)
     airframe = airframe_of_file(load_aircraft("cdfp"), (LONGITUDINAL,))

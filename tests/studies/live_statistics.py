@@ -1,6 +1,7 @@
-"""Statistics of the recursive estimator over many flights: rms error, mean bias and coverage after 5, 10, 20 and 30 s.
+"""Statistics of the recursive estimator over many flights: rms error, mean bias and coverage after 5 to 60 s.
 
-`python -m tests.studies.live_statistics [SET ...] [--flights 200]`: every set below unless named. Flights of two simulators
+`python -m tests.studies.live_statistics [SET ...] [--flights 200] [--seed 0]`: every set below unless named. A minute is two
+flights of the second simulator with one aircraft, or one of the other's. Flights of two simulators
 that share no code with the estimator: `tests.studies.second_truth` (second) and `firmware_sim.runs.direct` (sim), at 20 Hz and
 at 11.5 Hz with 5 % lost (scans of the 20 Hz grid, so 50, 100, 150 ... ms apart).
 The last result is kept in docs/validation/live.md.
@@ -9,7 +10,7 @@ The last result is kept in docs/validation/live.md.
 import argparse
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,9 @@ from firmware_sim.world.simulation import derivatives_of
 from tests.studies import second_truth
 
 EIGHT = ("CY_beta", "CY_dr", "Cl_beta", "Cl_p", "Cl_da", "Cn_beta", "Cn_r", "Cn_dr")
-AT = (5.0, 10.0, 20.0, 30.0)
+AT = (5.0, 10.0, 20.0, 30.0, 60.0)
 BATCH = 20  # flights flown at once
+PART, PAUSE = 100_000, 2.0  # between the seeds of two flights of one aircraft; s between them
 SHARE = 11.5 / 20.0  # of the scans that are sent down
 LOST = 0.05
 
@@ -40,43 +42,56 @@ class Case:
     gust: float
     sent: bool
     loss: float = LOST
+    seed: int = 0
 
     def flights(self, count: int) -> Iterator[Flown]:
         flown = (
-            sim_flights(count, self.gust)
+            sim_flights(count, self.gust, self.seed)
             if self.simulator == "sim"
-            else second_flights(count, self.gust, self.simulator)
+            else second_flights(count, self.gust, self.simulator, self.seed, parts=2)
         )
         for number, (columns, truth) in enumerate(flown):
             yield (through_link(columns, number, self.loss) if self.sent else columns), truth
 
 
-def second_flights(count: int, gust: float, simulator: str = "second") -> Iterator[Flown]:
+def second_flights(
+    count: int, gust: float, simulator: str = "second", seed: int = 0, *, parts: int = 1
+) -> Iterator[Flown]:
     """Flights of the second simulator: another aircraft each time (derivatives 10 % about those believed), 14.5 to 19 m/s.
 
     It holds surfaces over 5 ms; as `early` they are recorded at the beginning of what they do, 2.5 ms before its middle.
     """
     for first in range(0, count, BATCH):
-        rng = np.random.default_rng([first, 19])
+        rng = np.random.default_rng([first, 19, seed])
         truths = [second_truth.perturbed_derivatives(rng, 0.10) for _ in range(min(BATCH, count - first))]
         requests = [
             second_truth.Request(
-                7000 + first + i,
+                7000 + first + i + PART * part + seed,
                 rng.uniform(14.5, 19.0),
                 gust=math.radians(gust),
                 derivatives=truth,
                 centred=simulator == "second",
             )
+            for part in range(parts)
             for i, truth in enumerate(truths)
         ]
-        yield from zip(second_truth.fly(requests), truths, strict=True)
+        flown = second_truth.fly(requests)
+        yield from zip((joined(flown[i :: len(truths)]) for i in range(len(truths))), truths, strict=True)
 
 
-def sim_flights(count: int, gust: float) -> Iterator[Flown]:
+def joined(flown: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    """Columns of flights of the same aircraft one after the other, `PAUSE` seconds between."""
+    columns = {n: np.concatenate([f[n] for f in flown]) for n in flown[0]}
+    late = [k * (flown[0]["time"][-1] + PAUSE) for k in range(len(flown))]
+    columns["time"] = np.concatenate([f["time"] + by for f, by in zip(flown, late, strict=True)])
+    return columns
+
+
+def sim_flights(count: int, gust: float, seed: int = 0) -> Iterator[Flown]:
     """Flights of the project's simulator through its direct sensor model."""
-    scenario = load_scenario("rich").altered(wind={"gust_deg": gust})
+    scenario = load_scenario("rich").altered(wind={"gust_deg": gust}, flight={"duration_s": AT[-1]})
     for first in range(0, count, BATCH):
-        seeds = list(range(first + 1, first + 1 + min(BATCH, count - first)))
+        seeds = list(range(seed + first + 1, seed + first + 1 + min(BATCH, count - first)))
         for seed, columns in zip(seeds, direct_flights([scenario] * len(seeds), seeds), strict=True):
             yield columns, derivatives_of(scenario, seed)
 
@@ -183,9 +198,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="*", choices=[*CASES, []], default=[])
     parser.add_argument("--flights", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(arguments)
     for name in given.cases or CASES:
-        found = errors(CASES[name], given.flights)
+        found = errors(replace(CASES[name], seed=given.seed), given.flights)
         print(f"\n{name}, {given.flights} flights")
         print("\n".join([*table(found), "", *by_name(found[AT[-1]])]), flush=True)
 

@@ -49,7 +49,7 @@ def many(off: Sequence[str], criteria: Criteria) -> bool:
 
 
 def wrong_numbers(names: Sequence[str], before: Mapping[str, float], baseline: Baseline) -> tuple[str, ...]:
-    """Of derivatives that were set free, those that their numbers are wrong of: further off than bounds allow, and than numbers of a
+    """Of derivatives that were set free, those whose number is wrong: further off than bounds allow, and than numbers of a
     simulation usually are. One of them bends what its neighbours have to be, so that these look off as well."""
     std, values, criteria = baseline.fit.std(), baseline.fit.values, baseline.criteria
     moved = {n: abs(values[n] - before[n]) for n in names}

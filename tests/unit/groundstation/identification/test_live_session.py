@@ -27,6 +27,7 @@ from groundstation.flight import Flight
 from groundstation.identification.alignment import NEIGHBOURS, ScanAlignment
 from groundstation.identification.session import LiveIdentification, LiveState
 from groundstation.identification.wanted import TimeToBound, wanted_bounds
+from groundstation.identification.watching import conditions_at
 from groundstation.identification.words import lines, short_line
 from sideslip.live_aircraft import airframe_of_file, live_aircraft
 
@@ -183,15 +184,15 @@ def test_samples_of_the_aligned_stretch_are_those_of_the_flight(
     np.testing.assert_allclose(table, expected, rtol=1e-9, atol=1e-12)
 
 
-class _WithFuel(Calibrator):
-    """As if a sensor of one's own had made a column `mass`, in every tenth scan."""
+class _WithLoading(Calibrator):
+    """As if a sensor of one's own had made a column `mass` or `cg_x`, in every tenth scan."""
 
-    mass = 4.2
+    column, value = "mass", 4.2
 
     def columns(self, table: ScanTable, *, aligned: bool) -> tuple[dict[str, Array], Readings]:
         columns, readings = super().columns(table, aligned=aligned)
         read = np.arange(len(table)) % 10 == 0
-        return {**columns, "mass": np.where(read, self.mass, np.nan)}, readings
+        return {**columns, self.column: np.where(read, self.value, np.nan)}, readings
 
 
 @pytest.mark.parametrize(("share", "words"), [(0.8, "as measured"), (9.0, "which is not this aircraft's")])
@@ -200,9 +201,9 @@ def test_a_mass_that_a_sensor_of_ones_own_measures_is_taken(
 ) -> None:
     """Side force is mass times acceleration, moments have nothing to do with it."""
     scans, calibrator, _ = recording
-    fuel, alignment = _WithFuel(calibrator.calibration, calibrator.facts.values), ScanAlignment()
+    fuel, alignment = _WithLoading(calibrator.calibration, calibrator.facts.values), ScanAlignment()
     live = session(fuel, alignment)
-    fuel.mass = share * live.aircraft.airframe.mass
+    fuel.value = share * live.aircraft.airframe.mass
     fed(live, alignment, iter(scans))
     final = live.finish()
     assert final is not None
@@ -211,6 +212,33 @@ def test_a_mass_that_a_sensor_of_ones_own_measures_is_taken(
     for name, ratio in (("CY_beta", expected), ("CY_dr", expected), ("Cl_p", 1.0)):
         without = in_order.final.estimates.derivatives[name].estimate
         assert final.estimates.derivatives[name].estimate == pytest.approx(ratio * without, rel=5e-3)
+
+
+@pytest.mark.parametrize(("ahead", "words"), [(0.06, "+0.06 m ahead"), (60.0, "further than a tenth of the span")])
+def test_a_centre_of_gravity_that_a_sensor_of_ones_own_measures_is_taken(
+    ahead: float, words: str, recording: tuple[list[Scan], Calibrator, Flight], in_order: InOrder
+) -> None:
+    """About the file's CG the side force has an arm."""
+    scans, calibrator, _ = recording
+    moving, alignment = _WithLoading(calibrator.calibration, calibrator.facts.values), ScanAlignment()
+    moving.column, moving.value = "cg_x", ahead
+    live = session(moving, alignment)
+    fed(live, alignment, iter(scans))
+    final = live.finish()
+    assert final is not None
+    assert words in "\n".join(lines(final))
+    without, now = (s.estimates.derivatives for s in (in_order.final, final))
+    arm = ahead / live.aircraft.airframe.span if ahead < 1.0 else 0.0
+    for name, side in (("Cn_beta", "CY_beta"), ("Cn_dr", "CY_dr")):
+        expected = without[name].estimate + arm * now[side].estimate
+        assert now[name].estimate == pytest.approx(expected, rel=0.05 if arm else 1e-9), name
+
+
+@pytest.mark.parametrize(("rate", "seen", "grid"), [(11.5, 11.5, 0.05), (19.6, 20.0, 0.05), (50.2, 50.0, 0.02)])
+def test_thresholds_are_simulated_for_the_scans_that_come(rate: float, seen: float, grid: float) -> None:
+    """They were those of 20 a second on board, whatever the logger did."""
+    conditions = conditions_at(rate)
+    assert (conditions.rate, conditions.grid) == (seen, grid)
 
 
 def test_numbers_that_cannot_be_end_identification_and_nothing_else(
