@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from groundstation.flight.contradictions import air, motion
+from groundstation.flight.contradictions import air, motion, zeros
 from groundstation.flight.contradictions.contradiction import Contradiction, contradiction_from_json
 from groundstation.flight.contradictions.failing import PITOT, failing_sensors
 from groundstation.flight.contradictions.fits import FEWEST_BLOCKS, Array, Columns
@@ -26,6 +26,7 @@ COMPARISONS: tuple[Callable[[Array, Columns], Iterator[Contradiction]], ...] = (
     air.density_twice,
     air.pressure_and_height,
     motion.gyros_and_attitude,
+    zeros.gyros_that_jump,
     motion.acceleration_and_velocity,
     motion.heading_and_course,
     motion.command_and_surface,

@@ -207,3 +207,19 @@ def test_a_receiver_that_cannot_follow_a_dutch_roll_is_no_contradiction() -> Non
 @pytest.mark.filterwarnings("error")
 def test_a_ratio_of_what_was_never_measured_is_none_and_no_warning() -> None:
     assert ratio_of(np.full(9, np.nan), np.full(9, np.nan)) is None
+
+
+@pytest.mark.parametrize(("gyro", "step"), [("p", 0.03), ("q", -0.025), ("r", 0.04)])
+def test_a_gyro_whose_zero_jumps_is_told_with_its_time(gyro: str, step: float) -> None:
+    """Beside a constant zero and a wrong scale of each, which tell nothing."""
+    columns = turning_flight(4, seconds=100.0, sway=0.1)
+    time = columns.pop("time")
+    for name, scale in (("p", 1.03), ("q", 0.97), ("r", 1.03)):
+        columns[name] = scale * columns[name] + 0.02
+    assert not [c for c in contradictions_of(time, columns) if set(c.between) & set("pqr")]
+    columns[gyro] = columns[gyro] + step * (time > 61.0)
+    (found,) = (c for c in contradictions_of(time, columns) if gyro in c.between)
+    assert found.offset == pytest.approx(step, abs=0.006)
+    assert "s on: its zero jumped; estimate either part, --segments 0.0:" in found.text
+    assert abs(float(found.text.partition(" s on")[0].rpartition(" ")[2]) - 61.0) < 4.0
+    assert not found.stops
