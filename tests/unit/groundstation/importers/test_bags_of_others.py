@@ -146,6 +146,9 @@ def test_definitions_of_ros_1_that_are_none() -> None:
         ros1_decoder("a/B", "c/D x\n")
     with pytest.raises(ValueError, match="4294967295 elements in 0 bytes"):
         ros1_decoder("a/B", "float64[] x\n")(b"\xff\xff\xff\xff")
+    for endless in ("B x\n", "B[] x\n", "C[1000000] x\n" + 80 * "=" + "\nMSG: a/C\n"):
+        with pytest.raises(ValueError, match="x of a/B is nothing, or contains itself"):
+            ros1_decoder("a/B", endless)
 
 
 def test_a_definition_in_another_language_of_a_standard_message_and_of_one_of_ones_own(tmp_path: Path) -> None:
