@@ -238,11 +238,12 @@ class AirTruth:
             yield SensorContradiction("imu", f"IMU is turned: {seen_z}; correct sensors.imu.mounting")
 
     def _launch(self, scans: Sequence[Scan], speeds: Sequence[float]) -> Iterator[SensorContradiction]:
-        """While it gathers speed: whether what pushes the aircraft pushes along body x. Gravity cannot tell a turn about z."""
+        """Until it flies: whether what makes the aircraft faster pushes along body x. Gravity cannot tell a turn about z; in the
+        air a turn out of the wind gathers speed too."""
         force, gain = self._scales.force(scans), speeds[-1] - speeds[0]
-        if force is None:
+        if force is None or self._moved:
             return
-        if not self._moved and not unrest(scans):
+        if not unrest(scans):
             self._rest = force
         if self._rest is None or gain < LAUNCH_GAIN:
             return

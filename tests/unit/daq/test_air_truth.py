@@ -141,6 +141,18 @@ def test_a_launch_that_does_not_push_along_body_x_names_the_mounting(
     assert ([h[-len(words) :] for h in heard] == [words]) if words else not heard
 
 
+def test_a_turn_out_of_the_wind_is_no_launch() -> None:
+    truth = AirTruth(CONFIG)
+    said(truth, scans(6, force=(0.17, 0.0, -0.98)))  # a tail dragger: in the air x reads less than at rest
+    said(truth, scans(8, speed=12.0, start=120, pascal=120.0))
+    turn = [
+        s
+        for k in range(6)
+        for s in scans(1, speed=5.0 + 3.0 * k, start=280 + 20 * k, pascal=120.0, force=(0.0, 0.0, -1.2))
+    ]
+    assert not [h for h in said(truth, turn) if "about z" in h]
+
+
 def test_a_healthy_flight_with_wind_is_not_accused() -> None:
     truth = AirTruth(CONFIG)
     for speed, wind in ((18.0, 7.0), (18.0, -7.0), (25.0, 0.0)):
