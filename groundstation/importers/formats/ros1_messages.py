@@ -20,7 +20,7 @@ _FIELD = re.compile(r"([\w/]+)(\[(\d*)\])?\s+(\w+)")
 
 
 @dataclass(frozen=True, slots=True)
-class _Field:
+class _MessageField:
     """kind: of its elements; count: of an array, -1 where each message says it, None of a single value."""
 
     name: str
@@ -45,7 +45,7 @@ def ros1_decoder(name: str, definition: str) -> Callable[[bytes], dict[str, Any]
             values[field.name], at = value(field, data, at)
         return values, at
 
-    def value(field: _Field, data: bytes, at: int) -> tuple[Any, int]:
+    def value(field: _MessageField, data: bytes, at: int) -> tuple[Any, int]:
         count = field.count
         if count == -1:
             count, at = struct.unpack_from("<I", data, at)[0], at + 4
@@ -77,7 +77,7 @@ def ros1_decoder(name: str, definition: str) -> Callable[[bytes], dict[str, Any]
     return lambda data: message(name, data, 0)[0]
 
 
-def _least_bytes(kind: str, kinds: Mapping[str, list[_Field]], known: dict[str, int]) -> int:
+def _least_bytes(kind: str, kinds: Mapping[str, list[_MessageField]], known: dict[str, int]) -> int:
     """Bytes that a message of a kind has at least. known: of kinds asked before. Raises ValueError for a kind that contains
     itself or a part without any byte: of some such parts, one in another, a short definition makes a billion."""
     if kind in NUMBERS or kind in STAMPS or kind == "string":
@@ -98,17 +98,17 @@ def _lines(text: str) -> list[str]:
     return [line for line in lines if line and "=" not in line]
 
 
-def _field(line: str, owner: str, known: Mapping[str, str]) -> _Field:
+def _field(line: str, owner: str, known: Mapping[str, str]) -> _MessageField:
     match = _FIELD.fullmatch(line)
     if match is None:
         raise ValueError(f"no field: {line[:60]}")
     kind, array, size, name = match.groups()
     count = None if array is None else int(size) if size else -1
     if kind in NUMBERS or kind in STAMPS or kind == "string":
-        return _Field(name, kind, count)
+        return _MessageField(name, kind, count)
     package = owner.rpartition("/")[0]
     candidates = (kind, f"{package}/{kind}", *(["std_msgs/Header"] if kind == "Header" else []))
     full = next((c for c in candidates if c in known), None)
     if full is None:
         raise ValueError(f"nothing says what {kind} is")
-    return _Field(name, full, count)
+    return _MessageField(name, full, count)
