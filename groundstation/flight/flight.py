@@ -38,6 +38,8 @@ HELD, INTERVAL, BACK = "held", "interval_s", "dated_back_s"
 """Keys of a channel's entry: it is a command, which holds until the next one; how far apart its records are [s]."""
 RECONSTRUCTED = "reconstructed"
 """Key of a provenance's detail: which columns were not measured but found from the others, from what, how sure."""
+AIR_DATA, WIND = ("V", "alpha", "beta"), ("wind_n", "wind_e", "wind_d")
+"""What is found from the motion, and what stands beside it then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +192,12 @@ class Flight:
         """Columns that nobody measured, found from the others; none where the flight says what is no list of names."""
         detail = self.provenance.detail.get(RECONSTRUCTED)
         columns = detail.get("columns") if isinstance(detail, Mapping) else None
-        return tuple(c for c in columns if isinstance(c, str)) if isinstance(columns, list | tuple) else ()
+        if isinstance(columns, list | tuple):
+            return tuple(c for c in columns if isinstance(c, str))
+        with_wind = all(
+            self.measured(c) for c in WIND
+        )  # as `reconstruct` writes it to a table, which keeps no provenance
+        return tuple(c for c in AIR_DATA if with_wind and self.measured(c) and self.measured(f"{c}_std"))
 
     def native_rate(self, column: str) -> float | None:
         """Rate [Hz] at which a column stood in its log before an import brought all to one time base; None where the flight does

@@ -154,9 +154,11 @@ def conclude(
     stale: Sequence[str] = (),
     following: Sequence[str] = (),
     left: str = "",
+    flights: int = 0,
 ) -> str:
-    """The paragraph of the verdict. odd: training flights that do not repeat the others. stale: outputs that repeat their last
-    value in many samples. following: controls that only follow the motion. left: how what is left beside a shape shows."""
+    """The paragraph of the verdict. odd: training flights, of so many `flights`, that do not repeat the others. stale: outputs
+    that repeat their last value in many samples. following: controls that only follow the motion. left: how what is left beside
+    a shape shows."""
     parts = []
     if verdict is GapVerdict.NO_GAP:
         parts.append(
@@ -179,10 +181,8 @@ def conclude(
             "fly one more of the same kind."
         )
     if odd:
-        parts.append(
-            f"{' and '.join(odd)} {'does' if len(odd) == 1 else 'do'} not repeat the other training flights even with this "
-            "model: look at that flight (weather, instruments, configuration) before relying on the joint fit."
-        )
+        none_repeats = len(odd) == flights
+        parts.insert(0 if none_repeats else len(parts), odd_in_words(odd, none_repeats))
     if stale:
         parts.append(
             f"{' and '.join(stale)} repeat{'s' if len(stale) == 1 else ''} the last value in many samples (a stale, slow or "
@@ -211,3 +211,19 @@ def conclude(
             hidden += " and cannot be told from them"
         parts.append(f"Not visible in any flight: {hidden}.")
     return " ".join(parts)
+
+
+def odd_in_words(odd: Sequence[str], none_repeats: bool) -> str:
+    """A sentence on training flights that do not repeat the others. none_repeats: not one of them does, and then the joint fit is
+    of no aircraft."""
+    if none_repeats:
+        return (
+            "No training flight repeats the others even with this model: each has derivatives of its own, and what stands below "
+            "may stand for what differs between them (Mach number, mass, centre of gravity, flaps, a damper). Give flights of "
+            "one regime together."
+        )
+    verb, them = ("does", "that flight") if len(odd) == 1 else ("do", "those flights")
+    return (
+        f"{' and '.join(odd)} {verb} not repeat the other training flights even with this model: look at {them} (weather, "
+        "instruments, configuration) before relying on the joint fit."
+    )

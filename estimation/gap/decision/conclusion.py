@@ -187,6 +187,7 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
             [n for n in prepared.stale if n not in held_channels],
             setting.following,
             remainder,
+            len(repeats),
         ),
         minimum_detectable=detectable,
         steps=steps,

@@ -3,10 +3,12 @@
 An autopilot logs its attitude ten times a second beside rates at fifty. Repeats and straight lines between two values are
 nobody's measurement, and left out they cut a hole of every other sample into the one channel whose errors are slow: what is slow
 and seen with holes looks fast. The filter itself went from one value to the next as its gyros said, and those are recorded.
+Where its instants lie between the samples no sample shows a value, and lines are seen by what they cut off the turning.
 An attitude that is measured afresh each time (optically, say) is none of these and stays as it is.
 """
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from estimation.compatibility.records import attitude_rates
 from estimation.engine.kernel import Array
@@ -16,6 +18,7 @@ from groundstation.flight import Flight
 from groundstation.flight.arrays import integral
 
 MOTION = ("p", "q", "r", "phi", "theta")
+PHASES = 20  # instants within an interval at which its lines may begin: the sag of one is known to a hundredth
 FEWEST = 40  # values, for what is white in them to be told to a sixth
 
 
@@ -32,9 +35,11 @@ def with_attitudes_between(flight: Flight, criteria: Criteria) -> Flight:
         if np.count_nonzero(known) < FEWEST:
             continue
         spacing = float(np.median(np.diff(np.flatnonzero(known))))
-        if spacing <= criteria.slow_control:
-            continue
-        filled = _filled(flight, flight[attitude], known, rates[attitude], criteria)
+        if spacing > criteria.slow_control:
+            filled = _filled(flight, flight[attitude], known, rates[attitude], criteria)
+        else:
+            spacing = 1.0 / ((flight.native_rate(attitude) or np.inf) * flight.sample_interval)
+            filled = _rounded(flight, flight[attitude], spacing, rates[attitude], criteria)
         if filled is not None:
             rate = 1.0 / (spacing * flight.sample_interval)
             note = f"{attitude} is a filter's, logged at {rate:.3g} Hz: between its values it goes as the gyros say"
@@ -75,6 +80,33 @@ def _filled(flight: Flight, values: Array, known: Mask, rate: Array, criteria: C
         inside = np.arange(max(knots[0] - reach, 0), min(knots[-1] + reach, time.size))
         between = np.interp(time[inside], time[knots], at_knots - summed[knots])
         filled[segment.start + inside] = summed[inside] + between
+    return filled if shares and max(shares) < criteria.filter_white else None
+
+
+def _rounded(flight: Flight, values: Array, spacing: float, rate: Array, criteria: Criteria) -> Array | None:
+    """Lines drawn between instants that lie `spacing` samples apart and on none of them, given back what they cut off.
+
+    The summed rates lose as much where they are drawn so: of all instants the lines may begin at, those after which the least is
+    left from sample to sample.
+    """
+    if spacing <= criteria.slow_control:
+        return None
+    filled, shares = values.copy(), []
+    for segment in flight.segments:
+        time, course = flight.time[segment], values[segment]
+        if time.size < FEWEST * spacing or not np.isfinite(course).sum() > FEWEST * spacing:
+            continue
+        summed, every = integral(time, rate[segment]), spacing * flight.sample_interval
+        knots = np.arange(time[0] - every, time[-1] + 2.0 * every, every)
+        smooth = CubicSpline(time, summed)
+        drawn = [
+            np.interp(time, knots + begin, smooth(knots + begin))
+            for begin in np.linspace(0.0, every, PHASES, endpoint=False)
+        ]
+        left = [float(np.nanmean(np.diff(course - lines, 2) ** 2)) for lines in drawn]
+        filled[segment] = course - drawn[int(np.argmin(left))] + summed
+        once = slice(None, None, round(spacing))
+        shares.append(white_share(course[once], summed[once]))
     return filled if shares and max(shares) < criteria.filter_white else None
 
 

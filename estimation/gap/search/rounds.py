@@ -54,7 +54,8 @@ def backward_check(
         if rival is not None:
             reason = f"{rival[0].hypothesis.label} explains the same better with the other effects in the model"
             candidate, child = rival
-            choice = Choice((candidate,), {candidate.hypothesis.effect.name: 1.0}, ())
+            lead = 0.5 * (candidate.gain / own_inflation(candidate) - gain / own_inflation(old))
+            choice = Choice.of((candidate, replace(old, evidence=candidate.evidence - lead)))
             exchanged = AcceptedEffect(last.round_, choice, candidate, reduced, child)
             return [*rest, exchanged], [Rejected(old.hypothesis.label, reason)]
     return None

@@ -30,6 +30,11 @@ class Choice:
     weights: Mapping[str, float]
     rejected: tuple[Rejected, ...]
 
+    @classmethod
+    def of(cls, candidates: Sequence[FittedHypothesis]) -> "Choice":
+        """Between candidates, best first, weighed by their evidence."""
+        return cls(tuple(candidates), _weights(candidates), ())
+
     @property
     def best(self) -> FittedHypothesis | None:
         return self.candidates[0] if self.candidates else None

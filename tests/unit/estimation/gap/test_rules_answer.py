@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Where
-from estimation.gap.answer.words import describe_step
+from estimation.gap.answer.words import conclude, describe_step
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision import beside as beside_shape
 from estimation.gap.decision import conclusion as concluding
@@ -298,3 +298,28 @@ class _Setting:
     clean: Any
     options: Options
     tell: Any
+
+
+@pytest.mark.parametrize(
+    ("odd", "begins", "ends"),
+    [
+        (
+            ["a"],
+            "No effect found",
+            "a does not repeat the other training flights even with this model: look at that flight",
+        ),
+        (
+            ["a", "b"],
+            "No effect found",
+            "a and b do not repeat the other training flights even with this model: look at those",
+        ),
+        (["a", "b", "c"], "No training flight repeats the others", "No effect found"),
+    ],
+)
+def test_flights_of_which_none_repeats_the_others_are_told_before_anything(
+    odd: list[str], begins: str, ends: str
+) -> None:
+    """Five stretches of a jet at Mach 0.49 to 0.88: a shape led the answer, and four flights of four were odd."""
+    text = conclude(GapVerdict.NO_GAP, (), {}, (), (), True, odd, flights=3)
+    assert text.startswith(begins)
+    assert ends in text

@@ -309,6 +309,9 @@ def test_an_earlier_effect_is_dropped_exchanged_or_stands(
     assert [f.candidate.hypothesis.label for f in answer[0]] == left
     assert answer[1][0].effect == "a"
     assert answer[1][0].why.startswith(why)
+    if rival:  # by a lead of 30 in log evidence, which counts a thirtieth where so much is left without a name
+        assert answer[0][-1].choice.weights["a"] < 1e-12
+        assert answer[0][-1].choice.beside_rest(30.0)["a"] == pytest.approx(1.0 / (1.0 + np.e))
 
 
 # ------------------------------------------------------------------------------------------------ rounds

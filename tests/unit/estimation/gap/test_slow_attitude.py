@@ -6,7 +6,7 @@ import pytest
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
 from estimation.gap.records.attitudes import white_share, with_attitudes_between
-from groundstation.flight import Flight
+from groundstation.flight import Flight, Provenance
 from groundstation.flight.arrays import integral
 
 DEG = np.pi / 180
@@ -41,6 +41,29 @@ def test_a_filters_bank_goes_as_the_gyros_say_between_its_values(way: str) -> No
     assert np.isfinite(filled["phi"]).all()
     assert np.std(filled["phi"] - filtered) < 0.1 * DEG  # held it is 1.0 deg off, on lines 0.16
     assert any("phi is a filter's, logged at 10 Hz" in str(n) for n in filled.notes)
+
+
+@pytest.mark.parametrize("afresh", [False, True])
+def test_lines_between_instants_on_no_sample_get_back_what_they_cut_off(afresh: bool) -> None:
+    """A log of 25 Hz, its instants 7 ms beside the samples of 50 Hz: no sample shows a value of the filter's."""
+    rng = np.random.default_rng(14)
+    p = 1.5 * np.sin(6.0 * TIME)
+    bank = integral(TIME, p)
+    true = bank + (0.3 * DEG * rng.standard_normal(bank.size) if afresh else drifting(rng) * 0.1)
+    instants = np.arange(TIME[0] + 0.007, TIME[-1] - 0.02, 0.04)
+    shown = np.interp(TIME, instants, np.interp(instants, TIME, true))
+    still, turned = np.zeros(TIME.size), p + 0.1 * DEG * rng.standard_normal(p.size)
+    columns = {"p": turned, "q": still, "r": still, "phi": shown, "theta": still}
+    detail = {"native_hz": {"phi": 25.0}}
+    flight = Flight.build("f", TIME, columns, provenance=Provenance(detail=detail))
+    filled = with_attitudes_between(flight, AS_SET)
+    if afresh:
+        assert filled is flight
+        return
+    inside = slice(5, -5)
+    cut_off, left = (float(np.std((f["phi"] - true)[inside])) for f in (flight, filled))
+    assert left < 0.5 * cut_off
+    assert any("phi is a filter's, logged at 25 Hz" in str(n) for n in filled.notes)
 
 
 def test_a_bank_measured_afresh_ten_times_a_second_stays_as_it_is() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from estimation.gap.records.reconstructed import as_measured, compared, levels, 
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import ParameterRole
 from estimation.models.load import load_model
-from groundstation.flight import RECONSTRUCTED, Flight, Provenance
+from groundstation.flight import RECONSTRUCTED, Flight, Provenance, read_flight
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights, requests
 from tests.studies.gap_vaneless import reconstructed
@@ -47,6 +48,15 @@ def test_a_model_is_not_compared_in_angles_that_some_flight_did_not_measure() ->
         assert model.input_names == LATERAL.input_names
         assert notes == [said[other.name]]
         assert not_compared(LATERAL, model) == "Not measured, and so not compared: beta."
+
+
+def test_a_reconstruction_saved_as_a_table_is_none_of_a_vane(tmp_path: Path) -> None:
+    """A CSV keeps no provenance: of an autopilot's log reconstructed and saved so a vane ahead of the CG had been named."""
+    found = flown("b", {"beta": 0.02, "alpha": 0.03})
+    wind = {c: np.full(TIME.size, 2.0) for c in ("wind_n", "wind_e", "wind_d")}
+    read = read_flight(found.with_columns(**wind).save(tmp_path / "b.csv"))
+    assert read.reconstructed == ("alpha", "beta")
+    assert read_flight(found.save(tmp_path / "c.csv")).reconstructed == (), "a width of somebody's own vane"
 
 
 def test_a_level_is_left_open_for_every_flight_as_widely_as_the_reconstruction_says() -> None:
