@@ -6,12 +6,12 @@ pip install pythonfmu; pythonfmu build -f neutral_fmu.py aircraft.json read_neut
 import json
 from pathlib import Path
 
-from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+from pythonfmu import Fmi2Causality, Fmi2Initial, Fmi2Slave, Real
 from read_neutral import coefficients
 
 
 class Aerodynamics(Fmi2Slave):
-    """Inputs: the variables of the file; outputs: its coefficients, of the inputs as they stand."""
+    """Inputs: the variables of the file; outputs: its coefficients, zero before the first step."""
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
@@ -22,7 +22,7 @@ class Aerodynamics(Fmi2Slave):
             self.register_variable(Real(name, causality=Fmi2Causality.input))
         for name in self.model["outputs"]:
             setattr(self, name, 0.0)
-            self.register_variable(Real(name, causality=Fmi2Causality.output))
+            self.register_variable(Real(name, causality=Fmi2Causality.output, initial=Fmi2Initial.exact))
 
     def do_step(self, current_time, step_size):
         for name, value in coefficients(self.model, **{n: getattr(self, n) for n in self.inputs}).items():

@@ -148,17 +148,21 @@ class TestNeutral:
         assert content["throws"]["delta_e"][1] == RandomAircraft(7).throws["delta_e"]
 
     def test_an_fmu_steps_to_the_same(self, aircraft: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        """With the three names that it takes of PythonFMU, which is no dependency."""
+        """With the four names that it takes of PythonFMU, which is no dependency."""
         assert export(aircraft, "--to", "neutral", "-o", tmp_path / "aircraft.json").return_value == 0
         for name in ("neutral_fmu.py", "read_neutral.py"):
             (tmp_path / name).write_text((EXAMPLES / name).read_text(encoding="utf-8"), encoding="utf-8")
-        registered: list[tuple[str, str]] = []
+        registered: list[tuple[str, str, str]] = []
         slave = type(
             "Fmi2Slave", (), {"__init__": lambda self: None, "register_variable": lambda self, v: registered.append(v)}
         )
         causality = SimpleNamespace(input="input", output="output")
         stand_in = ModuleType("pythonfmu")
-        vars(stand_in).update(Fmi2Causality=causality, Fmi2Slave=slave, Real=lambda name, causality: (name, causality))
+        initial = SimpleNamespace(
+            exact="exact"
+        )  # without it FMPy asks for a list of unknowns that PythonFMU does not write
+        real = lambda name, causality, initial="": (name, causality, initial)  # noqa: E731
+        vars(stand_in).update(Fmi2Causality=causality, Fmi2Initial=initial, Fmi2Slave=slave, Real=real)
         monkeypatch.setitem(sys.modules, "pythonfmu", stand_in)
         monkeypatch.setitem(sys.modules, "read_neutral", None)
         del sys.modules["read_neutral"]
@@ -171,8 +175,8 @@ class TestNeutral:
             content, V=20.0, alpha=0.05, delta_a=0.1, rho=1.0
         )
         assert {n: getattr(unit, n) for n in read} == read
-        assert ("Cl", "output") in registered
-        assert ("delta_a", "input") in registered
+        assert ("Cl", "output", "exact") in registered
+        assert ("delta_a", "input", "") in registered
 
     def test_readers_are_short(self) -> None:
         for name, start in (("read_neutral.py", "TWO"), ("read_neutral.m", "m =")):
