@@ -15,6 +15,8 @@ NUMBERS: Mapping[str, str] = {
     "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
 }  # fmt: skip
 STAMPS: Mapping[str, str] = {"time": "<II", "duration": "<ii"}
+MOST_PARTS = 1 << 16
+"""Messages within one message: parts that take no bytes could stand in it without end."""
 _SECTION = re.compile(r"^=+\n", re.MULTILINE)
 _FIELD = re.compile(r"([\w/]+)(\[(\d*)\])?\s+(\w+)")
 
@@ -38,7 +40,13 @@ def ros1_decoder(name: str, definition: str) -> Callable[[bytes], dict[str, Any]
         texts[first.removeprefix("MSG:").strip()] = text
     kinds = {kind: [_field(line, kind, texts) for line in _lines(text)] for kind, text in texts.items()}
 
+    parts = 0
+
     def message(kind: str, data: bytes, at: int) -> tuple[dict[str, Any], int]:
+        nonlocal parts
+        parts += 1
+        if parts > MOST_PARTS:
+            raise ValueError(f"more than {MOST_PARTS} messages within one")
         values: dict[str, Any] = {}
         for field in kinds[kind]:
             values[field.name], at = value(field, data, at)
@@ -73,7 +81,12 @@ def ros1_decoder(name: str, definition: str) -> Callable[[bytes], dict[str, Any]
             return data[at + 4 : end].decode("utf-8", "replace"), end
         return message(kind, data, at)
 
-    return lambda data: message(name, data, 0)[0]
+    def decode(data: bytes) -> dict[str, Any]:
+        nonlocal parts
+        parts = 0
+        return message(name, data, 0)[0]
+
+    return decode
 
 
 def _lines(text: str) -> list[str]:

@@ -144,6 +144,9 @@ def test_definitions_of_ros_1_that_are_none() -> None:
     assert ros1_decoder("a/B", "byte K=1\nuint8[2] n  # two\nstring s\n")(b"\1\2\1\0\0\0x") == {"n": (1, 2), "s": "x"}
     with pytest.raises(ValueError, match="nothing says what c/D is"):
         ros1_decoder("a/B", "c/D x\n")
+    endless = "B/E[999] x\n=====\nMSG: B/E\nB/F[999] y\n=====\nMSG: B/F\nB/G[999] z\n=====\nMSG: B/G\n"
+    with pytest.raises(ValueError, match="messages within one"):
+        ros1_decoder("B/B", endless)(bytes(1000))
     with pytest.raises(ValueError, match="4294967295 elements in 0 bytes"):
         ros1_decoder("a/B", "float64[] x\n")(b"\xff\xff\xff\xff")
 
