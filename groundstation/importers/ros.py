@@ -194,6 +194,7 @@ def _standard(
     return False
 
 
+@np.errstate(all="ignore")  # absurd values of a damaged message
 def _attitude(
     name: str, field: str, made: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
 ) -> None:
