@@ -35,6 +35,7 @@ def euler_from_quaternion(w: Array, x: Array, y: Array, z: Array) -> dict[str, A
     }
 
 
+@np.errstate(all="ignore")  # absurd values of a damaged log
 def with_attitudes(series: Mapping[str, TimeSeries]) -> dict[str, TimeSeries]:
     """The series with `roll`, `pitch` and `yaw` [rad] beside each quaternion of attitude in them."""
     extended = dict(series)

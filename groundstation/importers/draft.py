@@ -70,7 +70,7 @@ def _of_log(path: Path) -> list[str]:
     gyros = {n: chosen_source(log, mapping.columns.get(n, ())) for n in ("p", "q", "r")}
     lines, shares = drafted_servos(log, {n: s.parts[0].column for n, s in gyros.items() if s is not None})
     missing = [s for s in SURFACES if s not in shares and s not in mapping.columns]
-    own = _own_messages(log, mapping) if log.kind == "bag" else []
+    own = _own_messages(log, mapping)
     missing = [s for s in missing if not any(line.startswith(f"{s} = ") for line in own)]
     return [*_head(path), *lines, "", "[columns]", *surface_lines(shares, missing), *_columns(log, mapping), *own]
 
@@ -156,13 +156,14 @@ def _own_messages(log: Log, mapping: Map) -> list[str]:
     of those that their names tell."""
     mapped = {t.column for sources in mapping.columns.values() for s in sources for t in s.parts}
     of_standard = {name.rpartition(".")[0].partition(".")[0] for name in mapped}
-    foreign = [n for n in log.series if n.partition(".")[0] not in of_standard and not OUTPUT.fullmatch(n)]
+    topics = [n for n in log.series if n.startswith("/")]
+    foreign = [n for n in topics if n.partition(".")[0] not in of_standard and not OUTPUT.fullmatch(n)]
     fields = Counter(n.partition(".")[2] for n in foreign)
     full_names = {n.partition(".")[2] if fields[n.partition(".")[2]] == 1 else n: n for n in foreign}
     meant = [full_names[n] for labels in candidate_columns(list(full_names)).values() for n in labels]
-    if not meant:
+    if not foreign:
         return []
-    fastest = max((log.series[n] for n in meant), key=native_rate)
+    fastest = max((log.series[n] for n in meant or foreign), key=native_rate)
     values = {n: np.interp(fastest.time, log.series[f].time, log.series[f].values) for n, f in full_names.items()}
     lines, _ = _recognised(list(full_names), values, fastest.time, {}, {}, full_names)
     return [line for line in lines if line.partition(" ")[0] not in mapping.columns]

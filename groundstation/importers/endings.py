@@ -36,3 +36,12 @@ OTHERS = {
     ".npy": "numpy's arrays are not read; write them as a table (numpy: savetxt, with a header) or as .mat (scipy: savemat)",
 }
 """Endings of other files that people have -> what they are and the way out."""
+
+BEGINNINGS: dict[bytes, tuple[str, tuple[str, ...]]] = {
+    b"ULog\x01\x12\x35": ("a PX4 ULog", (".ulg", ".ulog")),
+    b"\x89MCAP0\r\n": ("an MCAP file", BAGS),
+    b"SQLite format 3\0": ("an SQLite bag", BAGS),
+    b"PAR1": ("a Parquet table", (".parquet",)),
+    b"PK\x03\x04": ("an Excel workbook or another packed file", (".xlsx, and save its sheet as CSV",)),
+}
+"""First bytes -> what a file is, and its endings."""

@@ -56,7 +56,7 @@ def read_ros(paths: Sequence[Path]) -> tuple[Log, Map]:
     bag = read_bag(paths)
     px4 = {n: t for n, t in bag.topics.items() if _PX4.fullmatch(t.kind)}
     if px4:
-        found = with_attitudes(_px4_series(px4))
+        found = with_attitudes(_px4_series(px4)) | _beside_px4(px4.values(), bag.topics.values())
         log = Log("ulog", found, notes=tuple(bag.notes), marks=px4_marks(found))
         return EVIDENCE["ulog"](log), built_in_map("px4")
     series: dict[str, TimeSeries] = {}
@@ -136,6 +136,17 @@ def _px4_series(topics: dict[str, Topic]) -> dict[str, TimeSeries]:
     return series
 
 
+def _beside_px4(px4: Iterable[Topic], topics: Iterable[Topic]) -> dict[str, TimeSeries]:
+    """Series of the other topics of a bag, under the names of their topics, on PX4's own clock: ROS' clock is later by what PX4's
+    messages came later than they were stamped."""
+    stamped = [t for t in px4 if len(t.columns.get("timestamp", ())) == len(t.time)]
+    if not stamped:
+        return {}
+    later = float(np.median([np.median(np.array(t.time) - PX4_US * np.array(t.columns["timestamp"])) for t in stamped]))
+    others = (t for t in topics if not _PX4.fullmatch(t.kind))
+    return {n: replace(s, time=s.time - later) for topic in others for n, s in topic.series(topic.name).items()}
+
+
 def _standard(
     topic: Topic, made: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
 ) -> bool:
@@ -183,6 +194,7 @@ def _standard(
     return False
 
 
+@np.errstate(all="ignore")  # absurd values of a damaged message
 def _attitude(
     name: str, field: str, made: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
 ) -> None:

@@ -21,7 +21,7 @@ from groundstation.flight.flight import CHANNELS
 from groundstation.flight.marks import PARAMETERS
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.importers.columns import ImportedColumns, flight_columns, source_text
-from groundstation.importers.endings import BAGS, LOGS, OTHERS, TABLES
+from groundstation.importers.endings import BAGS, BEGINNINGS, LOGS, OTHERS, TABLES
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.evidence import EVIDENCE
 from groundstation.importers.formats.bags import bag_files, parts_of_one_bag
@@ -63,6 +63,8 @@ def import_data(
     for file in paths:
         check_log(file)
     flight = joined_flights([_record(*record, rate_hz, accept_implausible) for record in _records(paths, user_map)])
+    if not any(np.isfinite(values).any() for values in flight.columns.values()):
+        raise ImportDataError(f"{paths[0]}: no column holds a value beside the time")
     unknown = flight.unknown_columns
     if unknown and not any(flight.measured(c) for c in flight.known_columns):
         raise ImportDataError(
@@ -77,6 +79,15 @@ def refuse_others(path: Path) -> None:
     cure = OTHERS.get(path.suffix.lower())
     if cure is not None:
         raise ImportDataError(f"{path}: {cure.format(file=path, stem=path.stem)}")
+
+
+def refuse_misnamed(path: Path) -> None:
+    """Raises ImportDataError for a file whose first bytes are those of another kind than its ending says."""
+    with path.open("rb") as file:
+        head = file.read(max(map(len, BEGINNINGS)))
+    kind, endings = next((v for begin, v in BEGINNINGS.items() if head.startswith(begin)), ("", ()))
+    if kind and path.suffix.lower() not in endings:
+        raise ImportDataError(f"{path}: by its first bytes {kind}; give it the ending {endings[0]}")
 
 
 def check_log(path: Path) -> None:
@@ -201,6 +212,9 @@ def read_logs(path: Path | Sequence[Path], user_map: Map | None = None) -> list[
     suffix = path.suffix.lower()
     if path.is_dir():
         paths = bag_files(path)
+    else:
+        refuse_others(path)
+        refuse_misnamed(path)
     if path.is_dir() or suffix in BAGS:
         log, base = _read_bag(paths)
         return [(log, _over(user_map, base))]
@@ -245,7 +259,6 @@ def _package_reader(path: Path) -> Callable[[Path], tuple[Log, Map]]:
     package = next((p for p in packages if p.name == path.suffix.lower().removeprefix(".")), None)
     if package is None:
         endings = (*TABLES, *LOGS, *BAGS, *(f".{p.name}" for p in packages))
-        refuse_others(path)
         raise ImportDataError(f"{path}: files of this kind are not known; give {', '.join(endings)}")
     try:
         reader: Callable[[Path], tuple[Log, Map]] = package.load()

@@ -27,6 +27,7 @@ COMPARISONS: tuple[Callable[[Array, Columns], Iterator[Contradiction]], ...] = (
     air.pressure_and_height,
     motion.gyros_and_attitude,
     zeros.gyros_that_jump,
+    zeros.gyros_exchanged,
     motion.acceleration_and_velocity,
     motion.heading_and_course,
     motion.command_and_surface,

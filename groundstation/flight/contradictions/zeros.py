@@ -1,4 +1,4 @@
-"""A gyro whose zero jumps in flight: from then on it turns by so much more than its angle of attitude does."""
+"""Gyros beside the rates that turn the attitude: one whose zero jumps in flight, and axes that are exchanged."""
 
 from collections.abc import Iterator
 
@@ -17,6 +17,10 @@ SHARE_OF_TURN = (
     0.2  # of the change of the mean rate: a scale error of 3 %, and an attitude that is wrong in turns, are no jump
 )
 CLEAR = 4.0  # times the scatter of the blocks
+SMOOTHED = 0.3  # [s] over which rates are averaged before they are compared
+FOLLOWS, STRANGE = 0.8, 0.3
+"""Correlation of a gyro with the rate of another axis, and with that of its own, that tell an exchange: p and r of a Dutch roll
+follow each other, and each its own."""
 
 
 def gyros_that_jump(time: Array, c: Columns) -> Iterator[Contradiction]:
@@ -38,6 +42,32 @@ def gyros_that_jump(time: Array, c: Columns) -> Iterator[Contradiction]:
         )
         moves = f"what is estimated with {gyro} over both parts"
         yield Contradiction((gyro, angle), text, None, step, "rad/s", favoured=angle, moves=moves)
+
+
+def gyros_exchanged(time: Array, c: Columns) -> Iterator[Contradiction]:
+    """Each gyro that turns as another axis of the attitude does, and not as its own."""
+    if not all(n in c for n in ("p", "q", "r", "phi", "theta", "psi")):
+        return
+    rates = _rates_of_attitude(time, c)
+    each = max(round(SMOOTHED / float(np.median(np.diff(time)))), 1)
+    count = time.size // each
+    means = {
+        (kind, n): v[: count * each].reshape(count, each).mean(axis=1)
+        for kind, signals in (("gyro", c), ("attitude", rates))
+        for n, v in ((n, signals[n]) for n in "pqr")
+    }
+    known = np.all([np.isfinite(v) for v in means.values()], axis=0)
+    if known.sum() < FEWEST * NEAR or any(np.std(v[known]) == 0.0 for v in means.values()):
+        return
+    table = np.corrcoef([means[kind, n][known] for kind in ("gyro", "attitude") for n in "pqr"])[:3, 3:]
+    for i, gyro in enumerate("pqr"):
+        k = int(np.argmax(np.abs(table[i])))
+        if abs(table[i, i]) < STRANGE and abs(table[i, k]) > FOLLOWS:
+            text = (
+                f"{gyro} follows the rate about the axis of {'pqr'[k]} (correlation {table[i, k]:.2f}) and not about its own "
+                f"({table[i, i]:.2f}), by phi, theta and psi: are the axes of the gyros exchanged?"
+            )
+            yield Contradiction((gyro, "phi, theta, psi"), text, moves="every derivative", stops=True)
 
 
 def _rates_of_attitude(time: Array, c: Columns) -> dict[str, Array]:

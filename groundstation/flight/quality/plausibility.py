@@ -29,6 +29,8 @@ _RADIANS = (0.5, 2.0)
 
 _RATES = ("p", "q", "r")
 DAMAGED = 1e5  # times what is plausible: beyond degrees, hundredths of them and microseconds of a servo
+DAY_NUMBERS = ((30_000.0, 80_000.0), (700_000.0, 800_000.0))
+"""Days of 1982-2119: of Excel since 1899-12-30, of MATLAB's datenum since the year 0."""
 _LONG_UNITS = {"min": 60.0, "h": 3600.0, "days (of Excel or MATLAB)": 86400.0}
 _USUAL_STEP = (0.004, 1.0)  # s between samples of flight dynamics
 _SPEED_UNITS = {"knots": 3600 / NAUTICAL_MILE, "km/h": 3.6, "mph": 1 / MILE_PER_HOUR, "ft/s": 1 / FOOT, "cm/s": 100.0}
@@ -100,6 +102,9 @@ def _time(time: Array, c: Columns) -> Iterator[Finding]:
         )
     elif interval < 1e-4:
         units = [u for u, scale in _LONG_UNITS.items() if _USUAL_STEP[0] <= interval * scale <= _USUAL_STEP[1]]
+        begin = float(np.nanmin(time))
+        if any(first < begin < last for first, last in DAY_NUMBERS):
+            units = [u for u in units if u.startswith("days")] or units
         candidates = " or ".join(units) if units else "min, h or days"
         yield _suspect("time", f"{interval:.3g} s from sample to sample; is the column in {candidates}?")
 

@@ -199,7 +199,7 @@ def _mcap(path: Path, bag: Bag) -> None:
     except (McapError, Bad, RuntimeError, *_DAMAGE) as error:
         if not bag.topics:
             raise ImportDataError(
-                f"{path}: not an MCAP file, or its first chunk is cut off or damaged ({error})"
+                f"{path}: not an MCAP file, or its first chunk is cut off or damaged ({str(error) or type(error).__name__})"
             ) from error
         bag.notes.append(f"the file is cut off or damaged ({type(error).__name__}); the whole messages before are used")
 

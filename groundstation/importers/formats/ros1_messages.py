@@ -15,6 +15,8 @@ NUMBERS: Mapping[str, str] = {
     "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
 }  # fmt: skip
 STAMPS: Mapping[str, str] = {"time": "<II", "duration": "<ii"}
+MOST_PARTS = 1 << 16
+"""Messages within one message: parts that take no bytes could stand in it without end."""
 _SECTION = re.compile(r"^=+\n", re.MULTILINE)
 _FIELD = re.compile(r"([\w/]+)(\[(\d*)\])?\s+(\w+)")
 
@@ -30,16 +32,20 @@ class _MessageField:
 
 def ros1_decoder(name: str, definition: str) -> Callable[[bytes], dict[str, Any]]:
     """What reads messages of a kind; a stamp is a mapping with `sec` and `nanosec`. Raises ValueError for a definition that
-    lacks one of its parts, or has no end."""
+    lacks one of its parts."""
     head, *others = _SECTION.split(definition.replace("\r\n", "\n"))
     texts = {name: head}
     for section in others:
         first, _, text = section.partition("\n")
         texts[first.removeprefix("MSG:").strip()] = text
     kinds = {kind: [_field(line, kind, texts) for line in _lines(text)] for kind, text in texts.items()}
-    _least_bytes(name, kinds, {})
+    parts = 0
 
     def message(kind: str, data: bytes, at: int) -> tuple[dict[str, Any], int]:
+        nonlocal parts
+        parts += 1
+        if parts > MOST_PARTS:
+            raise ValueError(f"more than {MOST_PARTS} messages within one")
         values: dict[str, Any] = {}
         for field in kinds[kind]:
             values[field.name], at = value(field, data, at)
@@ -74,22 +80,12 @@ def ros1_decoder(name: str, definition: str) -> Callable[[bytes], dict[str, Any]
             return data[at + 4 : end].decode("utf-8", "replace"), end
         return message(kind, data, at)
 
-    return lambda data: message(name, data, 0)[0]
+    def decode(data: bytes) -> dict[str, Any]:
+        nonlocal parts
+        parts = 0
+        return message(name, data, 0)[0]
 
-
-def _least_bytes(kind: str, kinds: Mapping[str, list[_MessageField]], known: dict[str, int]) -> int:
-    """Bytes that a message of a kind has at least. known: of kinds asked before. Raises ValueError for a kind that contains
-    itself or a part without any byte: of some such parts, one in another, a short definition makes a billion."""
-    if kind in NUMBERS or kind in STAMPS or kind == "string":
-        return struct.calcsize(NUMBERS.get(kind) or STAMPS.get(kind) or "<I")
-    if kind not in known:
-        known[kind] = 0  # until it is known: a kind within itself has no byte yet
-        for field in kinds[kind]:
-            least = _least_bytes(field.kind, kinds, known)
-            if least == 0:
-                raise ValueError(f"{field.name} of {kind} is nothing, or contains itself")
-            known[kind] += least if field.count is None else 4 if field.count == -1 else field.count * least
-    return known[kind]
+    return decode
 
 
 def _lines(text: str) -> list[str]:

@@ -15,19 +15,21 @@ import numpy as np
 from daq.utilities.plain_words import listed, one_line, plain_name
 from groundstation.flight.arrays import Array, Mask
 from groundstation.flight.files.csv_columns import is_number
+from groundstation.flight.quality.plausibility import DAY_NUMBERS
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import Time
 from groundstation.importers.units import find_unit
 
-DAY = 86400.0
+DAY, HOUR = 86400.0, 3600.0
 APART = 1.0  # [s] put between records of one file whose clock begins anew, or was set back
 SHORTEST_RUN = 8  # rows between two falls of a clock that was set; shorter runs are rows out of order
-EXCEL_DAYS, MATLAB_DAYS = (30_000.0, 80_000.0), (700_000.0, 800_000.0)
-"""Numbers of days of 1982-2119: of Excel since 1899-12-30, of MATLAB's datenum since the year 0."""
+EXCEL_DAYS, MATLAB_DAYS = DAY_NUMBERS
 
 YEAR_DAYS = 365
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,:]\d*)?)(?:\s*([AaPp])\.?[Mm]\.?)?")
 """Time of day, with the day of the year before it in IRIG time, or which half of the day behind it."""
+_MINUTES = re.compile(r"(\d{1,2}):(\d{2}[.,]\d+)")
+"""Minutes and seconds, as Excel shows a time of day and writes it to CSV."""
 _CALENDAR = re.compile(r"(\d{1,4}[./-]\d{1,2}[./-]\d{1,4})[ T,]+(\d.*)")
 """A date as people write it, and a time of day. Which of its numbers is the day decides nothing: a new date is a new day."""
 
@@ -207,6 +209,8 @@ def _of_words(path: Path, name: str, cells: Sequence[str], days: Sequence[str], 
     first = next((c for c in cells if c), "")
     if _CLOCK.fullmatch(first):
         return _clocks(path, name, cells, days)
+    if _MINUTES.fullmatch(first):
+        return _minutes(path, name, cells)
     match = _CALENDAR.fullmatch(first)
     if match is not None and _CLOCK.fullmatch(match[2]) and not _is_date(first):
         split = [cell.partition(match[0][len(match[1])]) for cell in cells]
@@ -272,6 +276,23 @@ def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) ->
     first = np.nanmin(clock) if np.isfinite(clock).any() else 0.0
     words = "IRIG time (day of the year first)" if irig else "time of day" + (" and a column of dates" if days else "")
     return Stamps(clock - first, notes=(f"time column {name}: {words}, counted from the first",), origin=float(first))
+
+
+def _minutes(path: Path, name: str, cells: Sequence[str]) -> Stamps:
+    """Minutes and seconds without the hour; an hour is passed where they fall back by half of one."""
+    clock = np.full(len(cells), np.nan)
+    for i, cell in enumerate(cells):
+        match = _MINUTES.fullmatch(cell)
+        if match is None and cell:
+            raise ImportDataError(
+                f"{path}: time column {name!r}: {one_line(cell, 60)!r} is no minute and second like 59:50.25"
+            )
+        if match is not None:
+            clock[i] = 60.0 * float(match[1]) + float(match[2].replace(",", "."))
+    known = np.flatnonzero(np.isfinite(clock))
+    clock[known[1:]] += HOUR * np.cumsum(np.diff(clock[known]) < -0.5 * HOUR)
+    note = f"time column {plain_name(name)}: minutes and seconds without the hour, counted from the first"
+    return Stamps(clock - clock[known[0]], notes=(note,), origin=float(clock[known[0]]))
 
 
 def _turned_over(clock: Array, irig: bool) -> Array:

@@ -269,6 +269,9 @@ def header_map(table: ImportedTable, given: Container[str] = ()) -> tuple[Map, t
     for name in [*table.numeric, *table.words, *table.dates]:
         match = _HEADER_UNIT.match(name)
         bare, unit = (match["name"], match["unit"]) if match else (name, table.units.get(name, ""))
+        lower = bare.lower()
+        if bare not in COLUMN_BY_NAME and lower in COLUMN_BY_NAME and _is_unit_of(unit, lower):
+            bare = lower  # capitals alone are no name: with its unit it is
         if bare == "time" or (time is None and bare in _TIME_NAMES):
             time = Time(column=name, unit=unit or "s")
         elif bare in DATE_NAMES and name in table.words:
@@ -289,6 +292,11 @@ def header_map(table: ImportedTable, given: Container[str] = ()) -> tuple[Map, t
     if time is not None and date is not None and time.column in table.words:
         time = time.model_copy(update={"date": date})
     return Map(format=1, time=time, segment=segment, columns=columns), tuple(notes)
+
+
+def _is_unit_of(unit: str, column: str) -> bool:
+    known = find_unit(unit) if unit else None
+    return known is not None and known.si == COLUMN_BY_NAME[column].unit
 
 
 def table_log(path: Path, table: ImportedTable, time: Time | None) -> Log:

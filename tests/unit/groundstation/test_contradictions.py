@@ -223,3 +223,11 @@ def test_a_gyro_whose_zero_jumps_is_told_with_its_time(gyro: str, step: float) -
     assert "s on: its zero jumped; estimate either part, --segments 0.0:" in found.text
     assert abs(float(found.text.partition(" s on")[0].rpartition(" ")[2]) - 61.0) < 4.0
     assert not found.stops
+
+
+def test_exchanged_gyros_are_told() -> None:
+    columns = turning_flight(6, seconds=60.0, sway=0.1)
+    time = columns.pop("time")
+    columns["p"], columns["q"] = columns["q"], columns["p"]
+    texts = [c.text for c in contradictions_of(time, columns) if c.stops]
+    assert any("are the axes of the gyros exchanged?" in text for text in texts)

@@ -117,3 +117,26 @@ def test_a_slip_of_a_logger_is_not_measured_and_degrees_are_still_found(tmp_path
     assert "column p: 1 values beyond all that flies (the first 1e+09 rad/s" in told(flight)
     with pytest.raises(ImportDataError, match=r"p: .*deg/s"):
         read(tmp_path / "deg.csv", lines_of({**flown, "p": np.degrees(flown["p"])}))
+
+
+def test_minutes_and_seconds_as_excel_shows_them_pass_the_hour(tmp_path: Path, flown: Columns) -> None:
+    stamps = [f"{int((3590 + t) // 60) % 60}:{(3590 + t) % 60:06.3f}" for t in flown["time"].tolist()]
+    rows = [f"{stamp},{line.partition(',')[2]}" for stamp, line in zip(stamps, lines_of(flown)[1:], strict=True)]
+    flight = read(tmp_path / "log.csv", [",".join(("time", *NAMES)), *rows])
+    np.testing.assert_allclose(flight.time - flight.time[0], flown["time"] - flown["time"][0], atol=2e-3)
+
+
+def test_names_in_capitals_count_with_their_unit(tmp_path: Path, flown: Columns) -> None:
+    lines = lines_of({**flown, "p": np.degrees(flown["p"])}, ("p", "phi", "V"))
+    flight = read(tmp_path / "log.csv", ["time,P [deg/s],PHI [rad],V", *lines[1:]])
+    np.testing.assert_allclose(flight["p"], flown["p"], atol=1e-6)
+    pressure = read(tmp_path / "pressure.csv", ["time,P [Pa],PHI [rad],V", *lines[1:]])
+    assert "p" not in pressure
+
+
+def test_files_of_another_kind_than_their_ending_and_tables_without_a_value(tmp_path: Path) -> None:
+    (tmp_path / "a.bin").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(40))
+    with pytest.raises(ImportDataError, match=r"by its first bytes a PX4 ULog; give it the ending \.ulg"):
+        import_data(tmp_path / "a.bin")
+    with pytest.raises(ImportDataError, match="no column holds a value"):
+        read(tmp_path / "b.csv", ["time,p,phi", *(f"{0.1 * k},nan,nan" for k in range(40))])
