@@ -3,8 +3,7 @@
 What is looked at: whether the filter error gains over output error beyond chance (process noise: gusts, or a model that lacks
 something), or, without a filter error, how well residuals predict their successors; whether methods agree within their joint
 bounds; biases and constants against what instruments and trims can be; a joint estimate against its members; scatter
-over flights against bounds; flights that move beyond all others. Thresholds are from the study kept in
-docs/estimation.md (`tests/studies/verdict_study.py`).
+over flights against bounds; flights that move beyond all others. Thresholds: docs/estimation.md (`verdict_study`).
 """
 
 import math
@@ -218,6 +217,9 @@ def _choice(case: _Case, *, tested: bool = False) -> Recommendation:
     noise = _process_noise(case)
     if noise.present and "ml" in case.results and not case.reconstructed:
         case.against.setdefault("ml", noise.text)
+    if "ml" not in case.left:  # in rough air a filter that leaves a vane aside had Cn_r 27 bounds off
+        for method in (m for m in FILTERS if m in case.left and case.results[m].model.output_delays):
+            case.against[method] = "its filter leaves the record that shows late aside: of little use in rough air"
     for method in (m for m in ("ml", *FILTERS) if m in case.left):
         if contradicted := _contradicted(case, method):
             case.object_to(method, DoubtKind.DISAGREEMENT, contradicted)

@@ -24,6 +24,7 @@ from estimation.prepare.pipeline import prepare_all
 from estimation.session import runner
 from estimation.session.structured import StructureWish
 from groundstation.flight import Flight
+from groundstation.flight.quality.plausibility import suspicions
 from tests.unit.estimation.truth import NOISE, TRUE, Case, Craft, fly
 
 LATERAL = load_model("lateral", "cdfp")
@@ -275,3 +276,14 @@ def test_infinities_of_both_signs_side_by_side_end_without_a_warning(recwarn: py
     ratio = _ratio_to_slope(flight, "p", "phi")
     assert ratio == pytest.approx(1.0, rel=0.02)
     assert not recwarn.list
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(np.inf, "shows inf at 1 samples"), (1e30, "damaged values"), (40.0, "deg/s")]
+)
+def test_values_that_no_sensor_shows_are_no_other_unit(value: float, words: str) -> None:
+    time = np.arange(200) * 0.05
+    p = 0.2 * np.cos(time)
+    p[60] = value
+    (found,) = suspicions(time, {"p": p})
+    assert words in found.text

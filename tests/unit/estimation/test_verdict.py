@@ -21,7 +21,7 @@ from estimation.session import runner
 from estimation.session.evidence import driven_outputs, gain_of_filter
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY, verdict
-from estimation.structure.candidates import Candidate, CandidateKind
+from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
 from estimation.structure.score_test import Lack, StructureTest
 from estimation.structure.score_test import Tested as Score
 from groundstation.flight import Flight, MissingColumnError, write_flight
@@ -95,6 +95,14 @@ def test_a_regression_is_no_witness_against_a_model_that_has_its_vane_late() -> 
     assert "agrees" not in found.verdict.recommended.why
     only = {"ml": replace(found.results["ml"], status=output_error_module.Status.DIVERGED), "ls": found.results["ls"]}
     assert "takes records for the motion that delay_beta" in verdict(only).recommended.why
+
+
+def test_a_filter_that_leaves_a_late_vane_aside_is_not_believed_in_rough_air(rough: Mapping[str, Result]) -> None:
+    lag = [c for c in structure_candidates(LATERAL) if c.name == "delay_beta"]
+    late = {m: replace(r, model=with_candidates(r.model, lag)) for m, r in rough.items()}
+    found = verdict(late).recommended
+    assert found.method == NOBODY
+    assert "leaves the record that shows late aside" in found.why
 
 
 def test_a_record_without_noise_has_no_process_noise(rough: Mapping[str, Result]) -> None:
