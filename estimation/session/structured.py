@@ -30,13 +30,15 @@ from estimation.structure.odd_flights import (
     odd_flights,
     scale_bounds,
 )
-from estimation.structure.score_test import Lack, StructureTest, structure_of
+from estimation.structure.score_test import NOTABLE, Lack, StructureTest, Tested, structure_of
 from groundstation.flight import Flight
 
 ROUNDS = 4  # of adding: a model that lacks more is another model
 MOVES = 1.0  # bounds by which an odd flight has to move the joint estimate to be left out of its structure test
 UNTOLD = 0.5
 """Part of an estimate by which a rival's differs from it, from which neither is the value."""
+TOLD = 3.0
+"""Standard deviations from which a derivative that a filter's fit leaves open counts as there."""
 FILTERS = ("fem-noise", "fem")
 ADDED_ANYWAY = (CandidateKind.LINEAR, CandidateKind.LATE_SENSOR)
 """What is added whatever is wished: the built-in models are the whole linear model, and instruments have lags of their own."""
@@ -72,19 +74,50 @@ def with_structure_tests(
     ambiguous: list[Lack] = []
     tested = _tested(session, task)
     looked_at = _looked_at(session)
+    without = tested
     for _ in range(ROUNDS):
         lacks = _lacks(tested)
         new = [lack for lack in lacks if _wanted(lack, tested.model, wish) and lack.names[0] not in added_names]
-        if not new:
-            break
         by_name = {c.name: c for c in structure_candidates(tested.model)}
         terms = [by_name[lack.names[0]] for lack in new if lack.names[0] in by_name]
-        added_names += [t.name for t in terms]
+        if not terms:
+            terms = [t.candidate for basis in _bases(tested) for t in _undecided(tested.model, *basis)]
+            without = tested if terms else without
+        if not terms:
+            break
+        added_names += dict.fromkeys(t.name for t in terms)
         ambiguous += [lack for lack in new if lack.rivals]
         tested = _tested(fitted(with_candidates(tested.model, _fresh(terms), fitting=True), looked_at), task)
     if added_names and looked_at is not None:
         tested = _tested(fitted(tested.model, None), task)
-    return _with_added(tested, added_names, ambiguous)
+    return _with_added(tested, added_names, ambiguous, without)
+
+
+def _bases(session: EstimationSession) -> list[tuple[StructureTest | None, Mapping[str, Result]]]:
+    """What decides what a model lacks: the joint fit, else each flight's."""
+    if session.joint:
+        return [(session.structure, session.joint)]
+    return [(f.structure, f.results) for f in session.flights]
+
+
+def _undecided(model: Model, structure: StructureTest | None, results: Mapping[str, Result]) -> list[Tested]:
+    """Derivatives that a filter's fit leaves open: not significant, yet what they may be moves a printed value.
+
+    In rough air the residuals of a filter tell little of what is left out: a `Cn_da` of three of its standard deviations moved
+    `Cn_beta` by sixteen bounds. They are estimated, and the bounds span whether they are there.
+    """
+    if structure is None or model.name not in WHOLE or _recommended_method(results) not in FILTERS:
+        return []
+    return [t for t in structure.tested if t.candidate.kind is CandidateKind.LINEAR and t.worst[1] >= NOTABLE]
+
+
+def _left_open(
+    model: Model, structure: StructureTest | None, results: Mapping[str, Result]
+) -> list[tuple[str, Mapping[str, float]]]:
+    """Each derivative of which a filter's fit does not tell whether it is there, and what that moves, in their own units."""
+    terms = [t for t in _undecided(model, structure, results) if abs(t.score) < TOLD]
+    bounds = {n: e.std_coloured for n, e in results[_recommended_method(results)].parameters.items()} if terms else {}
+    return [(t.candidate.name, {n: m * bounds[n] for n, m in t.moves.items() if n in bounds}) for t in terms]
 
 
 def _looked_at(session: EstimationSession) -> tuple[str, ...] | None:
@@ -118,27 +151,44 @@ def _wanted(lack: Lack, model: Model, wish: StructureWish) -> bool:
     return model.name in WHOLE and lack.leading.candidate.kind in ADDED_ANYWAY
 
 
-def _with_added(session: EstimationSession, added_names: Sequence[str], ambiguous: Sequence[Lack]) -> EstimationSession:
-    """The session with what was added, and with the bounds that what cannot be told leaves open."""
+def _with_added(
+    session: EstimationSession, added_names: Sequence[str], ambiguous: Sequence[Lack], without: EstimationSession
+) -> EstimationSession:
+    """The session with what was added, and with the bounds that what cannot be told leaves open. without: the session before
+    derivatives were added that are undecided."""
 
     def settled(structure: StructureTest | None) -> StructureTest | None:
         return None if structure is None else structure.with_added(added_names, ambiguous)
 
+    bases = _bases(without)
+    opened = [_left_open(without.model, *basis) for basis in bases]
     flights = tuple(
-        replace(f, structure=settled(f.structure), results=_spanning(f.results, settled(f.structure)))
-        for f in session.flights
+        replace(
+            f,
+            structure=settled(f.structure),
+            results=_spanning(f.results, settled(f.structure), () if session.joint else opened[i]),
+        )
+        for i, f in enumerate(session.flights)
     )
     joint = settled(session.structure)
-    return replace(session, flights=flights, structure=joint, joint=_spanning(session.joint, joint))
+    return replace(
+        session,
+        flights=flights,
+        structure=joint,
+        joint=_spanning(session.joint, joint, opened[0] if session.joint else ()),
+    )
 
 
-def _spanning(results: Mapping[str, Result], structure: StructureTest | None) -> Mapping[str, Result]:
-    """Results whose bounds span what rivals would make of them, and what is left out without being refused for it."""
+def _spanning(
+    results: Mapping[str, Result], structure: StructureTest | None, left_open: Sequence[tuple[str, Mapping[str, float]]]
+) -> Mapping[str, Result]:
+    """Results whose bounds span what rivals would make of them, what is left out without being refused for it, and whether a
+    derivative is there that is left open."""
     if structure is None:
         return results
-    spans: list[Mapping[str, float]] = [lack.differs for lack in structure.ambiguous]
-    why = {
-        n: lack.rivals[0].candidate.phrase
+    spans = [*(lack.differs for lack in structure.ambiguous), *(moves for _, moves in left_open)]
+    why = {n: f"whether there is {term}" for term, moves in left_open for n in moves} | {
+        n: f"it from {lack.rivals[0].candidate.phrase}"
         for lack in structure.ambiguous
         for n in (lack.leading.candidate.name, *lack.differs)
     }
@@ -170,7 +220,7 @@ def _spanned(
             parameters[name] = replace(
                 parameters[name],
                 identifiable=False,
-                why=f"these flights cannot tell it from {why.get(name, 'a rival')}",
+                why=f"these flights cannot tell {why.get(name, 'it from a rival')}",
             )
     return replace(result, parameters=parameters)
 

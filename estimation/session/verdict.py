@@ -7,7 +7,7 @@ over flights against bounds; flights that move beyond all others. Thresholds: do
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -51,6 +51,7 @@ FEW = 8.0
 at five (nine of ten samples missing) roll derivatives were 3.7 bounds off; 14 s at 10 Hz have twenty."""
 BENEATH = "filter error takes up less than the noise of any instrument, as in a record without noise, and agrees"
 APART = 3.0  # joint bounds between two methods that should agree
+COMES_OUT_AS_NONE = 3.0  # bounds from nothing, within which a derivative does
 OUTSIDE = 1.0  # of its own bound that a joint estimate may lie beyond all its members
 NOTABLE = 1.0  # of its bound by which a printed value has to be moved, before what moves it forbids a recommendation
 EXPLAINS = 0.2  # r2 that some output has to reach: a record at rest, or of noise alone, has none
@@ -281,12 +282,19 @@ def _contradicted(case: _Case, method: str) -> str:
     """What the sound regressions say against a likelihood that would be recommended; empty unless all of them contradict it.
 
     They err each in its own way, so one that agrees outweighs one that does not. Output error is no witness against a filter
-    error, nor the other way round: where they differ the test of process noise has decided.
+    error, nor the other way round: where they differ the test of process noise has decided. Of a derivative that is added since
+    nothing is believed of it, and that comes out as nothing, a regression's share of error has nothing to be a share of.
     """
     witnesses = [m for m in case.left if m in REGRESSIONS]
-    sentences = []
+    result, sentences = case.results[method], []
+    starts = result.model.starts()
+    nothing = [
+        n
+        for n, e in result.parameters.items()
+        if not starts.get(n) and abs(e.estimate) < COMES_OUT_AS_NONE * e.std_coloured
+    ]
     for witness in witnesses:
-        furthest = _furthest(case.results[method], case.results[witness], REGRESSIONS[witness])
+        furthest = _furthest(result, case.results[witness], REGRESSIONS[witness], nothing)
         if furthest is None or furthest[1] <= APART:
             return ""
         sentences.append(f"{furthest[0]} lies {furthest[1]:.1f} joint bounds from that of {witness}")
@@ -336,12 +344,13 @@ def _why(case: _Case, method: str, noise: ProcessNoise, tested: bool) -> str:
     return _joined(quiet, agree)
 
 
-def _furthest(a: Result, b: Result, share: float = 0.0) -> tuple[str, float] | None:
-    """The parameter in which two results differ most, and by how many joint bounds. share: known error of `b`, of its value."""
+def _furthest(a: Result, b: Result, share: float = 0.0, without: Collection[str] = ()) -> tuple[str, float] | None:
+    """The parameter in which two results differ most, and by how many joint bounds. share: known error of `b`, of its value.
+    without: parameters that are not compared."""
     distances = [
         (n, abs(e.estimate - o.estimate) / joint)
         for n, e, o in _both(a, b)
-        if (joint := math.hypot(e.std_coloured, o.std_coloured, share * o.estimate)) > 0.0
+        if n not in without and (joint := math.hypot(e.std_coloured, o.std_coloured, share * o.estimate)) > 0.0
     ]
     return max(distances, key=lambda item: item[1], default=None)
 

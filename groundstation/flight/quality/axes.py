@@ -24,9 +24,10 @@ FORCE, RATES, ATTITUDE = ("ax", "ay", "az"), ("p", "q", "r"), ("phi", "theta")
 FLOW = ("V", "alpha", "beta")
 LARGEST_PITCH = 1.6
 """[rad] A larger one is in degrees; so is a bank or a vane twice as large."""
-EXPLAINS = 0.25
+EXPLAINS, EXPLAINS_UPRIGHT = 0.5, 0.25
 """Share of the airspeed's change that is explained once the mistake is undone, at least: 0.63 to 0.85 in light gusts with
-attitude of a filter, 0.3 where that filter was misled by an IMU on its back."""
+attitude of a filter. In rough air chance explains up to 0.29. Less is enough where the columns as they are have the aircraft on
+its side or back: 0.3 where a filter was misled by an IMU on its back."""
 SOUND = 0.8
 """Share that the columns explain as they are, above which nothing is asked."""
 LESS, UNDONE = 0.5, 1.0 / 3.0
@@ -71,9 +72,13 @@ class Mistake:
 
 def wrong_axes(time: Array, columns: Columns) -> Iterator[Finding]:
     """The mistake in the axes of a flight that its motion gives away."""
-    if not all(n in columns for n in (*FORCE, *RATES, *ATTITUDE, *FLOW)) or _in_degrees(columns):
+    needed = (*FORCE, *RATES, *ATTITUDE, *FLOW)
+    if not all(n in columns for n in needed) or not np.all([np.isfinite(columns[n]) for n in needed], axis=0).any():
         return
-    claimed = explained(time, columns) if _upright(columns) else 0.0
+    if _in_degrees(columns):
+        return
+    upright = _upright(columns)
+    claimed = explained(time, columns) if upright else 0.0
     if claimed > SOUND:
         return
     shares = {m: explained(time, undone) for m in MISTAKES if _upright(undone := m.undo(columns))}
@@ -82,7 +87,7 @@ def wrong_axes(time: Array, columns: Columns) -> Iterator[Finding]:
     best = max(shares, key=lambda m: shares[m])
     others = max((s for m, s in shares.items() if m is not best and (m.axes != best.axes or not m.axes)), default=0.0)
     clear = _beyond(shares[best], claimed, LESS) and _beyond(shares[best], others, RUNNER_UP)
-    if best.text and shares[best] > EXPLAINS and clear:
+    if best.text and clear and shares[best] > (EXPLAINS if upright else EXPLAINS_UPRIGHT):
         yield Finding(FindingKind.UNLIKELY, f"{', '.join(best.columns)}: {best.text}", columns=best.columns)
 
 

@@ -334,8 +334,9 @@ def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
 def _pressure_speed(time: Array, c: Columns) -> Iterator[Finding]:
     if "V" not in c or "p_dynamic" not in c:
         return
-    speed = np.hypot(c["vn"], c["ve"]) if "vn" in c and "ve" in c else c["V"]  # V of swapped tubes is noise
-    fast = speed > 0.5 * np.nanmax(speed)
+    ground = np.hypot(c["vn"], c["ve"]) if "vn" in c and "ve" in c else c["V"]  # V of swapped tubes is noise
+    speed = np.where(np.isfinite(c["p_dynamic"]), ground if np.isfinite(ground).any() else c["V"], np.nan)
+    fast = speed > 0.5 * np.max(speed, where=np.isfinite(speed), initial=0.0)
     if fast.any() and _median(c["p_dynamic"][fast]) < -NO_OFFSET:
         yield _suspect("p_dynamic", "negative in flight: are the tubes of the pitot swapped? turn it with sign = -1")
     rho = c.get("rho", np.full_like(c["V"], 1.2))

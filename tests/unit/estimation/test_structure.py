@@ -211,3 +211,18 @@ def test_a_damper_that_moves_the_rudder_behind_its_record_is_named_and_added() -
     for name, true in {**truth, "damper_delta_r": 0.3, "washout_delta_r": 2.0}.items():
         if name in parameters and parameters[name].identifiable:
             assert abs(parameters[name].estimate - true) < 3.0 * parameters[name].std_coloured, name
+
+
+def test_in_rough_air_yaw_by_aileron_is_estimated_though_it_is_not_significant() -> None:
+    """A hidden `Cn_da` of 2.7 standard deviations moved the filter's `Cn_beta` by sixteen bounds, and was recommended."""
+    rough = Situation("rough", gust=np.radians(1.2), hidden={"Cn_da": -0.010})
+    rng = np.random.default_rng([78, 503])
+    craft = Aeroplane.drawn(rng)
+    aircraft = Aircraft("drawn", craft.span, craft.area, craft.chord, craft.mass, *craft.inertia)
+    flights = fly(craft, rough, rng)
+    session = runner.estimate(load_model("lateral", aircraft), flights, aircraft, ["ml", "fem"], joint=True)
+    assert session.structure is not None
+    assert "Cn_da" in session.structure.added
+    for name in ("Cn_beta", "Cn_r", "Cn_dr"):
+        e = session.joint["fem"].parameters[name]
+        assert abs(e.estimate - craft.derivatives[name]) < 3.0 * e.std_coloured, name
