@@ -33,7 +33,7 @@ lowest:
 	$(VENV)-lowest/bin/python -m pip install -q -c $(VENV)-lowest/constraints.txt -e '.[dev]'
 	$(VENV)-lowest/bin/pytest -q -n 2 --dist worksteal -m "$(ORDINARY) and not long"
 
-# What takes long (whole commands, campaigns, pages in a browser: two tests in a hundred, half of the time) is left to CI and to test-all.
+# What takes long (tests/long_tests.txt: one test in twenty, six sevenths of the time) is left to CI and to test-all.
 ORDINARY = not study and not benchmark
 test: $(STAMP)
 	$(BIN)/pytest -q -n 2 --dist worksteal -m "$(ORDINARY)$(if $(CI),, and not long)"

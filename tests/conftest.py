@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from tests.support.long_tests import long_tests
 from tests.support.paths import ROOT
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -45,6 +46,15 @@ LIBRARY_THREADS = (
     "ThreadPoolExecutor-rerun",
     "Dummy-",
 )
+
+
+@pytest.hookimpl(tryfirst=True)  # before those that -m does not want are left out
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what was long when all tests ran last."""
+    known = long_tests()
+    for item in items:
+        if item.nodeid in known:
+            item.add_marker(pytest.mark.long)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -194,9 +194,8 @@ class Flight:
         columns = detail.get("columns") if isinstance(detail, Mapping) else None
         if isinstance(columns, list | tuple):
             return tuple(c for c in columns if isinstance(c, str))
-        with_wind = all(
-            self.measured(c) for c in WIND
-        )  # as `reconstruct` writes it to a table, which keeps no provenance
+        # as `reconstruct` writes it to a table, which keeps no provenance
+        with_wind = all(self.measured(c) for c in WIND)
         return tuple(c for c in AIR_DATA if with_wind and self.measured(c) and self.measured(f"{c}_std"))
 
     def native_rate(self, column: str) -> float | None:

@@ -26,7 +26,7 @@ from groundstation.importers.run import import_data
 from tests.chain.autopilot_logs import pulses
 from tests.unit.groundstation.importers import autopilots
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.timeout(300)]
 MAP = """format = 1
 [servos.left]
 column = "RCOU.C1"

@@ -18,7 +18,6 @@ from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.calibration.schema import CalibrationError
 
-pytestmark = pytest.mark.long
 SECOND = 1_000_000_000
 FITTED = {
     "pitot": {"driver": "sdp3x", "address": 0x21, "output": "A"},

@@ -22,7 +22,6 @@ from groundstation.identification.session import LiveIdentification
 from sideslip.live_aircraft import live_aircraft
 from sideslip.onboard import WANTED, answer_of
 
-pytestmark = pytest.mark.long
 SET_S = 8.0
 
 

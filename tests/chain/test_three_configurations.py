@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pytest
 from click.testing import CliRunner
 
 from firmware_sim.world.scenario import load_scenario
@@ -50,7 +49,6 @@ def identify(folder: Path, config: str, calibration: str) -> dict[str, Any]:
     return found["parameters"]
 
 
-@pytest.mark.long
 def test_each_configuration_identifies(tmp_path: Path) -> None:
     sets = {"cdfp": "cdfp", "autopilot_vanes": "autopilot", "autopilot": "autopilot"}
     found = {config: identify(tmp_path, config, calibration) for config, calibration in sets.items()}

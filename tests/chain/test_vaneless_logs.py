@@ -118,7 +118,6 @@ def test_estimates_are_within_their_bounds(followed: tuple[Path, dict[str, np.nd
     assert found["Cn_beta"]["std_coloured"] < 0.1 * abs(truth["Cn_beta"])
 
 
-@pytest.mark.long
 def test_a_grid_finer_than_the_log_adds_no_information(
     followed: tuple[Path, dict[str, np.ndarray], str],
 ) -> None:

@@ -127,7 +127,6 @@ def test_checks_and_matches_draw_measured_beside_computed(result: Estimates, tmp
             kept.save(tmp_path / "t.xls")
 
 
-@pytest.mark.long
 def test_figures_are_those_of_the_page(result: Estimates, tmp_path: Path) -> None:
     figures = result.figures()
     assert set(figures) == {

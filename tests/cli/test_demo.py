@@ -11,8 +11,6 @@ import pytest
 from sideslip.verbs.demo import DEMO_HIDDEN
 from tests.support.paths import ROOT
 
-pytestmark = pytest.mark.long
-
 
 def pasted_in_the_readme() -> list[str]:
     """The lines of the demo's output that README.md shows; it leaves lines out, and dots stand for what follows."""

@@ -3,7 +3,7 @@
 import inspect
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -62,10 +62,8 @@ class Case:
 
     words: str
     call: Callable[[Files], Any]
-    marks: tuple[pytest.MarkDecorator, ...] = field(default=())
 
 
-LONG = (pytest.mark.long,)
 CASES = {
     "estimate": Case(
         "estimate {first} {second} --method ml,ls --joint --hold-initial phi --profile Cl_p --seed 3 --truth {truth}",
@@ -81,7 +79,6 @@ CASES = {
     "estimate, own model, ngn": Case(
         "estimate {first} --model {model} --method ngn",
         lambda f: ss.estimate(str(f.first), str(f.model), method="ngn"),
-        LONG,
     ),
     "estimate, each stretch": Case(
         "estimate {whole} --method ls --segments 1:9,12:20 --each-segment --stepwise --keep-held",
@@ -92,7 +89,6 @@ CASES = {
     "estimate, bootstrap": Case(
         "estimate {first} --bootstrap 10 --seed 5 --raw-inputs --free-initial all",
         lambda f: ss.estimate(f.first, bootstrap=10, seed=5, raw_inputs=True, free_initial="all"),
-        LONG,
     ),
     "estimate, another aircraft": Case(
         "estimate {other} --aircraft cdfp --method ls", lambda f: ss.estimate(f.other, method="ls", aircraft="cdfp")
@@ -100,7 +96,6 @@ CASES = {
     "check": Case(
         "check {first} {whole} --factors +K_alpha,dtheta=0.01 --joint --segments 1:9 --keep-held",
         lambda f: ss.check([f.first, f.whole], "+K_alpha,dtheta=0.01", True, segments="1:9", keep_held=True),
-        LONG,
     ),
     "check, findings": Case(
         "check {first} --factors dax,day,K_beta --aircraft cdfp",
@@ -114,7 +109,6 @@ CASES = {
     "watch": Case(
         "watch {whole} --model {model} --hours 1 --seed 4 --rate 2",
         lambda f: ss.watch(f.whole, f.model, hours=1.0, seed=4, rate=2.0),
-        LONG,
     ),
     "frequency": Case(
         "frequency {whole} --input delta_a --output p --fit --form roll --band 0.3,2 --points 20 --with none --class I",
@@ -129,7 +123,6 @@ CASES = {
     "design, from an estimate": Case(
         "design --from {estimate} --kind 3211 --time 5 --speed 21 --seed 2 -o {estimate}.toml",
         lambda f: ss.design("lateral", 5.0, estimate=f.estimate, kind="3211", speed=21.0, seed=2),
-        LONG,
     ),
     "reconstruct": Case(
         "reconstruct {first} -o {estimate}.csv --trim-sideslip 2",
@@ -138,7 +131,6 @@ CASES = {
     "gap": Case(
         "gap {first} --holdout {second} --model {model} --nulls 20 --seed 2",
         lambda f: ss.gap(f.model, f.first, [f.second], nulls=20, seed=2),
-        LONG,
     ),
     "info": Case(f"info {RAW}", lambda _: ss.info(RAW)),
     "info, a flight": Case("info {other}", lambda f: ss.info(f.other)),
@@ -158,7 +150,6 @@ CASES = {
             [f.first, f.second], f"{f.estimate}-again", aircraft="cdfp", methods="ls", serial=True, no_report=True,
             check="none",
         ),
-        LONG,
     ),
     "aircraft check": Case("aircraft check cdfp", lambda _: ss.check_aircraft("cdfp")),
     "calibrate": Case(f"calibrate {RAW} -o {{estimate}}.mcap", lambda f: ss.calibrate(RAW, f"{f.estimate}.mcap")),
@@ -217,7 +208,7 @@ def differences(one: Any, two: Any, where: str = "") -> Iterator[str]:
         yield f"{where}: {one!r} and {two!r}"
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=c.marks) for n, c in CASES.items()])
+@pytest.mark.parametrize("name", CASES)
 def test_verb_and_function_give_the_same_json(
     name: str, files: Files, answers: Callable[[str], Any], tmp_path: Path
 ) -> None:

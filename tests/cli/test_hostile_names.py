@@ -99,7 +99,6 @@ def _check_picture(data: bytes) -> None:
     assert not [k for e in root.iter() if isinstance(e.tag, str) for k in e.attrib if k.lower().startswith("on")]
 
 
-@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:Glyph")
 def test_reports_of_hostile_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stem = "<script>alert(1)<\u202egnp.evil\x1b[2J\n$\\frac{$"

@@ -82,7 +82,6 @@ def test_logs_are_imported_and_estimated(tmp_path: Path) -> None:
     assert (tmp_path / "report" / "index.html").is_file()
 
 
-@pytest.mark.long
 def test_the_ground_station_replays_listens_and_obeys(tmp_path: Path) -> None:
     done = run(tmp_path, "ground", "--replay", RECORDINGS / "cdfp_ld4_raw.mcap", "--speed", "max", "--out", "s")
     assert done.returncode == 0, done.stderr

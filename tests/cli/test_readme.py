@@ -11,8 +11,6 @@ import pytest
 from tests.cli.docs.follow import IN_PROCESS, run_here
 from tests.support.paths import ROOT
 
-pytestmark = pytest.mark.long
-
 PAGES = ("README.md", "docs/tutorial.md", "docs/export.md", "docs/design.md")
 
 

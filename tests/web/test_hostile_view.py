@@ -16,7 +16,6 @@ from tests.unit.groundstation.test_quarantine import Sky
 from tests.web.screenshot import ARGUMENTS, COLOURFUL, chromium, saturated
 
 pytestmark = [
-    pytest.mark.long,
     pytest.mark.browser,
     pytest.mark.timeout(240),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),

@@ -10,7 +10,6 @@ from tests.web.live_identification import recorded
 from tests.web.screenshot import pixels, take
 
 pytestmark = [
-    pytest.mark.long,
     pytest.mark.browser,
     pytest.mark.timeout(300),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),

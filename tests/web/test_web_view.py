@@ -12,7 +12,6 @@ from groundstation.viewer.window import WebPage
 from tests.web.screenshot import ARGUMENTS, COLOURFUL, chromium, picture, pixels, saturated, take
 
 pytestmark = [
-    pytest.mark.long,
     pytest.mark.browser,
     pytest.mark.timeout(240),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),

@@ -24,7 +24,7 @@ from tests.support.free_ports import free_port
 from tests.support.link_rig import FakeLogger, quiet_scan
 from tests.unit.groundstation.test_quarantine import BAD, NUMBER_FACTS
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.timeout(180)]
 
 PERIOD_S = 0.05
 FACTS = {**dict(zip(NUMBER_FACTS, cycle(BAD), strict=False)), "static.nvm": "zz", "\x1b[2J": "\u202e", "x" * 128: "nan"}

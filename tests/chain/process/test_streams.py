@@ -68,7 +68,6 @@ WRITING = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("room", [0, 3000])
 @pytest.mark.parametrize("what", WRITING)
 def test_a_disk_without_room_leaves_the_old_file_and_one_sentence(what: str, room: int, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from tests.support.paths import ROOT
 from tests.torture.trials import OLD, Tally, Trials, shim, two
 from tests.torture.verbs import Inputs
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.timeout(300)]
 
 
 @pytest.fixture

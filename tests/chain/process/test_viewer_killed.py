@@ -8,7 +8,7 @@ import pytest
 from tests.studies.link_endurance import Reception, Viewers
 from tests.unit.groundstation.viewer.vulkan import need_vulkan
 
-pytestmark = [pytest.mark.long, pytest.mark.viewer, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.viewer, pytest.mark.timeout(120)]
 
 
 def shows(viewers: Viewers, time_s: float) -> bool:

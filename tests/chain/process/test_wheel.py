@@ -6,12 +6,9 @@ import sys
 import zipfile
 from pathlib import Path
 
-import pytest
-
 from tests.support.paths import ROOT
 
 
-@pytest.mark.long
 def test_a_wheel_from_a_fresh_clone_holds_the_dialect(tmp_path: Path) -> None:
     clone = tmp_path / "clone"
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True).stdout

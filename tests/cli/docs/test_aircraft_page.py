@@ -11,7 +11,7 @@ from groundstation.flight import AIRCRAFT_FILE, read_flight
 from tests.cli.docs.blocks import commands_of, files_of, write_files
 from tests.cli.docs.follow import follow
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]  # commands of a page, as a reader runs them
+pytestmark = [pytest.mark.timeout(300)]  # commands of a page, as a reader runs them
 PAGE = Path("docs") / "aircraft.md"
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.paths import ROOT
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]  # the notebooks take some 40 s of an idle processor
+pytestmark = [pytest.mark.timeout(900)]  # the notebooks take some 40 s of an idle processor
 
 
 @pytest.fixture(scope="module")

@@ -38,7 +38,6 @@ def studies(page: Path) -> list[tuple[str, list[str]]]:
     return found
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("page", sorted(PAGES.glob("*.md")), ids=lambda p: p.stem)
 def test_studies_that_the_page_names_take_its_words(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Parsed(Exception):
@@ -65,7 +64,6 @@ def test_studies_are_found_on_pages() -> None:
     assert sum(len(studies(p)) for p in PAGES.glob("*.md")) > 8
 
 
-@pytest.mark.long
 @pytest.mark.timeout(2 * LONG_S)
 def test_the_fleet_of_the_page_with_two_aircraft(tmp_path: Path) -> None:
     """Numbers 1 and 3 for four: ailerons that do 45 % less are told."""
@@ -85,7 +83,6 @@ def test_the_fleet_of_the_page_with_two_aircraft(tmp_path: Path) -> None:
     assert (tmp_path / "fleet.png").stat().st_size > 10_000
 
 
-@pytest.mark.long
 @pytest.mark.timeout(2 * LONG_S)
 def test_a_fault_of_the_page_is_found_by_its_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Three flights before it, and one whose right elevon sticks after 20 s; of 32 s, where the study flies 52, and with

@@ -24,14 +24,13 @@ def missing(scans: list[Scan], group: str) -> list[Scan]:
 
 
 PAIRS = list(combinations(DEVICES, 2))
-NEIGHBOURS = list(pairwise(DEVICES))
 
 
 @pytest.mark.parametrize(
     "failing",
     [
         *((device,) for device in DEVICES),
-        *(pytest.param(pair, marks=() if pair in NEIGHBOURS else pytest.mark.long) for pair in PAIRS),
+        *PAIRS,
     ],
     ids="+".join,
 )

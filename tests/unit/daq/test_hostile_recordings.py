@@ -42,7 +42,6 @@ def bounded(
     return found
 
 
-@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_readers_are_bounded(tmp_path: Path) -> None:
     found = bounded(tmp_path, READERS, MEGABYTES, tuple(CASES))

@@ -60,7 +60,6 @@ def test_what_turns_no_wind_is_no_gust(rough: Fit) -> None:
     assert "gusts turn beta first" in turns_no_wind(replace(result, extra={**result.extra, "gain": gain}), data)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("effect", ["aileron_backlash", "Cn_dr3", "slipstream_rudder"])
 def test_what_a_model_lacks_in_still_air_is_no_gust(effect: str) -> None:
     aircraft = replace(load_aircraft("cdfp"), mass=second_truth.MASS, **second_truth.INERTIA)
@@ -69,7 +68,6 @@ def test_what_a_model_lacks_in_still_air_is_no_gust(effect: str) -> None:
     assert not_gusts(process_noise_error(model, data), data).startswith("its process noise is no gusts")
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("gust", [0.5, 1.5])
 def test_another_simulators_rough_air_passes(gust: float) -> None:
     aircraft = replace(load_aircraft("cdfp"), mass=second_truth.MASS, **second_truth.INERTIA)

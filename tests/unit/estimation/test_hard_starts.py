@@ -97,14 +97,7 @@ HARD: Mapping[str, Callable[[], tuple[Flight, Model]]] = {
 REFUSED = ("rates in deg/s", "angles in deg", "surfaces in us", "still")
 """Records that are refused before a fit."""
 
-SLOW = {(k, "fem") for k in HARD} - {("stiff", "fem"), *((k, "fem") for k in REFUSED)}
-"""More than a few seconds of processor, most of them two fits by filter error."""
-
-CASES = [
-    pytest.param(kind, method, marks=pytest.mark.long if (kind, method) in SLOW else ())
-    for kind in HARD
-    for method in METHODS
-]
+CASES = [(kind, method) for kind in HARD for method in METHODS]
 
 
 @pytest.mark.parametrize(("kind", "method"), CASES)

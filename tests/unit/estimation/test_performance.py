@@ -83,7 +83,6 @@ def test_closed_forms_of_the_polar() -> None:
     assert sinking["power"].estimate == pytest.approx(sinking["sink"].estimate * MASS * G)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("offset", [0.0, math.radians(0.4)])
 def test_bounds_hold_the_truth(offset: float) -> None:
     """Over 60 seeds, with a vane that is right or off by 0.4 deg: 90 to 99 % and not more than one seed beyond."""
@@ -99,7 +98,6 @@ def test_bounds_hold_the_truth(offset: float) -> None:
     assert all(54 <= count <= 60 for count in inside.values()), inside
 
 
-@pytest.mark.long
 def test_bounds_hold_the_truth_of_the_second_simulator() -> None:
     """Thrust measured, gusts, sensors noisy: three flights at three speeds, 16 sets: 14 inside, where bounds of half the size
     would leave 14 or more with a chance of 4 %."""
@@ -184,7 +182,6 @@ def test_what_lies_beyond_the_lift_flown_is_named() -> None:
     assert wide.to_json()["least_sink"]["flown"]
 
 
-@pytest.mark.long
 def test_a_steady_wind_changes_nothing() -> None:
     """The simulator's aircraft in 9 m/s across its path: lift and drag are those in the air."""
     scenarios = [

@@ -28,7 +28,6 @@ def test_shares_are_those_of_the_dimensions() -> None:
     assert share("bias_p", craft) == 0.0
 
 
-@pytest.mark.long
 def test_another_inertia_moves_estimates_within_the_bounds() -> None:
     """One flight, a file whose Ixx is 15 % too large and says that it may be: Cl_p is 15 % off, and its bound says so."""
     craft, right = craft_and_file()

@@ -21,7 +21,6 @@ from groundstation.flight import Flight
 from tests.studies.random_aeroplanes import Aeroplane, Situation, fly
 
 SEED = 4711
-pytestmark = pytest.mark.long
 
 
 def craft_and_file(**file: float) -> tuple[Aeroplane, Aircraft]:

@@ -31,11 +31,7 @@ def test_sound_inputs_are_read(name: str, tmp_path: Path) -> None:
     assert any(a.status == 0 for a in answers)
 
 
-LONG = ("matlab",)  # a reader that is slow to refuse: eight seconds of processor
-SPOILT = [pytest.param(name, marks=pytest.mark.long if name in LONG else ()) for name in KINDS]
-
-
-@pytest.mark.parametrize("name", SPOILT)
+@pytest.mark.parametrize("name", KINDS)
 def test_spoilt_inputs_are_answered(name: str, tmp_path: Path) -> None:
     kind = KINDS[name]
     faults = []

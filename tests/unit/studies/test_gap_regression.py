@@ -59,7 +59,6 @@ def test_lag_delay_and_play() -> None:
     assert loose.tolist() == [0.0, 0.5, 1.5, 1.5, 0.5]
 
 
-@pytest.mark.long
 def test_a_hidden_effect_is_found_with_its_size() -> None:
     """Calm flights: the coefficient of the effect's own column, alone beside the base terms, is what was hidden."""
     constants = load_model("lateral", load_aircraft("cdfp")).constants

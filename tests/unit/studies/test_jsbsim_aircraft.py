@@ -63,7 +63,6 @@ def test_manoeuvres_are_as_large_as_they_may(plane: study.Plane, tmp_path: Path)
     assert 24.0 <= plan.duration <= 64.0
 
 
-@pytest.mark.long
 def test_an_aircraft_is_identified_blind(tmp_path: Path) -> None:
     found = study.identified("A4", study.LATERAL, tmp_path, 6)
     assert found.linear

@@ -75,7 +75,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.long
 def test_a_mirrored_record_is_noticed_and_predicted(folder: Path) -> None:
     train, validation = study.load_split(folder / "train.npz"), study.load_split(folder / "validation.npz")
     assert np.median(study.speed_gained_descending(train)) < -4.0
@@ -104,7 +103,6 @@ def test_an_upright_record_is_left_as_it_is(tmp_path: Path) -> None:
     assert study.to_theirs(study.to_model(split.states[0], True), True) == pytest.approx(split.states[0], abs=1e-9)
 
 
-@pytest.mark.long
 def test_states_of_poses_are_the_states(folder: Path) -> None:
     split = study.load_split(folder / "train.npz")
     made = study.by_poses(split).states[0]

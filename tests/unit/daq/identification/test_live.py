@@ -196,9 +196,7 @@ def test_the_simulated_motion_is_that_of_the_other_simulator(airframe: Airframe,
 # --------------------------------------------------------------------------------------------- what is estimated
 
 
-@pytest.mark.parametrize(
-    ("sent", "limit"), [pytest.param(False, 0.012), pytest.param(True, 0.04, marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize(("sent", "limit"), [(False, 0.012), (True, 0.04)])
 def test_without_noise_nothing_is_off(airframe: Airframe, exact: Flown, sent: bool, limit: float) -> None:
     """What is left is between scans: 2 to 12 % where surfaces are drawn through their samples (see the study)."""
     found = []
@@ -352,7 +350,6 @@ def test_late_samples_end_in_the_same_numbers(airframe: Airframe, noisy: Flown) 
     assert ordered.estimates() != before
 
 
-@pytest.mark.long
 def test_late_samples_while_more_come_in(airframe: Airframe, noisy: Flown) -> None:
     """Over a minute, with a copy kept on the way: late ones and new ones in turn."""
     whole = [s._replace(time=s.time + 31.0 * i) for i, (c, _) in enumerate(noisy[:2]) for s in samples(c)]

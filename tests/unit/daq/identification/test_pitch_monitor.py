@@ -110,7 +110,6 @@ def test_an_effect_leaves_its_signature(
     np.testing.assert_allclose(np.array(wrong)[40:], np.array(signature)[40:], atol=2e-2 * np.abs(wrong).max())
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("name", "share"), [("Cm_de", -0.25), ("CL_alpha", -0.12), ("Cm_alpha", -0.3), ("", 0.0)])
 def test_a_change_in_pitch_is_named_and_its_absence_is_quiet(
     name: str,

@@ -17,7 +17,7 @@ import pytest
 from estimation.campaign.run import CampaignOutcome
 from tests.unit.estimation.campaign.running import HOSTILE, altered, children, repeatable, results_of, start, workers_of
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.timeout(300)]
 
 
 def wait_until(true: Callable[[], object], process: "subprocess.Popen[str]", limit_s: float = 120.0) -> None:

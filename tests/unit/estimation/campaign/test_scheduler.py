@@ -12,7 +12,7 @@ import pytest
 
 from tests.unit.estimation.campaign.running import ROOT, environment, repeatable, results_of, start
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.timeout(600)]
 
 WORDS = (
     "--aircraft",

@@ -28,8 +28,6 @@ from tests.studies import gap_benchmark
 from tests.studies import second_truth as truth
 from tests.unit.estimation.gap.candidates_by_hand import candidate
 
-pytestmark = pytest.mark.long
-
 PITCHING, LATERAL = load_model("longitudinal", "cdfp"), load_model("lateral", "cdfp")
 RNG = np.random.default_rng(5)
 

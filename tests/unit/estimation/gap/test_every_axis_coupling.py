@@ -18,8 +18,6 @@ from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies import second_truth as truth
 
-pytestmark = pytest.mark.long
-
 ALL_AXES = load_model("six-dof", "cdfp")
 
 

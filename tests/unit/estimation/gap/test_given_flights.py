@@ -319,7 +319,6 @@ def test_nothing_is_compared_where_a_control_moves_unseen() -> None:
     assert without_unseen_moves(given, ["p"], ["beta"], AS_SET) is given
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("lost", [pytest.param("elevator", marks=pytest.mark.study), "rows"])
 def test_a_third_of_an_elevators_samples_lost_is_nothing(lost: str) -> None:
     """Straight lines across them had made it swing, or late."""
@@ -380,7 +379,6 @@ def test_where_an_effect_shows_may_be_a_stretch_shorter_than_what_it_is_smoothed
     assert spans_of(time, np.ones(9), AS_SET) == [(0.0, pytest.approx(0.4))]
 
 
-@pytest.mark.long
 def test_accelerometers_behind_a_filter_of_their_own_are_late_and_not_the_gyros() -> None:
     """An autopilot filters its accelerometers more slowly than its gyros."""
     late = 0.03

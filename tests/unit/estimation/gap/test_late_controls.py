@@ -39,7 +39,6 @@ def fitted(hidden: dict[str, float]) -> tuple[Baseline, dict[str, Hypothesis]]:
     return baseline, {h.effect.name: h for h in hypotheses_for(clean, effects, prepared.available)}
 
 
-@pytest.mark.long
 def test_a_servo_eight_times_slower_than_usual_is_found_where_the_base_took_it_for_roll_damping() -> None:
     baseline, asked = fitted({"aileron_lag": 8.0})
     slow, late = asked["aileron_lag"], asked["rudder_delay"]
@@ -57,7 +56,6 @@ def test_a_servo_eight_times_slower_than_usual_is_found_where_the_base_took_it_f
     )
 
 
-@pytest.mark.long
 def test_no_late_control_is_followed_where_none_is() -> None:
     baseline, asked = fitted({})
     assert all(begun_afar(baseline.problem, baseline.fit, h) is None for h in asked.values())

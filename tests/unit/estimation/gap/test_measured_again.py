@@ -7,7 +7,6 @@ from estimation.models import load_model
 from tests.studies.fourth_simulator import Kind, fly
 
 
-@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_a_noisy_elevator_is_not_late() -> None:
     """0.21 deg of noise: `elevator_lag` of 12 ms had been named at a score of 6."""

@@ -122,7 +122,7 @@ def right(flights: list[Flight]) -> Baseline:
     return _baseline(LATERAL, flights)[1]
 
 
-@pytest.mark.parametrize("factor", [0.0, *(pytest.param(f, marks=pytest.mark.long) for f in (-1.0, 10.0))])
+@pytest.mark.parametrize("factor", [0.0, -1.0, 10.0])
 def test_the_baseline_is_the_same_whatever_is_believed(factor: float, flights: list[Flight], right: Baseline) -> None:
     _, other = _baseline(_with_beliefs(factor), flights)
     std = right.fit.std()

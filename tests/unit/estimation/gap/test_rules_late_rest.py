@@ -69,7 +69,6 @@ def test_names_that_a_memory_explains_are_withdrawn_from_the_first_on() -> None:
 NEAR = ("Cn_da", "Cn_betadot", "Ixz_error", "prop_gyroscopic", "gyro_misalignment", "rudder_lag", "gust")
 
 
-@pytest.mark.long
 def test_two_names_that_imitate_a_memory_are_withdrawn() -> None:
     """Yaw that follows roll rate 0.4 s late; yaw by the rate of sideslip and a product of inertia close some of it."""
     hidden = truth.Hidden("Cn", lambda s: 0.03 * s["p_hat"], 0.4)

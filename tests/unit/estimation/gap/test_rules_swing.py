@@ -115,7 +115,6 @@ def flights(effects: dict[str, float], seed: int) -> list[Flight]:
 NEAR = ("thrust_z", "thrust_tilt", "propwash_CL", "propwash_elevator", "Cm_alphadot", "imu_x", "elevator_lag", "gust")
 
 
-@pytest.mark.long
 def test_a_part_of_a_coefficient_changes_the_outputs_as_a_small_step_of_it_does() -> None:
     model, options = load_model("longitudinal", "cdfp"), Options(seed=1, nulls=40)
     near = tuple(e for e in catalogue(model=model) if e.name in NEAR)
@@ -137,7 +136,6 @@ def test_a_part_of_a_coefficient_changes_the_outputs_as_a_small_step_of_it_does(
     assert find_swing(flown, round_) is None  # nothing swings in these
 
 
-@pytest.mark.long
 def test_fuel_that_swings_is_no_thrust_line() -> None:
     """Fuel at 9 rad/s, moved by thrust: followed slowly it is a thrust line 5 mm too high that closes four fifths."""
     four = flights({"pitch_slosh": 1.0}, 5210)

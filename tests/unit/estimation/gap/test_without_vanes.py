@@ -104,7 +104,6 @@ def test_an_attitude_with_times_of_its_own_may_be_late_by_a_share_of_its_own_int
 NEAR = ("Cl_beta3", "Cn_beta3", "CY_beta3", "Cl_da3", "Cn_da", "Cl_betadot", "rudder_delay", "attitude_lag", "gust")
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("hidden", "named"), [pytest.param((), [], marks=pytest.mark.study), (("Cl_beta3",), ["Cl_beta3"])]
 )

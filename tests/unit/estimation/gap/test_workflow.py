@@ -19,8 +19,6 @@ from groundstation.flight import Flight, FlightError
 from tests.studies import second_truth as truth
 from tests.unit.estimation.gap.whole_run import analyse
 
-pytestmark = pytest.mark.long
-
 QUICK = Options(seed=3, nulls=20, most=2)
 # One of each kind and what is like a late rudder; all 45 are asked where adverse yaw is looked for, and by the benchmark.
 FEW = ("Cn_da", "Cl_da3", "Cl_betadot", "Ixz_error", "rudder_delay", "rudder_lag", "rudder_backlash", "aileron_lag", "beta_lag",

@@ -149,7 +149,6 @@ def test_derivatives_are_estimated_as_of_the_plain_model(tmp_path: Path) -> None
     assert of_simulation.parameters["Cl_p"].reference == pytest.approx(-0.30, rel=1e-3)
 
 
-@pytest.mark.long
 def test_a_prediction_far_from_the_flight_is_renewed_at_its_own_motion(short: Flight, tmp_path: Path) -> None:
     """A cube of sideslip, predicted a third too large: slopes at the measured motion err, slopes at the predicted one do not."""
     plain = load_model("lateral", "cdfp").with_starts(Cl_da=-0.12, Cn_dr=-0.06)

@@ -148,7 +148,6 @@ FLOWN: dict[str, Callable[[Model], Model]] = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", FLOWN)
 def test_the_written_aircraft_flies_like_the_model_and_the_unchanged_one_does_not(

@@ -23,8 +23,6 @@ from sideslip.cli import cli
 from tests.studies import jsbsim_flights as truth
 from tests.unit.estimation.gap.whole_run import analyse
 
-pytestmark = pytest.mark.long
-
 OFFERED = ("CY_da", "Cn_da", "Cl_beta3", "Cn_beta3", "Ixz_error", "aileron_lag", "rudder_lag", "beta_scale")
 YAW = """<function name="aero/hidden/Cnda"><product><property>aero/qbar-psf</property><property>metrics/Sw-sqft</property>
 <property>metrics/bw-ft</property><property>fcs/left-aileron-pos-rad</property><value>0.012</value></product></function>"""

@@ -1,14 +1,11 @@
 """Steps in time and differences between groups: found with their size and date, and not where another thing explains them."""
 
 import numpy as np
-import pytest
 
 from estimation.campaign.aerodynamics.differences import differences
 from estimation.campaign.aerodynamics.pooled import GroupFlights, flown_of
 from estimation.campaign.aerodynamics.steps import DateStep, with_steps
 from tests.unit.estimation.campaign.aerodynamics.test_envelope_curves import CORRELATION, NAMES, SLOPES, STD, estimates
-
-pytestmark = pytest.mark.long
 
 BOUND = np.array([STD[n] for n in NAMES])
 

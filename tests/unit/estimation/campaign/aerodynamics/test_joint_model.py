@@ -21,7 +21,6 @@ from sideslip.verbs.match import match
 from tests.studies.envelope_model import made_flights, misfit
 
 pytestmark = [
-    pytest.mark.long,
     pytest.mark.timeout(600),
 ]  # two searches over twelve flights, on a machine that others use
 

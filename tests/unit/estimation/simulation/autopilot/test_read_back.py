@@ -186,7 +186,6 @@ def test_where_the_coefficients_act_is_taken_from_the_centre_of_gravity(tmp_path
     assert simulation.aircraft.mass == pytest.approx(1.0, rel=1e-6)
 
 
-@pytest.mark.long
 def test_a_coefficient_that_was_changed_is_named(tmp_path: Path) -> None:
     """SITL believes the roll damping of a file, the flights have 1.35 times that."""
     derivatives = "".join(f"{n} = {v}\n" for n, v in truth.TRUE_DERIVATIVES.items())
