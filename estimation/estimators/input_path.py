@@ -62,9 +62,8 @@ def _edges_from_rest(u: Array, noise: float) -> Array:
     if step.size < 3:
         return np.zeros((0, 2))
     before = np.maximum(np.abs(step[:-2]), np.abs(step[1:-1]))
-    most = (
-        1.001 * np.convolve(np.abs(step), np.ones(LONGEST))[LONGEST + 1 :]
-    )  # that an edge from the third step on can have
+    # that an edge from the third step on can have
+    most = 1.001 * np.convolve(np.abs(step), np.ones(LONGEST))[LONGEST + 1 :]
     edges, end = [], 0
     for k in (np.flatnonzero((before <= REST * most) & (most > NOISY * noise)) + 2).tolist():
         rise = step[k : k + LONGEST] * np.sign(step[k])

@@ -13,9 +13,8 @@ BLOCK = 2.0  # [s] over which a rate and the change of its angle are averaged
 FEWEST = 5  # blocks on either side
 NEAR = 3  # blocks next to the jump, on either side, which must show it: a drift does not
 SMALLEST = 0.015  # [rad/s] that is told: zeros of gyros wander by a third of that in a flight
-SHARE_OF_TURN = (
-    0.2  # of the change of the mean rate: a scale error of 3 %, and an attitude that is wrong in turns, are no jump
-)
+SHARE_OF_TURN = 0.2
+"""Of the change of the mean rate: a scale error of 3 %, and an attitude that is wrong in turns, are no jump."""
 CLEAR = 4.0  # times the scatter of the blocks
 SMOOTHED = 0.3  # [s] over which rates are averaged before they are compared
 FOLLOWS, STRANGE = 0.8, 0.3
