@@ -37,6 +37,8 @@ ROUNDS = 4  # of adding: a model that lacks more is another model
 MOVES = 1.0  # bounds by which an odd flight has to move the joint estimate to be left out of its structure test
 UNTOLD = 0.5
 """Part of an estimate by which a rival's differs from it, from which neither is the value."""
+LeftOpen = tuple[tuple[str, Mapping[str, float]], ...]
+"""Derivatives of which a filter's fit does not tell whether they are there -> what they move, in the parameters' own units."""
 TOLD = 3.0
 """Standard deviations from which a derivative that a filter's fit leaves open counts as there."""
 FILTERS = ("fem-noise", "fem")
@@ -74,15 +76,19 @@ def with_structure_tests(
     ambiguous: list[Lack] = []
     tested = _tested(session, task)
     looked_at = _looked_at(session)
-    without = tested
+    left_open: list[LeftOpen] = [() for _ in _bases(tested)]
     for _ in range(ROUNDS):
         lacks = _lacks(tested)
         new = [lack for lack in lacks if _wanted(lack, tested.model, wish) and lack.names[0] not in added_names]
         by_name = {c.name: c for c in structure_candidates(tested.model)}
         terms = [by_name[lack.names[0]] for lack in new if lack.names[0] in by_name]
         if not terms:
-            terms = [t.candidate for basis in _bases(tested) for t in _undecided(tested.model, *basis)]
-            without = tested if terms else without
+            undecided = [_undecided(tested.model, *basis) for basis in _bases(tested)]
+            terms = [t.candidate for tests in undecided for t in tests]
+            left_open = [
+                (*known, *_left_open(tests, results))
+                for known, tests, (_, results) in zip(left_open, undecided, _bases(tested), strict=True)
+            ]
         if not terms:
             break
         added_names += dict.fromkeys(t.name for t in terms)
@@ -90,7 +96,7 @@ def with_structure_tests(
         tested = _tested(fitted(with_candidates(tested.model, _fresh(terms), fitting=True), looked_at), task)
     if added_names and looked_at is not None:
         tested = _tested(fitted(tested.model, None), task)
-    return _with_added(tested, added_names, ambiguous, without)
+    return _with_added(tested, added_names, ambiguous, left_open)
 
 
 def _bases(session: EstimationSession) -> list[tuple[StructureTest | None, Mapping[str, Result]]]:
@@ -111,22 +117,17 @@ def _undecided(model: Model, structure: StructureTest | None, results: Mapping[s
     return [t for t in structure.tested if t.candidate.kind is CandidateKind.LINEAR and t.worst[1] >= NOTABLE]
 
 
-def _left_open(
-    model: Model, structure: StructureTest | None, results: Mapping[str, Result]
-) -> list[tuple[str, Mapping[str, float]]]:
-    """Each derivative of which a filter's fit does not tell whether it is there, and what that moves, in their own units."""
-    terms = [t for t in _undecided(model, structure, results) if abs(t.score) < TOLD]
+def _left_open(undecided: Sequence[Tested], results: Mapping[str, Result]) -> LeftOpen:
+    """Of derivatives that are undecided, those of which the filter's fit does not tell whether they are there."""
+    terms = [t for t in undecided if abs(t.score) < TOLD]
     bounds = {n: e.std_coloured for n, e in results[_recommended_method(results)].parameters.items()} if terms else {}
-    return [(t.candidate.name, {n: m * bounds[n] for n, m in t.moves.items() if n in bounds}) for t in terms]
+    return tuple((t.candidate.name, {n: m * bounds[n] for n, m in t.moves.items() if n in bounds}) for t in terms)
 
 
 def _looked_at(session: EstimationSession) -> tuple[str, ...] | None:
     """The methods whose fits decide what a model lacks; None where that takes all: output error alone unless a filter is
     believed."""
-    from estimation.session.verdict import verdict
-
-    groups = [session.joint] if session.joint else [f.results for f in session.flights]
-    believed = {verdict(results).recommended.method for results in groups}
+    believed = {_recommended_method(results) for _, results in _bases(session)}
     others = set(session.methods) - {"ml"}
     return None if not others or "ml" not in session.methods or believed & {*FILTERS} else ("ml",)
 
@@ -152,21 +153,19 @@ def _wanted(lack: Lack, model: Model, wish: StructureWish) -> bool:
 
 
 def _with_added(
-    session: EstimationSession, added_names: Sequence[str], ambiguous: Sequence[Lack], without: EstimationSession
+    session: EstimationSession, added_names: Sequence[str], ambiguous: Sequence[Lack], left_open: Sequence[LeftOpen]
 ) -> EstimationSession:
-    """The session with what was added, and with the bounds that what cannot be told leaves open. without: the session before
-    derivatives were added that are undecided."""
+    """The session with what was added, and the bounds that what cannot be told leaves open. left_open: of the joint fit, else
+    of each flight."""
 
     def settled(structure: StructureTest | None) -> StructureTest | None:
         return None if structure is None else structure.with_added(added_names, ambiguous)
 
-    bases = _bases(without)
-    opened = [_left_open(without.model, *basis) for basis in bases]
     flights = tuple(
         replace(
             f,
             structure=settled(f.structure),
-            results=_spanning(f.results, settled(f.structure), () if session.joint else opened[i]),
+            results=_spanning(f.results, settled(f.structure), () if session.joint else left_open[i]),
         )
         for i, f in enumerate(session.flights)
     )
@@ -175,12 +174,12 @@ def _with_added(
         session,
         flights=flights,
         structure=joint,
-        joint=_spanning(session.joint, joint, opened[0] if session.joint else ()),
+        joint=_spanning(session.joint, joint, left_open[0] if session.joint else ()),
     )
 
 
 def _spanning(
-    results: Mapping[str, Result], structure: StructureTest | None, left_open: Sequence[tuple[str, Mapping[str, float]]]
+    results: Mapping[str, Result], structure: StructureTest | None, left_open: LeftOpen
 ) -> Mapping[str, Result]:
     """Results whose bounds span what rivals would make of them, what is left out without being refused for it, and whether a
     derivative is there that is left open."""

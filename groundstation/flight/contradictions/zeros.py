@@ -22,11 +22,16 @@ FOLLOWS, STRANGE = 0.8, 0.3
 follow each other, and each its own."""
 
 
-def gyros_that_jump(time: Array, c: Columns) -> Iterator[Contradiction]:
+def gyros_beside_attitude(time: Array, c: Columns) -> Iterator[Contradiction]:
+    """What gyros say otherwise than the attitude that they turn."""
+    if all(n in c for n in ("p", "q", "r", "phi", "theta", "psi")):
+        rates = _rates_of_attitude(time, c)
+        yield from _that_jump(time, c, rates)
+        yield from _exchanged(time, c, rates)
+
+
+def _that_jump(time: Array, c: Columns, rates: Columns) -> Iterator[Contradiction]:
     """Each gyro whose zero is another from some instant on, by its angle of attitude."""
-    if not all(n in c for n in ("p", "q", "r", "phi", "theta", "psi")):
-        return
-    rates = _rates_of_attitude(time, c)
     for angle, gyro in GYROS.items():
         begins, turn, more = _blocks(time, rates[gyro], c[gyro] - rates[gyro])
         jump = _jump(more, turn)
@@ -43,11 +48,8 @@ def gyros_that_jump(time: Array, c: Columns) -> Iterator[Contradiction]:
         yield Contradiction((gyro, angle), text, None, step, "rad/s", favoured=angle, moves=moves)
 
 
-def gyros_exchanged(time: Array, c: Columns) -> Iterator[Contradiction]:
+def _exchanged(time: Array, c: Columns, rates: Columns) -> Iterator[Contradiction]:
     """Each gyro that turns as another axis of the attitude does, and not as its own."""
-    if not all(n in c for n in ("p", "q", "r", "phi", "theta", "psi")):
-        return
-    rates = _rates_of_attitude(time, c)
     each = max(round(SMOOTHED / float(np.median(np.diff(time)))), 1)
     count = time.size // each
     means = {

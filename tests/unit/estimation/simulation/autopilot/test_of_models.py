@@ -161,7 +161,10 @@ class TestNeutral:
         initial = SimpleNamespace(
             exact="exact"
         )  # without it FMPy asks for a list of unknowns that PythonFMU does not write
-        real = lambda name, causality, initial="": (name, causality, initial)  # noqa: E731
+
+        def real(name: str, causality: str, initial: str = "") -> tuple[str, str, str]:
+            return name, causality, initial
+
         vars(stand_in).update(Fmi2Causality=causality, Fmi2Initial=initial, Fmi2Slave=slave, Real=real)
         monkeypatch.setitem(sys.modules, "pythonfmu", stand_in)
         monkeypatch.setitem(sys.modules, "read_neutral", None)
