@@ -13,8 +13,22 @@ from estimation.models.base import InputTransform
 
 
 def _delay(time: Array, value: Array, seconds: float) -> Array:
-    """u(t - T): transport delay [s], straight between samples, the first value before the record."""
-    return np.interp(time - seconds, time, value)
+    """u(t - T): transport delay [s], the first value before the record and the last after it.
+
+    Cubic between samples, with the slope of its neighbours at each (Keys, IEEE Trans. ASSP 29, 1981): smooth in T. Straight lines
+    have a kink at every whole interval, none among them, where a fit of a delay that is nearly none does not settle.
+    """
+    if time.size < 2:
+        return value.copy()
+    at = np.clip(time - seconds, time[0], time[-1])
+    slope = np.gradient(value, time)
+    slope[[0, -1]] = 0.0
+    i = np.clip(np.searchsorted(time, at, "right") - 1, 0, time.size - 2)
+    h = time[i + 1] - time[i]
+    s = (at - time[i]) / h
+    rise = value[i + 1] - value[i]
+    first, last = h * slope[i] - rise, rise - h * slope[i + 1]
+    return np.asarray(value[i] + s * rise + s * (1.0 - s) * ((1.0 - s) * first + s * last))
 
 
 def _lag(time: Array, value: Array, seconds: float) -> Array:

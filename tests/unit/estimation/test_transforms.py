@@ -1,4 +1,4 @@
-"""Play and lag of an input, all samples at once, against the same followed sample by sample."""
+"""Play and lag of an input, all samples at once, against the same followed sample by sample; delays against finer records."""
 
 import numpy as np
 import pytest
@@ -35,3 +35,33 @@ def test_a_lag_follows_ramps_exactly(count: int, seconds: float) -> None:
         begin, end = value[k] - seconds * slope, value[k + 1] - seconds * slope
         expected.append(end + left * (expected[-1] - begin))
     np.testing.assert_allclose(FUNCTIONS["lag"][0](time, value, seconds), expected, atol=1e-12)
+
+
+INTERVAL, FINER = 0.05, 100
+TIME = INTERVAL * np.arange(200)
+STEPS = 0.1 * np.repeat(np.random.default_rng(7).choice([-1.0, 0.0, 1.0], 20), 10)
+DELAY, LAG = FUNCTIONS["delay"][0], FUNCTIONS["lag"][0]
+
+
+@pytest.mark.parametrize("intervals", [-1.0, 0.0, 1.0])
+def test_a_delay_has_one_slope_on_both_sides_of_whole_intervals(intervals: float) -> None:
+    """A fit of a delay that is nearly none does not settle on a kink."""
+    at, little = intervals * INTERVAL, 1e-6
+    middle, later, earlier = (DELAY(TIME, STEPS, at + s) for s in (0.0, little, -little))
+    assert np.abs((later - middle) - (middle - earlier)).max() < 1e-3 * np.abs(later - middle).max()
+
+
+@pytest.mark.parametrize("intervals", [-0.5, 0.1, 0.5, 1.5])
+def test_what_follows_a_delayed_input_is_late_by_that(intervals: float) -> None:
+    """Behind two lags, against the record moved on a grid a hundred times as fine; straight lines are .0035 off half-way."""
+    fine = INTERVAL / FINER * np.arange(FINER * (TIME.size - 1) + 1)
+    moved = np.interp(fine - intervals * INTERVAL, TIME, STEPS)
+    expected = LAG(fine, LAG(fine, moved, 0.5), 0.3)[::FINER]
+    reached = LAG(TIME, LAG(TIME, DELAY(TIME, STEPS, intervals * INTERVAL), 0.5), 0.3)
+    assert np.sqrt(np.mean((reached - expected)[5:-5] ** 2)) < 0.002 * expected.std()
+
+
+@pytest.mark.parametrize("count", [1, 2, 40])
+def test_a_delay_of_nothing_is_the_record(count: int) -> None:
+    time, value = course(count)
+    np.testing.assert_allclose(DELAY(time, value, 0.0), value, rtol=1e-14)
