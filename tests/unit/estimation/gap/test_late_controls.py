@@ -39,21 +39,28 @@ def fitted(hidden: dict[str, float]) -> tuple[Baseline, dict[str, Hypothesis]]:
     return baseline, {h.effect.name: h for h in hypotheses_for(clean, effects, prepared.available)}
 
 
-def test_a_servo_eight_times_slower_than_usual_is_found_where_the_base_took_it_for_roll_damping() -> None:
-    baseline, asked = fitted({"aileron_lag": 8.0})
+def test_a_servo_far_slower_than_usual_is_found_where_the_base_took_it_for_roll_damping() -> None:
+    baseline, asked = fitted({"aileron_lag": 12.0})
     slow, late = asked["aileron_lag"], asked["rudder_delay"]
     assert abs(baseline.fit.values["Cl_p"]) < 0.2, "a third of what the aircraft has"
     _, near = fit_hypothesis(baseline.problem, baseline.fit, slow, {})
-    assert abs(near.values["aileron_lag"] - 0.48) > 0.3, "no step leads from there to the servo"
+    assert near.values["aileron_lag"] < 0.2, "no step leads from there to the servo"
     afar = begun_afar(baseline.problem, baseline.fit, slow)
     assert afar is not None
     _, found = fit_hypothesis(baseline.problem, baseline.fit, slow, {}, afar=afar)
-    assert found.values["aileron_lag"] == pytest.approx(0.48, abs=0.03)
-    assert found.values["Cl_p"] < -0.35
+    assert found.values["aileron_lag"] == pytest.approx(0.6, abs=0.03), "the slowest that is asked for, of .72"
+    assert found.values["Cl_p"] < -0.3
     assert found.cost < baseline.fit.cost - 100.0
     assert begun_afar(baseline.problem, baseline.fit, late) is None, (
         "a rudder so late is no way to follow these flights"
     )
+
+
+def test_a_servo_eight_times_slower_than_usual_is_found_from_the_base() -> None:
+    baseline, asked = fitted({"aileron_lag": 8.0})
+    _, found = fit_hypothesis(baseline.problem, baseline.fit, asked["aileron_lag"], {})
+    assert found.values["aileron_lag"] == pytest.approx(0.48, abs=0.03)
+    assert found.cost < baseline.fit.cost - 100.0
 
 
 def test_no_late_control_is_followed_where_none_is() -> None:
