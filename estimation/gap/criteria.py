@@ -126,7 +126,7 @@ class Criteria:
         "between nulls of stable bases (0.93 to 1.03) and of one whose spiral diverges (two in three above 1.2), "
         "2026-11-25")
     nulls_least: float = criterion(0.2, "nulls",
-        "with fewer of them left, those that ran away count too",
+        "with fewer of them left, those that ran away count too; with fewer finite, nothing is asked",
         "by hand: 40 of 200 still know a threshold to 5 %")
     one_sided: float = criterion(0.25, "usual sizes",
         "an effect that may go less far than this to the other side has one sign")
@@ -192,9 +192,6 @@ class Criteria:
     play_in_noise: float = criterion(2.25, "noise of the control",
         "a play no wider than that takes noise off a measured control, and says nothing of its linkage",
         "nothing hidden at 5 and 10 Hz was given plays of 1.5 to 2.2 of it; the smallest hidden ones are 2.5, 2026-11-25")
-    promising: float = criterion(2.0, "standard deviations",
-        "below it the best candidate is not compared again with sharper noise",
-        "by hand: thresholds from nulls are above 3")
     compared: int = criterion(6, "candidates", "best by evidence that are compared again with the noise of the best")
     set_weight: float = criterion(0.95, "weight",
         "the reported set is the smallest that holds it",

@@ -7,6 +7,8 @@ held-out check, one effect added; until nothing is significant. Then the earlier
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from estimation.errors import EstimationError
+from estimation.estimators.output_error import output_error
 from estimation.gap.answer.result import GapResult
 from estimation.gap.decision.conclusion import concluded
 from estimation.gap.decision.lineage import late_commands, turned_signs
@@ -29,7 +31,7 @@ from estimation.gap.records.doubts import doubts_of, refuse_twice, sample_notes,
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
-from estimation.gap.records.sampling import at_own_rates, with_lost_rows, without_unseen_moves
+from estimation.gap.records.sampling import at_own_rates, flown_apart, with_lost_rows, without_unseen_moves
 from estimation.gap.search.free_base import derivatives_off, many, moved_in_words, with_free_derivatives, wrong_numbers
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AS_USUAL, LOOK, Options, Setting
@@ -55,6 +57,9 @@ def run_gap(
     if not training:
         raise GapError("no training flight given; name at least one flight file before --holdout")
     refuse_twice(training, holdout)
+    training, holdout = (
+        [part for f in group for part in flown_apart(f, options.criteria)] for group in (training, holdout)
+    )
     flights = [*training, *holdout]
     full_model, (model, comparison_notes) = model, compared(model, flights)
     tell("preparing the flights", 0.0)
@@ -81,7 +86,11 @@ def run_gap(
 
     doubts, moved = doubts_of(flights, model), ""
     try:
-        setting, baseline = begun(model)
+        try:
+            setting, baseline = begun(model)
+        except GapError as error:
+            model = _estimated(model, training_flights, error)
+            setting, baseline = begun(model)
         if off := derivatives_off(setting, baseline):
             freed = begun(with_free_derivatives(model, off))
             wrong = wrong_numbers(off, model.starts(), freed[1])
@@ -130,6 +139,16 @@ def _setting(
         prepared, records=with_errors(prepared.records, clean, errors), notes=(*prepared.notes, *control_notes)
     )
     return Setting(base, clean, working, prepared, effects, following, unasked, errors, scatter, options, tell)
+
+
+def _estimated(model: Model, flights: Sequence[Flight], runs_away: GapError) -> Model:
+    """A base that runs away from its own starts, begun where maximum likelihood ends: with a state that nobody measured there is
+    no regression to begin with. Raises the error itself where these flights cannot be estimated either."""
+    try:
+        found = output_error(model, flights)
+    except EstimationError:
+        raise runs_away from None
+    return model.with_starts({n: found.fitted_model.starts()[n] for n in model.free_names})
 
 
 def _with_doubts(result: GapResult, doubts: Sequence[str]) -> GapResult:

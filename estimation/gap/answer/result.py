@@ -20,11 +20,18 @@ class GapVerdict(StrEnum):
 
 @dataclass(frozen=True)
 class Gap:
-    """rms over all outputs of residual over measurement noise, and how much of what lies above the floor is gone."""
+    """rms over all outputs of residual over measurement noise, and how much of what lies above the floor is gone. highest: up to
+    where flights with nothing hidden have it."""
 
     before: float
     after: float
     floor: float
+    highest: float = 0.0
+
+    @property
+    def showed(self) -> bool:
+        """Whether there was more than nothing hidden leaves: of less no share can be told."""
+        return self.before > self.highest
 
     @property
     def closed(self) -> float:

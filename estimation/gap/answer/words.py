@@ -29,6 +29,12 @@ def describe_step(step: EffectStep) -> str:
     if step.followed:
         shifts = " and ".join(f"{n} by {1e3 * v:.0f} ms" for n, v in step.followed.items())
         text += f" Without it the base moves {shifts} to follow; the gap before it is counted without that."
+    if step.holdout is not None and not step.holdout.showed:
+        before, highest = step.holdout.before, step.holdout.highest
+        text += (
+            f" The held-out flights did not show it in their gap ({before:.2f}, up to {highest:.2f} with nothing hidden): "
+            "what is closed there says nothing."
+        )
     if len(step.members) > 1:
         rivals = " or ".join(f"{m.effect} ({m.weight:.2f})" for m in step.members)
         text += f" These flights cannot tell {rivals} apart; to separate them: {step.separate_by}."

@@ -51,7 +51,7 @@ from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.shapes.search import ShapeSearch
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.kinematic_check import KinematicCheck
-from estimation.gap.significance.measure import Floors, repeatability, rms_over_noise
+from estimation.gap.significance.measure import Floors, odd_flights, repeatability, rms_over_noise
 from estimation.gap.significance.omnibus import Omnibus, examine
 
 BAND = 20  # nulls from which the band of the floor in pictures is taken
@@ -168,8 +168,10 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
     elif decision.verdict in EXPLAINED and (stale := find_held_instrument(state.model, prepared)):
         decision, unnamed = as_unknown(decision), held_step(stale, unchanged_gap)
     effect_steps = [with_final_estimates(s, f, final) for s, f in zip(state.named, state.kept, strict=False)]
-    steps = steps_in_words(decision, effect_steps, rest, check, state.gap, state.floor, unnamed, shapes.follower)
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
+    odd = odd_flights(repeats)
+    late = shapes.follower if len(odd) < max(len(repeats), 1) else None  # what each has otherwise swings for no flight
+    steps = steps_in_words(decision, effect_steps, rest, check, state.gap, state.floor, unnamed, late)
     stages = views(first.baseline, final, prepared, final is not first.baseline)
     before_model, after_model = models(setting.base, first.baseline, state.kept, shapes.shape)
     hypotheses = {h.effect.name for h in first.screen.hypotheses}
@@ -183,7 +185,7 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
             state.cannot,
             tuple(e for e in setting.effects if e.tied_to and e.name in hypotheses),
             bool(prepared.holdout),
-            [r.flight for r in repeats if r.odd],
+            odd,
             [n for n in prepared.stale if n not in held_channels],
             setting.following,
             remainder,

@@ -242,7 +242,7 @@ def regime(signals: Mapping[str, Array], gain: Array, criteria: Criteria) -> str
 
 def signals_of(child: Baseline) -> dict[str, Array]:
     problem = child.problem
-    outputs = [np.nan_to_num(c.z - np.nan_to_num(r)) for c, r in zip(problem.coarse, child.fit.residuals, strict=True)]
+    outputs = [problem.fitted_outputs(i, child.fit) for i in range(len(problem.records))]
     signals = {n: np.concatenate([s[:, i] for s in outputs]) for i, n in enumerate(problem.model.output_names)}
     for i, s in enumerate(problem.model.inputs):
         if s.control or s.name in ("alpha", "V", "thrust"):

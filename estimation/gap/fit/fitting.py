@@ -210,4 +210,5 @@ def fit(
         view.hessian,
         converged,
         diverged,
+        abandoned=outcome.status is Status.LIMIT and outcome.iterations < iterations,
     )

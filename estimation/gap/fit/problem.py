@@ -99,7 +99,7 @@ class ModelFit:
 
     values: shared parameters, held ones included. locals: per record. residuals: per record (N, ny), measured minus
     model, NaN where not measured. cost: half the whitened sum of squares with priors. hessian: (n, n) of the shared
-    free parameters, everything local eliminated. converged, diverged: how it ended.
+    free parameters, everything local eliminated. converged, diverged: how it ended; abandoned: its steps promised too little.
     """
 
     model: Model
@@ -111,6 +111,7 @@ class ModelFit:
     hessian: Array
     converged: bool
     diverged: bool
+    abandoned: bool = False
 
     def std(self) -> dict[str, float]:
         """Cramer-Rao bounds of the shared parameters under the whitened likelihood."""
@@ -200,6 +201,11 @@ class LikelihoodProblem:
         shared = {**values, **local.parameters}
         motion = self.simulator.run_by_middles(self.driven(grid, values), shared, local.x0)
         return motion.y if motion.finite else None
+
+    def fitted_outputs(self, index: int, found: ModelFit) -> Array:
+        """(N, ny) outputs of a fitted model on one record, also where nothing was measured; zero where its motion runs away."""
+        modelled = self.modelled(index, found.values, found.locals[index])
+        return np.zeros_like(self.coarse[index].z) if modelled is None else modelled
 
     def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
         """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""

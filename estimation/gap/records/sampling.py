@@ -44,6 +44,24 @@ HOLE = 3.5  # usual intervals without a value, as an import takes for a gap
 LONGEST = 0.6  # s: what is known still more rarely is no history of a control
 
 
+def flown_apart(flight: Flight, criteria: Criteria) -> list[Flight]:
+    """The parts of a recording between which more time lies than one record may last, as flights of their own.
+
+    Minutes later an aircraft has another speed, height and mass: whether it repeats itself has to be asked of each part, as of
+    files that somebody cut.
+    """
+    parts: list[slice] = []
+    for segment in flight.segments:
+        near = bool(parts) and flight.time[segment.start] - flight.time[parts[-1].stop - 1] <= criteria.longest_record
+        if parts and (near or segment.stop - segment.start < KNOTS):
+            parts[-1] = slice(parts[-1].start, segment.stop)
+        else:
+            parts.append(segment)
+    if len(parts) < 2:
+        return [flight]
+    return [flight.part(part, f"{flight.name} from {flight.time[part.start]:.0f} s") for part in parts]
+
+
 def with_lost_rows(flight: Flight) -> Flight:
     """The flight with a row of NaN for each of a few in a row that are lost, and a note; itself where its rows are on no grid."""
     step = clock_step(flight)

@@ -109,7 +109,7 @@ def _lost(hypothesis: Hypothesis, problem: LikelihoodProblem, base_fit: ModelFit
 
 
 def _carried_on(trial: LikelihoodProblem, begun: ModelFit, beyond: float) -> ModelFit:
-    if begun.converged or begun.diverged:
+    if begun.converged or begun.diverged or begun.abandoned:
         return begun
     return fit(trial, begun.values, begun.locals, iterations=STEPS - FIRST_STEPS, enough=ENOUGH, beyond=beyond)
 

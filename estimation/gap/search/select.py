@@ -19,6 +19,7 @@ from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import linear_guess
 
 OUT_OF_REACH = 30.0  # of the log evidence: a rival so far behind the best so far that no check of it brings back
+HOPELESS = 0.5  # of the gain that a name needs: a fit whose steps promise less is left where it is
 AGAIN = 8  # steps from where the first fit ended, with another whitening
 
 
@@ -59,7 +60,7 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
     inflation, individual = shared_inflation(round_), individual_inflation(round_)
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
     judged: list[FittedHypothesis] = []
-    cost_limit = np.inf
+    cost_limit = within_reach(base_fit.cost, round_.threshold**2)
     afar = {h: begun_afar(problem, base_fit, hypothesis) for h, hypothesis in enumerate(screen.hypotheses)}
     further = [h for h, begun in afar.items() if begun is not None]
     for h in leading(screen, promise(round_), criteria, further):
@@ -75,7 +76,7 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
             cost_limit = min(cost_limit, model_fit.cost + OUT_OF_REACH * max(inflation.values()))
     admissible = sorted((c for c in judged if not c.why_not), key=lambda c: -c.evidence)
     rejected = [Rejected(c.hypothesis.label, c.why_not) for c in judged if c.why_not]
-    close = worth_comparing(admissible, criteria)
+    close = worth_comparing(admissible, round_.threshold, criteria)
     ranked = _compared_again(round_, prepared, close, inflation) if close else tuple(admissible)
     return Choice(held_first(ranked, criteria), _weights(ranked), tuple(rejected))
 
@@ -89,9 +90,16 @@ def held_first(ranked: Sequence[FittedHypothesis], criteria: Criteria) -> tuple[
     return (held[0], *(c for c in ranked if c is not held[0]))
 
 
-def worth_comparing(sound: Sequence[FittedHypothesis], criteria: Criteria) -> Sequence[FittedHypothesis]:
-    """The candidates, best evidence first, that are compared again with sharper noise; none where the best is nothing yet."""
-    return sound[: criteria.compared] if sound and sound[0].score >= criteria.promising else ()
+def within_reach(cost: float, gain: float) -> float:
+    """The cost that a fit must be able to reach to matter where a name needs such a gain (twice a log-likelihood) over `cost`."""
+    return cost - 0.5 * HOPELESS * gain
+
+
+def worth_comparing(
+    sound: Sequence[FittedHypothesis], threshold: float, criteria: Criteria
+) -> Sequence[FittedHypothesis]:
+    """The candidates, best evidence first, that are compared again with sharper noise; none where none is significant."""
+    return sound[: criteria.compared] if any(c.score >= threshold for c in sound) else ()
 
 
 def promise(round_: Round) -> Array:

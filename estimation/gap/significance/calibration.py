@@ -68,10 +68,11 @@ def screen_round(
     problem = baseline.problem
     flyer = NullFlyer.build(problem, baseline.fit, baseline.noise, errors)
     null_residuals = fly_nulls(flyer, nulls, seed, tell)
-    if len(null_residuals) < nulls:
+    if len(null_residuals) < baseline.criteria.nulls_least * nulls:
         raise GapError(
             f"only {len(null_residuals)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
         )
+    nulls = len(null_residuals)  # flights are none of those that ran away, and what is left knows a threshold
     hypotheses = hypotheses_for(baseline.clean, effects, prepared.available)
     tangent = Tangent(problem, baseline.fit, tuple(null_residuals))
     screen = build_screen(tangent, hypotheses)

@@ -21,6 +21,8 @@ from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
 from estimation.gap.significance.tangent import Tangent
 
+PAIR = 2  # flights, of which nobody can tell the odd one
+
 
 def rms_over_noise(problem: LikelihoodProblem, found: ModelFit, scatter: Array) -> float:
     """Gap of a fitted model: rms over records, samples and outputs of residual / noise.
@@ -120,7 +122,7 @@ def gaps(before: Baseline, after: Baseline, floor: Floors) -> tuple[Gap, Gap | N
     )
     if held is None or floor.holdout_median is None:
         return training, None
-    return training, Gap(*held, floor.holdout_median)
+    return training, Gap(*held, floor.holdout_median, floor.highest)
 
 
 def held_out_gaps(before: Baseline, after: Baseline) -> tuple[float, float] | None:
@@ -222,6 +224,12 @@ def repeatability(round_: Round, names: Sequence[str]) -> tuple[Repeatability, .
     medians, limit = usual_and_limit(table[:, 1:], round_.criteria)
     rows = zip(flights, table[:, 0], medians, limit, strict=True)
     return tuple(Repeatability(names[f], float(chi), float(u), float(upper)) for f, chi, u, upper in rows)
+
+
+def odd_flights(repeats: Sequence[Repeatability]) -> list[str]:
+    """The flights that do not repeat the others. Of two both: which of them is the odd one nobody can tell."""
+    odd = [r.flight for r in repeats if r.odd]
+    return [r.flight for r in repeats] if odd and len(repeats) == PAIR else odd
 
 
 def usual_and_limit(nulls: Array, criteria: Criteria) -> tuple[Array, Array]:

@@ -40,9 +40,7 @@ class OmnibusSignal:
 
 def regressors_of(problem: LikelihoodProblem, found: ModelFit, index: int) -> dict[tuple[str, str], Array]:
     """(signal, shape) -> (N,) functions of the fitted motion and the controls."""
-    residual = found.residuals[index]
-    coarse = problem.coarse[index]
-    outputs = np.nan_to_num(coarse.z - np.nan_to_num(residual))
+    coarse, outputs = problem.coarse[index], problem.fitted_outputs(index, found)
     signals = {n: outputs[:, i] for i, n in enumerate(problem.model.output_names)}
     signals |= {s.name: coarse.u[:, i] for i, s in enumerate(problem.model.inputs) if s.control}
     regressors = {}

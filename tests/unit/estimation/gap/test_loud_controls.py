@@ -1,14 +1,22 @@
-"""Controls whose noise the gyros show: prepared as in models that pitch, and no nameless term."""
+"""Controls whose noise the gyros show: prepared as where they pitch, and no nameless term; and what such terms are made of."""
 
 import numpy as np
 import pytest
 
 from estimation.gap.criteria import AS_SET
+from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import fit_baseline
 from estimation.gap.records.flight_records import prepare_flights
+from estimation.gap.significance import calibration
 from estimation.gap.significance.calibration import Round, name_threshold, screen_round
 from estimation.gap.significance.measured_again import MeasuredAgain
-from estimation.gap.significance.nameless_terms import OmnibusSignal, beyond_control_noise, nameless_terms, own_shares
+from estimation.gap.significance.nameless_terms import (
+    OmnibusSignal,
+    beyond_control_noise,
+    nameless_terms,
+    own_shares,
+    regressors_of,
+)
 from estimation.gap.workflow import Options, _setting
 from groundstation.flight import Flight
 from tests.unit.estimation.gap.roll import ROLL
@@ -51,8 +59,12 @@ def test_an_aileron_whose_noise_a_quiet_gyro_shows_keeps_what_follows_the_motion
             np.testing.assert_array_equal(record.inputs["delta_a"][raw], measured[raw])
 
 
-def screened(bend: float, control: float) -> Round:
+def screened(bend: float, control: float, every: int = 1) -> Round:
+    """Three flights as a screen has them, of which the gyro is known in `every` sample."""
     flights = [rolling(seed, 0.04 * DEG, control, bend) for seed in (41, 42, 43)]
+    known = [np.arange(len(f.time)) % every == 0 for f in flights]
+    pairs = zip(flights, known, strict=True)
+    flights = [f.with_columns(p=np.where(k, f.columns["p"], np.nan)) for f, k in pairs]
     options = Options(seed=1, nulls=40)
     prepared = prepare_flights(ROLL, (), flights, (), options.criteria)
     setting = _setting(prepared, (), {}, {}, options, lambda what, share: None)
@@ -86,3 +98,21 @@ def test_what_the_noise_of_a_control_makes_is_no_nameless_term() -> None:
 def test_a_mean_of_the_other_sign_takes_nothing_and_a_larger_one_all() -> None:
     shares = own_shares(np.array([6.0, -6.0, 6.0, 2.0]), np.array([1.5, -1.5, -1.5, 3.0]))
     np.testing.assert_allclose(shares, [0.75, 0.75, 1.0, 0.0])
+
+
+def test_a_term_of_an_output_that_is_logged_more_rarely_is_made_of_its_motion() -> None:
+    """Nothing where nobody measured made its rate a comb, and energy between the samples a scatter that grows with it."""
+    often, rarely = screened(0.0, 0.07 * DEG).baseline, screened(0.0, 0.07 * DEG, every=2).baseline
+    for shape in ("linear", "rate"):
+        every, half = (regressors_of(b.problem, b.fit, 0)[("p", shape)] for b in (often, rarely))
+        assert np.std(every - half) < 0.05 * np.std(every)
+
+
+def test_nulls_that_run_away_leave_a_threshold_by_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cubic pitching moment of usual size was found, and forgotten since 17 of 40 nulls with it ran away."""
+    fly = calibration.fly_nulls
+    monkeypatch.setattr(calibration, "fly_nulls", lambda *given: fly(*given)[:8])
+    assert len(screened(0.0, 0.07 * DEG).null_residuals) == 8
+    monkeypatch.setattr(calibration, "fly_nulls", lambda *given: fly(*given)[:7])
+    with pytest.raises(GapError, match="only 7 of 40"):
+        screened(0.0, 0.07 * DEG)

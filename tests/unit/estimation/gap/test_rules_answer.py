@@ -23,6 +23,7 @@ from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search.accept import confirmed
 from estimation.gap.search.state import AcceptedEffect, Options, SearchState
+from estimation.gap.significance.measure import Repeatability, odd_flights
 from estimation.gap.significance.nameless_terms import OmnibusSignal
 from estimation.gap.significance.omnibus import Omnibus
 from estimation.models.load import load_model
@@ -116,6 +117,15 @@ def test_the_form_of_an_effect_is_told_where_it_is_one_of_several() -> None:
     )
     assert describe_step(drag).startswith("drag of sideslip (CD_beta2: CD_abs_beta")
     assert describe_step(replace(drag, form="CD_abs_beta")).startswith("drag of sideslip (CD_beta2: CD_abs_beta")
+
+
+def test_a_held_out_gap_that_was_never_above_its_floor_is_told_to_say_nothing() -> None:
+    """A right `Cm_de3` closed "0 %" of a held-out gap of 1.258 over a floor of 1.254."""
+    unseen = Gap(1.258, 1.258, 1.254, highest=1.31)
+    assert "did not show it in their gap (1.26, up to 1.31 with nothing hidden)" in describe_step(
+        replace(step("Cm_de3"), holdout=unseen)
+    )
+    assert "did not show it" not in describe_step(replace(step("Cm_de3"), holdout=Gap(1.4, 1.26, 1.254, highest=1.31)))
 
 
 def search(*names: str) -> Any:
@@ -323,3 +333,11 @@ def test_flights_of_which_none_repeats_the_others_are_told_before_anything(
     text = conclude(GapVerdict.NO_GAP, (), {}, (), (), True, odd, flights=3)
     assert text.startswith(begins)
     assert ends in text
+
+
+def test_of_two_flights_that_do_not_repeat_each_other_neither_is_the_odd_one() -> None:
+    """A damper on in one of two Dutch rolls: the other was told to be looked at."""
+    a, b, c = (Repeatability(n, chi, 10.0, 20.0) for n, chi in (("a", 15.0), ("b", 30.0), ("c", 12.0)))
+    assert odd_flights((a, b)) == ["a", "b"]
+    assert odd_flights((a, b, c)) == ["b"]
+    assert odd_flights((a, c)) == []

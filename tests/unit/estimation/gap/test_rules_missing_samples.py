@@ -15,7 +15,7 @@ from estimation.gap.fit.spectra import NoisePart, NoiseSource, Shapes, as_seen, 
 from estimation.gap.fit.whitener import spectrum_of
 from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.flight_records import prepare_flights
-from estimation.gap.records.sampling import command_times
+from estimation.gap.records.sampling import command_times, flown_apart
 from estimation.models.load import load_model
 from groundstation.flight import Flight, Provenance
 from tests.studies import second_truth as truth
@@ -163,3 +163,19 @@ def test_records_know_when_a_command_may_have_moved() -> None:
     assert wrong["b"][edges].max() > 0.01
     assert wrong["b"][edges].max() > 5.0 * wrong["a"][edges].max()
     assert wrong["b"][record.time < 3.5].max() < 0.002
+
+
+def test_what_was_flown_minutes_apart_is_asked_to_repeat_itself() -> None:
+    """Five stretches of one recording, at Mach 0.45 to 0.91 with minutes between, were taken for one flight that swings."""
+    begins, each = (
+        (0.0, 65.0, 500.0, 900.0, 1000.0),
+        0.05 * np.arange(1200),
+    )  # pauses of 5 s, 6 min, 6 min and, to a scrap, 40 s
+    time = np.concatenate([b + (each if b < 1000.0 else each[:15]) for b in begins])
+    flight = Flight.build("f", time, {"p": np.sin(time)})
+    parts = flown_apart(flight, AS_SET)
+    assert [(p.name, len(p.time), len(p.segments)) for p in parts] == [
+        ("f from 0 s", 2400, 2), ("f from 500 s", 1200, 1), ("f from 900 s", 1215, 2),
+    ]  # fmt: skip
+    near = flight.part(time < 500.0)
+    assert flown_apart(near, AS_SET) == [near]

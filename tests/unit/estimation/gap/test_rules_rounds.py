@@ -258,18 +258,21 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     monkeypatch.setattr(
         searching, "individual_inflation", lambda round_: scatter["last" if round_.threshold == 4.5 else "old"]
     )
-    monkeypatch.setattr(searching, "fit_hypothesis", lambda problem, fit, h, guess: (None, h))
+    monkeypatch.setattr(
+        searching, "fit_hypothesis", lambda problem, fit, h, guess, beyond: given.update(beyond=beyond) or (None, h)
+    )
     monkeypatch.setattr(searching, "assess", lambda problem, fit, h, found, inflation: (h.label, inflation))
     monkeypatch.setattr(searching, "material", lambda found, interval, noise, criteria: (*found, interval, noise))
     monkeypatch.setattr(searching, "better_rivals", better)
     monkeypatch.setattr(searching, "confirmed", confirmed)
     record = stub(inputs=("delta_a",), input_noise={"delta_a": 0.002}, time=np.array([0.0, 0.05, 0.1]))
-    without = stub(problem=stub(records=[record]), criteria=AS_SET, clean=None, fit=None)
+    without = stub(problem=stub(records=[record]), criteria=AS_SET, clean=None, fit=stub(cost=1000.0))
     old = stub(candidate=rival("own", 200.0, 4.0), round_=round_of(9.0))
     found = searching._rival(stub(effects=(), prepared=stub(available=())), without, old, round_of(4.5), 100.0)
     assert found is not None
     assert (found[0].hypothesis.label, found[1]) == ("other", "child")
     assert given.pop("gain") == pytest.approx(25.0)
+    assert given.pop("beyond") == pytest.approx(1000.0 - 0.25 * (25.0 + AS_SET.exchange)), "what a rival has to gain"
     assert given == {
         "found": [(n, v, 0.05, {"delta_a": 0.002}) for n, v in (("new", 1.0), ("loud", 100.0), ("other", 1.0))],
         "threshold": 4.5,

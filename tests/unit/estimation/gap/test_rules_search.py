@@ -20,6 +20,7 @@ from estimation.gap.search.select import (
     material,
     promise,
     shared_inflation,
+    within_reach,
     worth_comparing,
 )
 from estimation.gap.significance.measured_again import own_share
@@ -187,11 +188,15 @@ def test_a_play_no_wider_than_the_noise_of_its_control_takes_that_off(width: flo
     assert not material(late, 0.05, {"delta_a": 1.0}, AS_SET).why_not
 
 
-def test_the_six_best_are_compared_again_where_the_best_is_promising() -> None:
+def test_the_six_best_are_compared_again_where_one_is_significant() -> None:
     many = [candidate(f"x{i}", score=2.2) for i in range(9)]
-    assert list(worth_comparing(many, AS_SET)) == many[:6]
-    assert not worth_comparing([candidate(score=1.8), *many], AS_SET)
-    assert not worth_comparing([], AS_SET)
+    assert list(worth_comparing([*many, candidate(score=4.1)], 4.0, AS_SET)) == many[:6]
+    assert not worth_comparing([*many, candidate(score=3.9)], 4.0, AS_SET)
+    assert not worth_comparing([], 4.0, AS_SET)
+
+
+def test_a_fit_that_could_at_best_gain_half_of_what_a_name_needs_is_given_up() -> None:
+    assert within_reach(100.0, gain=16.0) == 100.0 - 0.5 * (16.0 / 2.0)
 
 
 @pytest.mark.parametrize(("gain", "names"), [(93.0, "bac"), (91.0, "abc")])
@@ -266,7 +271,13 @@ def test_an_end_at_nothing_is_not_believed_while_another_start_goes_on(
     def fitted(which: str, turn: int) -> Any:
         cost, play = ends[which][turn]
         return stub(
-            cost=cost, values={"play": play, "which": which}, locals=[], converged=turn == 1, diverged=False, model=None
+            cost=cost,
+            values={"play": play, "which": which},
+            locals=[],
+            converged=turn == 1,
+            diverged=False,
+            abandoned=False,
+            model=None,
         )
 
     parameter = EffectParameter("play", "rad", 1.0, 0.0, 3.0)
@@ -292,7 +303,9 @@ def test_a_fit_that_ends_above_the_base_it_holds_begins_nearer_to_no_effect(
     def begun(problem: Any, base: Any, hypothesis: Any, start: Any, beyond: float) -> Any:
         cost, play = (3.0, 1.0) if start["play"] < 0.2 else end
         values = {"play": play}
-        return problem, stub(cost=cost, values=values, locals=[], converged=True, diverged=False, model=None)
+        return problem, stub(
+            cost=cost, values=values, locals=[], converged=True, diverged=False, abandoned=False, model=None
+        )
 
     monkeypatch.setattr(confirm, "_begun", begun)
     hypothesis = stub(form=stub(parameters=(EffectParameter("play", "rad", 1.0, 0.0, 3.0),), nonlinear=True))

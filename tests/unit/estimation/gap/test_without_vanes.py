@@ -10,9 +10,10 @@ import pytest
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
+from estimation.gap.errors import GapError
 from estimation.gap.records.candidate_model import stamped_attitudes, with_nuisance
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
-from estimation.gap.workflow import Options, run_gap
+from estimation.gap.workflow import Options, _estimated, run_gap
 from estimation.models.base import ParameterRole
 from estimation.models.load import load_model
 from groundstation.flight import RECONSTRUCTED, Flight, Provenance, read_flight
@@ -98,6 +99,20 @@ def test_an_attitude_with_times_of_its_own_may_be_late_by_a_share_of_its_own_int
     assert with_nuisance(LATERAL, {}, 0.02, AS_SET, (), {"phi": 0.005}).parameter(
         "timing_phi"
     ).prior_std == pytest.approx(AS_SET.timing_share * 0.02)
+
+
+def test_a_base_without_beliefs_and_without_a_vane_is_begun_where_maximum_likelihood_ends() -> None:
+    """A business jet without vanes: no regression, and from derivatives of nothing the fit crept nowhere and was refused."""
+    (flight, *_) = flights(truth.fly(requests({}, 61001, 0.15, "rich")))
+    blind = replace(flight, columns={c: v for c, v in flight.columns.items() if c != "beta"})
+    unknown, _ = compared(LATERAL.with_starts(dict.fromkeys(LATERAL.free_names, 0.0)), [blind])
+    lost = GapError("runs away")
+    begun = _estimated(unknown, [blind], lost).starts()
+    assert begun["Cl_p"] < -0.3
+    assert begun["Cn_beta"] == pytest.approx(truth.TRUE_DERIVATIVES["Cn_beta"], rel=0.5)
+    with pytest.raises(GapError) as refused:
+        _estimated(unknown, [blind.part(slice(0, 3))], lost)
+    assert refused.value is lost
 
 
 # What bends with sideslip or moves like a rest of it; all 45 are asked by the study of logs without vanes.
