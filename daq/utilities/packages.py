@@ -10,12 +10,13 @@ from typing import Any
 from daq.utilities.errors import UserError
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
-    "estimation": ("casadi", "jinja2", "markupsafe", "matplotlib", "pyarrow", "rich", "scipy", "threadpoolctl", "tomli_w"),
+    "estimation": ("casadi", "jinja2", "markupsafe", "matplotlib", "rich", "scipy", "threadpoolctl", "tomli_w"),
     "ground": ("foxglove_schemas_protobuf", "h5py", "mcap_protobuf", "mcap_ros2", "pymavlink", "pyulog", "rerun", "rerun_cli"),
     "ngn": ("torch",),
     "campaign": ("aiohttp", "dask", "distributed", "fsspec"),
     "jsbsim": ("jsbsim",),
     "notebook": ("pandas", "xarray"),
+    "parquet": ("pyarrow",),
 }  # fmt: skip
 """Extra -> modules, for the smallest extra that brings them. pyproject.toml declares them by the names of their packages."""
 

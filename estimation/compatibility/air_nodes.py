@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from daq.utilities.constants import GRAVITY
@@ -191,6 +190,8 @@ def _attitude(flight: Flight, rows: slice) -> tuple[Array, Array, Array]:
 
 def _joined(time: Array, angle: Array, rate: Array) -> Array:
     """A measured angle with its noise taken out by the rate that is measured beside it."""
+    from scipy.signal import savgol_filter
+
     fast = _integral(time, rate[:, None])[:, 0]
     samples = 2 * max(1, round(0.5 * SMOOTH_S / float(np.median(np.diff(time))))) + 1
     window = min(samples, len(time) - 1 + len(time) % 2)

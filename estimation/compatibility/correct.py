@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from estimation.compatibility.reconstruction import Compatibility
 from estimation.compatibility.records import with_rate_derivatives
@@ -75,6 +74,8 @@ def _move(flight: Flight, columns: dict[str, np.ndarray], arm: np.ndarray) -> No
 
 def _smooth_rates(flight: Flight, columns: dict[str, np.ndarray]) -> np.ndarray:
     """(N, 3) p, q, r [rad/s] by local parabolas through 5 samples."""
+    from scipy.signal import savgol_filter
+
     smooth = {}
     for rate in "pqr":
         smooth[rate] = columns[rate].copy()

@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from daq.contract.channels import COLUMN_BY_NAME
 from estimation.compatibility.kalman import FilterRecord
@@ -251,6 +250,8 @@ def with_rate_derivatives(flight: Flight, columns_wanted: Sequence[str]) -> Flig
     columns = {}
     for rate in "pqr":
         if f"{rate}_dot" in columns_wanted and not flight.measured(f"{rate}_dot") and flight.measured(rate):
+            from scipy.signal import savgol_filter  # with scipy.stats half a second to import
+
             derivative = np.full(len(flight), np.nan)
             for part in flight.segments:
                 if part.stop - part.start >= SHORTEST:

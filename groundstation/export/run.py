@@ -12,6 +12,7 @@ import numpy as np
 from daq.contract.channels import CHANNEL_BY_NAME
 from daq.utilities.durable import whole, whole_file, whole_text
 from daq.utilities.errors import UserError
+from daq.utilities.packages import optional
 from groundstation.calibration.recording import open_flight
 from groundstation.flight.tables import ColumnTable, TableColumn, flight_table
 
@@ -87,10 +88,9 @@ def save_table(table: ColumnTable, target: Path, units_row: bool) -> tuple[str, 
         case ".csv":
             write_csv(table, target, units_row=units_row)
         case ".parquet":
-            import pyarrow.parquet as pq
-
             from groundstation.flight.tables import arrow_table
 
+            pq = optional("pyarrow.parquet", "writing Parquet")
             with whole_file(target) as new:
                 pq.write_table(arrow_table(table), new)
         case _:

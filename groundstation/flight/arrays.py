@@ -65,9 +65,13 @@ def windows(time: Array, *signals: Array) -> Iterator[tuple[Array, ...]]:
 def slope_and_agreement(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, float]:
     """Slope of y against x, and the share of y it explains, with a straight line in time removed from each window."""
     xy = xx = yy = 0.0
+    trends: dict[int, tuple[Array, float]] = {}  # of as many samples
     for x, y in pairs:
-        trend = np.linspace(-1.0, 1.0, x.size)
-        x, y = (v - v.mean() - trend * float(trend @ v) / float(trend @ trend) for v in (x, y))
+        if x.size not in trends:
+            line = np.linspace(-1.0, 1.0, x.size)
+            trends[x.size] = line, float(line @ line)
+        trend, power = trends[x.size]
+        x, y = (v - v.sum() / v.size - trend * float(trend @ v) / power for v in (x, y))
         xy, xx, yy = xy + float(x @ y), xx + float(x @ x), yy + float(y @ y)
     if xx <= 0 or yy <= 0:
         return 0.0, 0.0

@@ -86,8 +86,7 @@ def flight_table(flight: FlightView) -> ColumnTable:
 
 def arrow_table(table: ColumnTable) -> "pa.Table":
     """An Arrow table: `unit` and `meaning` in each field's metadata; NaN is null."""
-    import pyarrow as pa
-
+    pa = optional("pyarrow", "a flight as an Arrow table")
     fields, arrays = [], []
     for column in table.columns:
         kind = pa.int64() if column.whole else pa.float64()

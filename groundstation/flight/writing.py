@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.utilities.durable import whole, write_bytes
+from daq.utilities.packages import optional
 from groundstation.flight.errors import FlightError
 from groundstation.flight.findings import to_meta
 from groundstation.flight.tables import FlightView
@@ -56,9 +57,7 @@ def _write_csv(flight: FlightView, path: Path) -> None:
 
 
 def _write_parquet(flight: FlightView, path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+    pa, pq = optional("pyarrow", "writing Parquet"), optional("pyarrow.parquet", "writing Parquet")
     table = pa.table({"time": flight.time, **dict(flight.columns), "segment": flight.segment})
     with path.open("wb") as file:
         pq.write_table(table.replace_schema_metadata({METADATA_NAME: json.dumps(_provenance_to(flight))}), file)

@@ -88,13 +88,13 @@ def _rows_in_bulk(rows: Sequence[bytes], column: Mapping[int, int], values: NDAr
     A row of doubles alone is a key and eight bytes for each: rows as long as one of them, with its keys at the same places, are
     laid out as it is.
     """
-    by_length: dict[int, list[int]] = {}
-    for i, data in enumerate(rows):
-        by_length.setdefault(len(data), []).append(i)
+    lengths = np.fromiter(map(len, rows), np.int64, len(rows))
+    order = np.argsort(lengths, kind="stable")
     rest: list[int] = []
-    by_length.pop(0, None)  # rows that set nothing
-    for length, numbers in by_length.items():
-        remaining = np.array(numbers)
+    for remaining in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1):
+        length = int(lengths[remaining[0]]) if remaining.size else 0
+        if not length:  # rows that set nothing
+            continue
         for _ in range(_MOST_LAYOUTS):
             layout = _layout(rows[remaining[0]], column)
             if layout is None:

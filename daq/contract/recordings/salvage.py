@@ -52,6 +52,8 @@ MAX_PARTS = 1000
 """Recordings in one file that are told apart; a session has a segment each minute or so, a card some hundred files."""
 _PROVEN = (CHUNK, ATTACHMENT, MESSAGE, METADATA)
 _BATCH = 1 << 20  # damaged bytes searched at once: a search has a cost of its own, a file may have many short stretches
+_RECORD = struct.Struct("<BQ")  # code and length of a record
+_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log and publish time
 _HEAD_SPAN = 64  # a record's head and what of its fields tells that a record may begin there
 _APART = bytes(8)  # between two stretches searched together
 _NAMES = {CHUNK: "chunk", METADATA: "metadata", ATTACHMENT: "attachment", DATA_END: "end of data"}
@@ -151,7 +153,7 @@ class Walk:
         """What stands at a byte, and where to go on."""
         try:
             record = self._record(at)
-            items = list(self._items(record))
+            items = self._chunk(record) if record.opcode == CHUNK else list(self._items(record))
         except Bad as error:
             return self._recover(at, error)
         self._unproven = None if record.opcode in _PROVEN else record
@@ -177,7 +179,7 @@ class Walk:
         if at + RECORD_HEAD > len(self._raw):
             raise Bad("cut off")
         self._effort.record()
-        opcode, length = struct.unpack_from("<BQ", self._raw, at)
+        opcode, length = _RECORD.unpack_from(self._raw, at)
         if not HEADER <= opcode <= DATA_END:
             raise Bad(f"no record has the code {opcode}")
         if at + RECORD_HEAD + length > len(self._raw):
@@ -185,9 +187,6 @@ class Walk:
         return McapRecord(at, opcode, self._data[at + RECORD_HEAD : at + RECORD_HEAD + length])
 
     def _items(self, record: McapRecord) -> Iterator[Item]:
-        if record.opcode == CHUNK:
-            yield from self._chunk(record)
-            return
         self._effort.check(len(record.body))
         if record.opcode == MESSAGE:
             yield self._message(record.body)
@@ -208,23 +207,27 @@ class Walk:
                 if not self._part.damaged:
                     yield self._damage(record.at, 0, "the end of the data is not marked")
 
-    def _chunk(self, record: McapRecord) -> Iterator[RecordedMessage]:
+    def _chunk(self, record: McapRecord) -> list[Item]:
+        """Its messages. A long flight has hundreds of thousands: hence one loop without generators."""
         content = memoryview(self._expanded(record))
+        head, count, message = _RECORD.unpack_from, self._effort.record, self._message
+        messages: list[Item] = []
         offset, size = 0, len(content)
         while offset < size:
-            if offset + RECORD_HEAD > size:
+            body_at = offset + RECORD_HEAD
+            if body_at > size:
                 raise Bad("its content breaks off")
-            self._effort.record()
-            opcode, length = struct.unpack_from("<BQ", content, offset)
-            end = offset + RECORD_HEAD + length
+            count()
+            opcode, length = head(content, offset)
+            end = body_at + length
             if end > size:
                 raise Bad("its content breaks off")
-            body = content[offset + RECORD_HEAD : end]
             if opcode == MESSAGE:
-                yield self._message(body)
+                messages.append(message(content[body_at:end]))
             elif opcode in (SCHEMA, CHANNEL):
-                self._declare(McapRecord(offset, opcode, body))
+                self._declare(McapRecord(offset, opcode, content[body_at:end]))
             offset = end
+        return messages
 
     def _expanded(self, record: McapRecord) -> bytes | memoryview:
         if self._content[0] != record.at:
@@ -232,10 +235,10 @@ class Walk:
         return self._content[1]
 
     def _message(self, body: memoryview) -> RecordedMessage:
-        if len(body) < 22:
+        if len(body) < _MESSAGE_HEAD.size:
             raise Bad("shorter than a message can be")
-        channel, sequence, log_time, publish_time = struct.unpack_from("<HIQQ", body)
-        data = bytes(body[22:])
+        channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(body)
+        data = body[_MESSAGE_HEAD.size :].tobytes()
         topic = self._part.topics.get(channel)
         if topic is None or topic in SCHEMA_OF_TOPIC:
             possible = [topic] if topic else SCHEMA_OF_TOPIC

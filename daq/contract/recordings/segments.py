@@ -153,12 +153,13 @@ class _OpenPart:
     def take(self, item: Item) -> None:
         match item:
             case RecordedMessage():
-                if item.topic in SCHEMA_OF_TOPIC:
+                topic = item.topic
+                if topic in SCHEMA_OF_TOPIC:
                     self.entries.append(on_monotonic_clock(item))
-                else:
-                    self.foreign[item.topic] = self.foreign.get(item.topic, 0) + 1
-                    if item.topic in _KEPT:
-                        self.kept.setdefault(item.topic, []).append(item.data)
+                    return
+                self.foreign[topic] = self.foreign.get(topic, 0) + 1
+                if topic in _KEPT:
+                    self.kept.setdefault(topic, []).append(item.data)
             case Attachment():
                 self.attachments.setdefault(item.name, item.data)
             case Metadata():

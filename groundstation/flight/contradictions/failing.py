@@ -38,6 +38,13 @@ def failing_sensors(time: Array, c: Columns) -> tuple[tuple[Contradiction, ...],
     """What fails in mid-air, and the columns without the samples at which they do. time: (N,) [s]; c: name -> (N,)."""
     columns = dict(c)
     found: dict[tuple[str, ...], Contradiction] = {}
+    fillings: dict[str, tuple[Array, Array]] = {}
+
+    def known_or_filled(name: str, values: Array) -> Array:
+        """`_filled`, once for columns that many rows need."""
+        if name not in fillings or fillings[name][0] is not values:
+            fillings[name] = values, _filled(time, values)
+        return fillings[name][1]
 
     def fails(sensors: tuple[str, ...], failed: Mask, contradiction: Contradiction) -> None:
         found[sensors] = contradiction
@@ -54,7 +61,8 @@ def failing_sensors(time: Array, c: Columns) -> tuple[tuple[Contradiction, ...],
         have = columns if speed is None else {"V": speed, **columns}
         if not all(n in have for n in row.needs):
             continue
-        for sensors, failed in _standing(time, row, have):
+        filled = {n: known_or_filled(n, have[n]) for n in row.needs}
+        for sensors, failed in _standing(time, row, have, filled):
             if sensors not in found and failed.any():
                 witnesses = tuple(n for n in row.needs if n not in sensors)
                 fails(sensors, failed, _stood_still(time, sensors, witnesses, failed, row.cure))
@@ -103,9 +111,9 @@ def _pushes_over(c: Columns, run: slice) -> bool:
     return not float(np.nanmedian(c["q"][run] * c["V"][run])) > -0.5 * GRAVITY
 
 
-def _standing(time: Array, row: Follower, c: Columns) -> Iterator[tuple[tuple[str, ...], Mask]]:
-    """Each group of sensors of a row with the samples (N,) at which it stands still."""
-    filled = {n: _filled(time, c[n]) for n in row.needs} | {n: c[n] for n in ("alpha", "beta") if n in c}
+def _standing(time: Array, row: Follower, c: Columns, filled: Columns) -> Iterator[tuple[tuple[str, ...], Mask]]:
+    """Each group of sensors of a row with the samples (N,) at which it stands still. filled: what the row needs of c."""
+    filled = {**filled, **{n: c[n] for n in ("alpha", "beta") if n in c}}
     size = max(round(row.block / float(np.median(np.diff(time)))), 1)
     blocks = [_Blocks.of(time, signal, moved, size) for signal, moved in row.pairs(time, filled)]
     for sensors, side in ((row.failing, 0), (row.drivers, 1)):

@@ -1,19 +1,16 @@
 """The columns of a CSV file of numbers with a header line of names.
 
-The fast road is Arrow's reader, ten times as fast as cell by cell. What it does not take - words, quotes over lines, rows of
+The fast road is numpy's reader, some times as fast as cell by cell. What it does not take - words, quotes over lines, rows of
 other lengths - is left to the slow road, which knows what to say.
 """
 
 import csv
 import io
 import itertools
-import mmap
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from functools import reduce
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,13 +20,9 @@ from daq.utilities.plain_words import one_line, plain_name
 from groundstation.flight.arrays import Array
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS, MOST_ROWS
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 _NUMBER = "1"  # unit of numbers without one
 _UNITS = {"time": "s", "segment": _NUMBER}
-_BLOCK = 2**22  # bytes parsed at once; a row that is longer goes by the slow road
-_TAGGED_NAN = re.compile(rb"nan\(", re.IGNORECASE)
+_BLOCK = 2**22  # characters parsed at once
 
 
 def read_csv(path: Path, error: type[UserError]) -> dict[str, Array]:
@@ -129,7 +122,7 @@ def is_number(cell: str) -> bool:
 
 
 def plain_columns(
-    source: Path | bytes,
+    source: Path | str,
     names: Sequence[str],
     *,
     skip_lines: int = 0,
@@ -139,57 +132,51 @@ def plain_columns(
 ) -> list[Array] | None:
     """The columns (N,) of rows of numbers, NaN where a cell is one of `empty`; rows of such cells only are left out.
 
-    names: as many as a row has cells. skip_lines: of the source, before the first row. None where a row has another number of
-    cells, or one of them is no number.
+    source: a file, or the text itself. names: as many as a row has cells. skip_lines: of the source, before the first row. None
+    where a row has another number of cells, or one of them is no number.
     """
-    import pyarrow as pa
-    from pyarrow import csv
+    blank = _blank_cells(delimiter, empty)
+    blocks: list[Array] = [np.zeros((0, len(names)))]
+    with io.StringIO(source) if isinstance(source, str) else source.open(encoding="utf-8-sig") as file:
+        for _ in range(skip_lines):
+            file.readline()
+        while text := file.read(_BLOCK):
+            text += file.readline()
+            if decimal != ".":
+                text = text.replace(decimal, ".")
+            block = _block(blank(text), len(names), delimiter)
+            if block is None:
+                return None
+            unmeasured = np.isnan(block).all(axis=1)
+            if unmeasured.any() and "nan" not in empty and "nan" in text.lower():
+                return None  # a row of written NaN is one
+            blocks.append(block[~unmeasured] if unmeasured.any() else block)
+    return list(np.concatenate(blocks).T)
 
-    if _tagged_nan(source):
-        return None
-    labels = [str(i) for i in range(len(names))]
-    options = csv.ReadOptions(use_threads=False, block_size=_BLOCK, skip_rows=skip_lines, column_names=labels)
-    cells = csv.ParseOptions(delimiter=delimiter, newlines_in_values=False)
-    numbers = csv.ConvertOptions(
-        check_utf8=False,
-        column_types=dict.fromkeys(labels, pa.float64()),
-        null_values=list(empty),
-        decimal_point=decimal,
-    )
+
+def _block(text: str, width: int, delimiter: str) -> Array | None:
+    """Rows (N, width) of whole lines without empty cells. None where one has another number of cells, or no number in one."""
+    if not text.strip():
+        return np.zeros((0, width))
     try:
-        # Opened here: a file name need not be text, and Arrow's has to be.
-        with io.BytesIO(source) if isinstance(source, bytes) else source.open("rb") as file:
-            table = csv.read_csv(file, options, cells, numbers)
-    except pa.ArrowInvalid:
+        rows = np.loadtxt(io.StringIO(text), delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:
         return None
-    table = _with_a_number(table)
-    return [_values(column) for column in table.columns]
+    return rows if rows.shape[1] == width else None
 
 
-def _values(column: "pa.ChunkedArray") -> Array:
-    """(N,) NaN where empty. By way of the buffers: Arrow's `to_numpy`, or a NaN of Python's, would load pandas, 80 MB."""
-    import pyarrow as pa
-    from pyarrow import compute
+def _blank_cells(delimiter: str, empty: Sequence[str]) -> Callable[[str], str]:
+    """A function that writes nan into the empty cells of lines."""
+    part, words = re.escape(delimiter), "|".join(re.escape(word) for word in empty if word)
+    worded = re.compile(rf"(?<![^{part}\n])(?:{words})(?![^{part}\n])") if words else None
 
-    nan = pa.Array.from_buffers(pa.float64(), 1, [None, pa.py_buffer(np.full(1, np.nan))])[0]
-    parts = [compute.fill_null(chunk, nan) for chunk in column.chunks if len(chunk)]
-    buffers = [np.frombuffer(c.buffers()[1], np.float64)[c.offset : c.offset + len(c)] for c in parts]
-    return np.concatenate(buffers) if buffers else np.zeros(0)
+    def filled(text: str) -> str:
+        if worded and worded.search(text):
+            text = worded.sub("nan", text)
+        for _ in range(2):  # neighbours share their delimiter
+            text = text.replace(2 * delimiter, f"{delimiter}nan{delimiter}")
+        text = text.replace(f"{delimiter}\n", f"{delimiter}nan\n").replace(f"\n{delimiter}", f"\nnan{delimiter}")
+        text = f"nan{text}" if text.startswith(delimiter) else text
+        return f"{text}nan" if text.endswith(delimiter) else text
 
-
-def _tagged_nan(source: Path | bytes) -> bool:
-    """Whether `nan(...)` stands anywhere, which Arrow takes for a number and Python does not."""
-    if isinstance(source, bytes):
-        return _TAGGED_NAN.search(source) is not None
-    with source.open("rb") as handle, mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        return _TAGGED_NAN.search(data) is not None
-
-
-def _with_a_number(table: "pa.Table") -> "pa.Table":
-    """The rows in which a cell is not empty."""
-    from pyarrow import compute
-
-    if not all(column.null_count for column in table.columns):
-        return table
-    empty = [compute.is_null(column) for column in table.columns]
-    return table.filter(compute.invert(reduce(compute.and_, empty)))
+    return filled

@@ -17,6 +17,7 @@ import numpy as np
 
 from daq.utilities.errors import UserError
 from daq.utilities.input_files import read_bytes
+from daq.utilities.packages import optional
 from groundstation.flight.arrays import Array
 
 MOST_CELLS = 12_000_000
@@ -52,9 +53,7 @@ def read_parquet(
 
     Raises `error` for a file that is none, is damaged, or would not fit the memory.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+    pa, pq = optional("pyarrow", "reading Parquet"), optional("pyarrow.parquet", "reading Parquet")
     data = read_bytes(path, error=error)
     try:
         limits = {"thrift_string_size_limit": _LONGEST_TEXT, "thrift_container_size_limit": _MOST_SCHEMA}

@@ -238,7 +238,7 @@ def _plain_columns(text: str, header: list[str], above: int, delimiter: str, dec
     if '"' in text or delimiter == " " or len(set(header)) < len(header):
         return None
     style = {"delimiter": delimiter, "decimal": decimal}
-    columns = plain_columns(text.encode(), header, skip_lines=above, empty=tuple(EMPTY), **style)
+    columns = plain_columns(text, header, skip_lines=above, empty=tuple(EMPTY), **style)
     return columns and [np.where(np.isinf(values), np.nan, values) for values in columns]
 
 

@@ -1,5 +1,6 @@
 """docs/sensors.md, followed to the letter: a laboratory's package is written, installed, flown and found in the flight."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -8,22 +9,24 @@ import numpy as np
 import pytest
 
 from groundstation.flight import read_flight
-from tests.cli.docs.blocks import commands_of, files_of, write_files
+from tests.cli.docs.blocks import commands_of
 from tests.cli.docs.follow import follow
 
 pytestmark = [pytest.mark.timeout(300)]  # commands of a page, as a reader runs them
 PAGE = Path("docs") / "sensors.md"
+EXAMPLE = Path("docs") / "examples" / "lab-humidity"
 CALIBRATION = "lab-humidity/lab_humidity/calibration/humidity.toml"
 
 
 @pytest.fixture(scope="module")
 def followed(root: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
-    """The page's files written and its commands run, without the calibration that comes last on it."""
+    """The page's folder copied and its other commands run, without the calibration."""
     folder = tmp_path_factory.mktemp("lab")
-    files = files_of(root / PAGE)
-    write_files({**files, "lab-humidity/lab_humidity/__init__.py": ""}, folder)
+    copy, *others = commands_of(root / PAGE)
+    assert copy == f"cp -r {EXAMPLE} ."
+    shutil.copytree(root / EXAMPLE, folder / "lab-humidity")
     (folder / CALIBRATION).unlink()
-    return folder, [follow(command, folder, root) for command in commands_of(root / PAGE)]
+    return folder, [follow(command, folder, root) for command in others]
 
 
 def expected(folder: Path, time: np.ndarray) -> np.ndarray:
@@ -76,8 +79,9 @@ print("\\n".join(map(str, bare.notes)))
 
 def test_calibration_of_the_package_is_embedded_and_used(followed: tuple[Path, list[str]], root: Path) -> None:
     folder, _ = followed
-    write_files({CALIBRATION.replace("lab-humidity", "site"): files_of(root / PAGE)[CALIBRATION]}, folder)
-    follow("sideslip fly humid.toml --out again --no-backfill", folder, root)
+    (embedded := folder / CALIBRATION.replace("lab-humidity", "site")).parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(root / EXAMPLE.parent / CALIBRATION, embedded)
+    follow("sideslip fly lab-humidity/humid.toml --out again --no-backfill", folder, root)
     plain, calibrated = (read_flight(folder / name / "flight.mcap") for name in ("humid", "again"))
     np.testing.assert_allclose(calibrated["humidity"], 0.012 + 0.97 * plain["humidity"], rtol=1e-12)
     assert calibrated.provenance.detail["uncertainty"]["humidity"] == pytest.approx(0.01)

@@ -84,18 +84,26 @@ def _imported_columns(path: Path) -> dict[str, np.ndarray] | str:
 
 
 def test_the_fast_road_is_taken_for_plain_numbers_and_for_nothing_else() -> None:
-    assert plain_columns(b"1,2\n3,4\n", ["a", "b"]) is not None
-    for body in (b"1,2\n3\n", b"1,x\n", b"1,2,3\n"):
+    assert plain_columns("1,2\n3,4\n", ["a", "b"]) is not None
+    for body in ("1,2\n3\n", "1,x\n", "1,2,3\n"):
         assert plain_columns(body, ["a", "b"]) is None
-    comma = plain_columns(b"1,5;2\n", ["a", "b"], delimiter=";", decimal=",")
+    comma = plain_columns("1,5;2\n", ["a", "b"], delimiter=";", decimal=",")
     assert comma is not None
     assert [c.tolist() for c in comma] == [[1.5], [2.0]]
 
 
-def test_reading_numbers_loads_no_pandas() -> None:
+def test_a_row_of_written_nan_is_a_row_and_one_of_empty_cells_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text("time,p\n1,2\nnan,NaN\n,\n3,\n")
+    assert csv_columns.read_csv(path, FlightError)["time"].tolist() == pytest.approx([1.0, np.nan, 3.0], nan_ok=True)
+    assert plain_columns("1,2\n,\n3,\n", ["a", "b"]) is not None
+    assert plain_columns("1,2\nnan,nan\n", ["a", "b"]) is None
+
+
+def test_reading_numbers_loads_no_arrow() -> None:
     code = (
         "import sys; from groundstation.flight.files.csv_columns import plain_columns as p;"
-        "print([c.tolist() for c in p(b'1,2\\n,\\n3,\\n', ['a', 'b'])], 'pandas' in sys.modules)"
+        "print([c.tolist() for c in p('1,2\\n,\\n3,\\n', ['a', 'b'])], 'pyarrow' in sys.modules)"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert said == "[[1.0, 3.0], [2.0, nan]] False\n"
