@@ -13,6 +13,7 @@ from typing import Any
 
 import smbus2
 
+from daq.sensors import transfers
 from daq.sensors.ubx import NAV_PVT, UbxParser, frame
 
 # Status polls are answered "ready" once the scans run: the replay has no conversions that could be under way.
@@ -179,14 +180,15 @@ class AnsweringKernel:
         """A bus of smbus2 whose calls come here; one a process."""
         made = smbus2.SMBus()
         made.fd = os.open(os.devnull, os.O_RDWR)
-        smbus2.smbus2.ioctl = self._ioctl
+        made.funcs = smbus2.I2cFunc.I2C
+        smbus2.smbus2.ioctl = transfers.ioctl = self._ioctl
         return made
 
     def _ioctl(self, fd: int, request: int, argument: Any) -> None:
         if request == smbus2.smbus2.I2C_SLAVE:
             self._address = argument
         elif request == smbus2.smbus2.I2C_RDWR:
-            self._bus.i2c_rdwr(*argument.msgs[: argument.nmsgs])
+            self._transact(*argument.msgs[: argument.nmsgs])
         elif argument.read_write == smbus2.smbus2.I2C_SMBUS_READ:
             data = argument.data.contents
             if argument.size == smbus2.smbus2.I2C_SMBUS_BYTE_DATA:
@@ -194,6 +196,13 @@ class AnsweringKernel:
             else:
                 answer = bytes(self._bus.read_i2c_block_data(self._address, argument.command, data.byte))
                 memmove(addressof(data) + 1, answer, len(answer))
+
+    def _transact(self, first: smbus2.i2c_msg, second: smbus2.i2c_msg | None = None) -> None:
+        if second is not None:
+            answer = bytes(self._bus.read_i2c_block_data(first.addr, first.buf[0][0], second.len))
+            memmove(second.buf, answer, len(answer))
+        elif first.flags:
+            self._bus.i2c_rdwr(first)
 
 
 def _in_turn(answers: Answers) -> dict[Question, Callable[[], list[int]]]:
