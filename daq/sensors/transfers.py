@@ -1,8 +1,8 @@
 """smbus2 with each transfer made ready once: a scan asks the same some fifty questions of the same chips, over and over.
 
-On the wire nothing differs: the adapter driver gets one transaction of a written register and the bytes behind it, in one system
-call instead of two (`I2C_SLAVE` and `I2C_SMBUS`), and nothing is built for it. Adapters that know SMBus only (those of PCs) are used
-through smbus2 itself.
+On the wire nothing differs: the adapter's driver gets one transaction of a written register and the bytes behind it, in one
+system call instead of two (`I2C_SLAVE` and `I2C_SMBUS`), and nothing is built for it. Adapters that know SMBus only (those of
+PCs) are used through smbus2 itself.
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,12 @@ class PreparedBus:
 
     def __init__(self, bus: SMBus) -> None:
         self.fd: int = bus.fd
-        self.i2c_rdwr, self.close = bus.i2c_rdwr, bus.close
+        self.close = bus.close
+        self._transact = bus.i2c_rdwr
         self._reads: dict[tuple[int, int, int], _Prepared] = {}
+        self._transactions: dict[
+            int, tuple[tuple[i2c_msg, ...], i2c_rdwr_ioctl_data]
+        ] = {}  # by the last of the messages
         self._writes: dict[tuple[int, int], _Prepared] = {}  # by address and number of bytes, the register's among them
 
     def read_i2c_block_data(self, address: int, register: int, length: int, /) -> list[int]:
@@ -46,6 +50,20 @@ class PreparedBus:
 
     def write_byte_data(self, address: int, register: int, value: int, /) -> None:
         self.write_i2c_block_data(address, register, (value,))
+
+    def i2c_rdwr(self, *messages: i2c_msg) -> None:
+        """Messages that are read into are kept by their drivers, and so is what is made of them here; others are sent once."""
+        known = self._transactions.get(id(messages[-1]))
+        if known is not None and known[0] == messages:
+            ioctl(self.fd, I2C_RDWR, known[1])
+        elif messages[-1].flags & I2C_M_RD:
+            for address in {m.addr for m in messages}:
+                self._may_address(address)
+            data = i2c_rdwr_ioctl_data.create(*messages)
+            self._transactions[id(messages[-1])] = messages, data
+            ioctl(self.fd, I2C_RDWR, data)
+        else:
+            self._transact(*messages)
 
     def _prepare_read(self, address: int, register: int, length: int) -> _Prepared:
         self._may_address(address)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from daq.acquisition.health import HealthSummary
 from daq.acquisition.sampler import Sampler
 from daq.assembly import HardwareEdge
