@@ -68,8 +68,8 @@ def account(
 def _by_pulses(table: ScanTable, calibration: CalibrationSet, readings: Readings) -> dict[str, dict[str, object]]:
     """Surfaces that are known by the pulse that moves them, as an import describes a command: what a servo did between two
     reports is open."""
-    mixed = {n: ("delta_e", "delta_a") for n in ("elevon_left", "elevon_right")} if calibration.get("mixing") else {}
-    direct = {d.reading: (d.column.name,) for d in direct_columns(calibration)}
+    mixed = dict.fromkeys(("elevon_left", "elevon_right"), ("delta_e", "delta_a")) if calibration.get("mixing") else {}
+    direct: dict[str, tuple[str, ...]] = {d.reading: (d.column.name,) for d in direct_columns(calibration)}
     found: dict[str, dict[str, object]] = {}
     for name, lag in readings.lag.items():
         item, stamps = calibration.get(name), np.unique(table.time + table.known_offset(readings.group[name]))
