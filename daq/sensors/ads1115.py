@@ -18,7 +18,7 @@ from pydantic import field_validator
 from daq.contract.channels import channels_of
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import SECOND, US, Address, Driver, Reading, SelfTestError, SensorSection, Wait, one_of
-from daq.sensors.bus import NACK_ERRNOS
+from daq.sensors.bus import NACK_ERRNOS, read_words
 
 CONVERSION, CONFIG = 0x00, 0x01
 START, SINGLE_SHOT, COMPARATOR_OFF = 0x8000, 0x0100, 0x0003
@@ -110,10 +110,10 @@ class Ads1115(Driver):
             self._start(word)
             middles.append(self._now() + self._conversion // 2)
             yield self._wait
-            answer = self._word(CONFIG)
+            answer, count = self._result()
             if answer != word:  # done and nothing changed reads as it was written
                 yield from self._finish(word, answer)
-            count = self._word(CONVERSION)
+                count = self._word(CONVERSION)
             values[name] = count - 0x10000 if count & 0x8000 else count
         self._middles = middles
         return self._judge(values, sum(middles) // len(middles))
@@ -152,6 +152,16 @@ class Ads1115(Driver):
         except OSError as error:
             high, low = self._repeat(error, lambda: self._bus.read_i2c_block_data(self._address, register, 2))
         return high << 8 | low
+
+    def _result(self) -> tuple[int, int]:
+        """Configuration and conversion, in one transaction: the one proves the other."""
+        try:
+            return read_words(self._bus, self._address, CONFIG, CONVERSION)
+        except OSError as error:
+            if error.errno not in NACK_ERRNOS:
+                raise
+            self.repeated += 1
+            return self._word(CONFIG), self._word(CONVERSION)
 
     def _repeat(self, error: OSError, transfer: Callable[[], T]) -> T:
         """A refused transfer once more, or twice; raises the last error. Time-outs are not for a driver to repeat.

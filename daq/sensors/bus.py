@@ -80,6 +80,22 @@ def _reading(address: int, count: int) -> i2c_msg:
     return i2c_msg.read(address, count)
 
 
+def read_words(bus: I2cBus, address: int, one: int, other: int) -> tuple[int, int]:
+    """Two registers of 16 bits in one transaction, the first byte of each the high one."""
+    messages = _questions(address, one, other)
+    bus.i2c_rdwr(*messages)
+    (high, low), (high_of_other, low_of_other) = messages[1].buf[:2], messages[3].buf[:2]
+    return high << 8 | low, high_of_other << 8 | low_of_other
+
+
+@cache
+def _questions(address: int, one: int, other: int) -> tuple[i2c_msg, ...]:
+    return (
+        *(i2c_msg.write(address, [one]), i2c_msg.read(address, 2)),
+        *(i2c_msg.write(address, [other]), i2c_msg.read(address, 2)),
+    )
+
+
 def write_raw(bus: I2cBus, address: int, data: bytes) -> None:
     """Write bytes to a chip without a register byte of their own (a plain write transaction)."""
     bus.i2c_rdwr(i2c_msg.write(address, data))

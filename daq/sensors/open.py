@@ -92,15 +92,20 @@ class _Reopening:
         """After a call that raised: whether to let go of the device."""
         raise NotImplementedError
 
-    def _use(self, method: str, *arguments: Any) -> Any:
+    def _there(self) -> Any:
+        """The device, opened if it has come; OSError while it has not."""
         if self._opened is None:
             now_ns = self._clock.monotonic_ns()
             if now_ns < self._retry_ns:
                 raise OSError(errno.ENODEV, f"{self._device} is not there")
             self._retry_ns = now_ns + REOPEN_AFTER_NS
             self._opened = self._open()
+        return self._opened
+
+    def _use(self, method: str, *arguments: Any) -> Any:
+        device = self._opened or self._there()
         try:
-            return getattr(self._opened, method)(*arguments)
+            return getattr(device, method)(*arguments)
         except OSError:
             self._failed()
             raise
@@ -132,17 +137,29 @@ class ReopeningBus(_Reopening):
         self._use("write_byte_data", i2c_addr, register, value)
 
     def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, /) -> list[int]:
-        data: list[int] = self._use("read_i2c_block_data", i2c_addr, register, length)
+        bus = self._opened or self._there()  # this and the next are asked forty times a scan
+        try:
+            data: list[int] = bus.read_i2c_block_data(i2c_addr, register, length)
+        except OSError:
+            self._failed()
+            raise
         return data
 
     def write_i2c_block_data(self, i2c_addr: int, register: int, data: Sequence[int], /) -> None:
-        self._use("write_i2c_block_data", i2c_addr, register, data)
+        bus = self._opened or self._there()
+        try:
+            bus.write_i2c_block_data(i2c_addr, register, data)
+        except OSError:
+            self._failed()
+            raise
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
         self._use("i2c_rdwr", *i2c_msgs)
 
     def _open(self) -> Any:
         from smbus2 import SMBus
+
+        from daq.sensors.transfers import prepared
 
         bus = SMBus(self._device)
         try:
@@ -151,7 +168,7 @@ class ReopeningBus(_Reopening):
         except OSError:
             bus.close()
             raise
-        return bus
+        return prepared(bus)
 
     def _advice(self, error: OSError) -> str:
         if error.errno == errno.ENOENT:

@@ -30,13 +30,14 @@ PITOT_UNREST_PA = 12.6
 """Standard deviation of a pitot at rest stays below this; wind on the ground shakes it more."""
 LEAST_SCANS = 20
 _FIXES = (3, 4)
+_OK = SensorState.OK  # asked of each scan in the window, once a second
 _RATES, _FORCES = ("gyro_x", "gyro_y", "gyro_z"), ("accel_x", "accel_y", "accel_z")
 
 
 def ground_speed(scan: Scan) -> float | None:
     """GPS ground speed [m/s] by a fix the receiver vouches for; None in a scan without one."""
     status = scan.groups.get("gnss")
-    if status is None or status.state is not SensorState.OK or scan.values.get("gnss_fix", 0) not in _FIXES:
+    if status is None or status.state is not _OK or scan.values.get("gnss_fix", 0) not in _FIXES:
         return None
     return math.hypot(scan.values.get("velocity_north_mm", 0), scan.values.get("velocity_east_mm", 0)) * 1e-3
 
@@ -80,7 +81,5 @@ def counts(scans: Sequence[Scan], name: str) -> list[float]:
     """The counts of a channel while its sensor vouches for them."""
     group = CHANNEL_BY_NAME[name].group
     return [
-        float(s.values[name])
-        for s in scans
-        if name in s.values and group in s.groups and s.groups[group].state is SensorState.OK
+        float(s.values[name]) for s in scans if name in s.values and group in s.groups and s.groups[group].state is _OK
     ]

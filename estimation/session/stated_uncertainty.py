@@ -1,18 +1,23 @@
-"""What an aircraft file is unsure of, in the bounds of derivatives.
+"""What an aircraft file and the calibration of the airspeed are unsure of, in the bounds of derivatives.
 
 A force coefficient is mass times acceleration over q S, a moment coefficient inertia times angular acceleration over q S b or c;
 those by a rate have the length once more in the rate's hat. So a relative error of mass, inertia or geometry is one of the
 derivative, which no residual shows. Errors of the file are taken as independent; what Ixz carries from roll to yaw is left out.
+So is twice the relative error of a measured airspeed; a reconstructed one has its own (`evidence`).
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from estimation.aircraft import Aircraft
 from estimation.estimators.result import Estimate, Result
 from estimation.models.base import ParameterRole
+from estimation.session.evidence import POWER
 from estimation.session.session import EstimationSession
+from groundstation.flight import Flight
 
 FORCE = {"mass": 1, "area": 1}
 LINES: Mapping[str, Mapping[str, int]] = {
@@ -37,24 +42,41 @@ def share(name: str, aircraft: Aircraft) -> float:
     return math.hypot(*(power * aircraft.uncertainty.get(key, 0.0) for key, power in powers.items()))
 
 
+def airspeed_share(flight: Flight) -> float:
+    """Relative 1 sigma of every derivative by the calibration of a measured airspeed; 0 where none is stated."""
+    stated = flight.provenance.detail.get("uncertainty")
+    sigma = stated.get("V") if isinstance(stated, Mapping) else None
+    if "V" in flight.reconstructed or not flight.measured("V") or not isinstance(sigma, int | float):
+        return 0.0
+    return POWER * float(sigma) / float(np.nanmedian(flight["V"])) if 0.0 < sigma < math.inf else 0.0
+
+
 def with_stated_uncertainty(session: EstimationSession) -> EstimationSession:
-    """The session with the uncertainty of its aircraft's file in the corrected bounds of derivatives.
+    """The session with what its aircraft's file and its airspeeds are unsure of in the corrected bounds of derivatives.
 
     After the verdict: methods and flights share the error, so it is no excuse where they disagree.
     """
-    if not session.aircraft.uncertainty:
+    shares = [airspeed_share(f.flight) for f in session.flights]
+    if not session.aircraft.uncertainty and not any(shares):
         return session
-    flights = tuple(replace(f, results=_all_wider(f.results, session.aircraft)) for f in session.flights)
-    return replace(session, flights=flights, joint=_all_wider(session.joint, session.aircraft))
+    flights = tuple(
+        replace(f, results=_all_wider(f.results, session.aircraft, by_airspeed))
+        for f, by_airspeed in zip(session.flights, shares, strict=True)
+    )
+    common = float(np.mean(shares)) if shares else 0.0
+    return replace(session, flights=flights, joint=_all_wider(session.joint, session.aircraft, common))
 
 
-def _all_wider(results: Mapping[str, Result], aircraft: Aircraft) -> dict[str, Result]:
-    return {method: _result_wider(r, aircraft) for method, r in results.items()}
+def _all_wider(results: Mapping[str, Result], aircraft: Aircraft, by_airspeed: float) -> dict[str, Result]:
+    return {method: _result_wider(r, aircraft, by_airspeed) for method, r in results.items()}
 
 
-def _result_wider(result: Result, aircraft: Aircraft) -> Result:
+def _result_wider(result: Result, aircraft: Aircraft, by_airspeed: float) -> Result:
     derivatives = set(result.model.free_of(ParameterRole.DERIVATIVE))
-    wider = {n: _wider(e, share(n, aircraft)) if n in derivatives else e for n, e in result.parameters.items()}
+    wider = {
+        n: _wider(e, math.hypot(share(n, aircraft), by_airspeed)) if n in derivatives else e
+        for n, e in result.parameters.items()
+    }
     return replace(result, parameters=wider)
 
 

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from daq.contract.channels import CHANNEL_BY_NAME, channels_of
 from daq.utilities.constants import GRAVITY
 from groundstation.calibration import curves
-from groundstation.calibration.align import BRIDGED, COMPLETE, completeness
+from groundstation.calibration.align import BRIDGED, COMPLETE, REPEATED, completeness
 from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.columns import direct_columns
 from groundstation.calibration.scan_table import Readings, ScanTable
 from groundstation.calibration.schema import Instrument
+from groundstation.flight.flight import BACK, CHANNELS, DATED_BACK, HELD, INTERVAL
 from groundstation.flight.quality.noise import noise
 
 Array = NDArray[np.float64]
@@ -54,6 +55,7 @@ def account(
         "read_offsets_s": offsets,
         "delays_s": {n: d for n, d in readings.delay.items() if d},
         "lags_s": dict(readings.lag),
+        **({CHANNELS: pulsed} if (pulsed := _by_pulses(table, calibration, readings)) else {}),
         "uncertainty": column_uncertainty(calibration, columns),
         "noise": {n: s for n, v in columns.items() if (s := noise(v)) is not None},
         "extrapolated": dict(readings.extrapolated),
@@ -61,6 +63,24 @@ def account(
         "unusable": {g: int(np.sum(~ok)) for g, ok in table.usable.items() if not ok.all()},
     }
     return detail, notes
+
+
+def _by_pulses(table: ScanTable, calibration: CalibrationSet, readings: Readings) -> dict[str, dict[str, object]]:
+    """Surfaces that are known by the pulse that moves them, as an import describes a command: what a servo did between two
+    reports is open."""
+    mixed = dict.fromkeys(("elevon_left", "elevon_right"), ("delta_e", "delta_a")) if calibration.get("mixing") else {}
+    direct: dict[str, tuple[str, ...]] = {d.reading: (d.column.name,) for d in direct_columns(calibration)}
+    found: dict[str, dict[str, object]] = {}
+    for name, lag in readings.lag.items():
+        item, stamps = calibration.get(name), np.unique(table.time + table.known_offset(readings.group[name]))
+        apart = np.diff(stamps[np.isfinite(stamps)])
+        if lag >= 0.0 or item is None or not np.any(apart > REPEATED):
+            continue
+        interval = float(np.median(apart[apart > REPEATED]))
+        entry = {"from": f"{item.channel} and its servo", "kind": "measured", "rate_hz": 1.0 / interval}
+        held = {HELD: True, INTERVAL: interval, BACK: DATED_BACK * interval, "servo_lag_s": -lag}
+        found |= {column: {**entry, **held} for column in mixed.get(name) or direct.get(name, ())}
+    return found
 
 
 _FIRST_CHANNEL = {

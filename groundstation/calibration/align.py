@@ -12,6 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.flight.flight import DATED_BACK
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -99,8 +101,7 @@ REPEATED = 1e-3
 
 
 FRAME = 0.022
-"""Period of a servo's frames [s], 50 Hz, with jitter: a pulse reported as often stands until the next report; between reports
-further apart it may have changed at any time, and a straight line is late and early alike."""
+"""Period of a servo's frames [s], 50 Hz, with jitter: a pulse reported as often is shown as it was reported last."""
 
 
 def by_stamp(
@@ -110,8 +111,8 @@ def by_stamp(
 
     A sample stands in each scan until a newer one comes, and came when it came: it counts once, at its own time. Samples up to
     BRIDGED seconds apart are neighbours. lag: of a first-order low pass, taken out [s], or where it is negative put in: what
-    follows a pulse is not there yet. smooth: cubic instead of linear. pulse: a width, which holds where it is reported with
-    each frame of the servo.
+    follows a pulse is not there yet, and the pulse came at any time since the report before. smooth: cubic instead of linear.
+    pulse: a width, which holds where it is reported with each frame of the servo.
     """
     rows = np.flatnonzero(np.isfinite(values) & np.isfinite(stamped_at))
     rows = rows[np.argsort(stamped_at[rows], kind="stable")]
@@ -123,27 +124,28 @@ def by_stamp(
         y = undo_lag(y, t, number, lag)
     for run in np.split(np.arange(t.size), np.flatnonzero(np.diff(number) > 1) + 1):
         if run.size >= 2:
-            held = pulse and float(np.median(np.diff(t[run]))) <= FRAME
-            followed = follow(t[run], y[run], -lag, held=held) if lag < 0 else y[run]
-            in_run = _in_run(t[run], followed, target_times, smooth and run.size >= 4)
-            if held and not lag:
+            if lag < 0:
+                in_run = _followed(t[run], y[run], -lag, target_times)
+            else:
+                in_run = _in_run(t[run], y[run], target_times, smooth and run.size >= 4)
+            if pulse and not lag and float(np.median(np.diff(t[run]))) <= FRAME:
                 newest = np.clip(np.searchsorted(t[run], target_times, side="right") - 1, 0, None)
                 in_run = np.where(np.isnan(in_run), in_run, y[run][newest])
             aligned = np.where(np.isnan(in_run), aligned, in_run)
     return aligned
 
 
-def follow(t: Array, y: Array, lag: float, *, held: bool) -> Array:
-    """How a first-order lag [s] follows `y` (N,), held or straight between its samples at `t` (N,) [s]; it begins settled."""
-    followed = np.array(y, float)
+def _followed(t: Array, y: Array, lag: float, target_times: Array) -> Array:
+    """How a first-order lag [s] follows pulses `y` (n,) reported at `t`, each dated back by half an interval of the reports; it
+    begins settled. NaN outside the reports."""
+    interval = float(np.median(np.diff(t)))
+    begins = t - DATED_BACK * interval
+    behind = np.zeros_like(y)  # of each pulse, where it begins
     for i in range(1, t.size):
-        span = t[i] - t[i - 1]
-        if held:
-            followed[i] = y[i - 1] + (followed[i - 1] - y[i - 1]) * math.exp(-span / lag)
-            continue
-        behind = lag * (y[i] - y[i - 1]) / span
-        followed[i] = y[i] - behind + (followed[i - 1] - y[i - 1] + behind) * math.exp(-span / lag)
-    return followed
+        behind[i] = y[i] - y[i - 1] + behind[i - 1] * math.exp((begins[i - 1] - begins[i]) / lag)
+    k = np.clip(np.searchsorted(begins, target_times, side="right") - 1, 0, t.size - 1)
+    shown = y[k] - behind[k] * np.exp(-np.maximum(target_times - begins[k], 0.0) / lag)
+    return np.where((target_times < begins[0]) | (target_times > t[-1] + DATED_BACK * interval), np.nan, shown)
 
 
 def hold(values: Array, number: NDArray[np.int64]) -> Array:

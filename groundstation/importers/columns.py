@@ -15,12 +15,12 @@ from groundstation.flight.arrays import Array
 from groundstation.flight.contradictions.air import air_density
 from groundstation.flight.expression import parse
 from groundstation.flight.findings import Finding, FindingKind, unknown_columns
-from groundstation.flight.flight import BACK, HELD, INTERVAL
+from groundstation.flight.flight import BACK, DATED_BACK, HELD, INTERVAL
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.mapping import ColumnSource, Kind, Map
 from groundstation.importers.origins import COMPUTED, NOT_FLOWN, is_command, kind_of, kind_of_all
-from groundstation.importers.series import DATED_BACK, Log, TimeSeries, lagged, native_rate, resample
+from groundstation.importers.series import Log, TimeSeries, lagged, native_rate, resample
 from groundstation.importers.units import conversion, find_unit, known_units
 
 _WRAPPED = ("phi", "psi")

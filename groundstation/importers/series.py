@@ -8,6 +8,7 @@ import numpy as np
 
 from groundstation.flight.arrays import Array, Mask, integral
 from groundstation.flight.contradictions import Contradiction
+from groundstation.flight.flight import DATED_BACK
 from groundstation.flight.marks import Marks
 from groundstation.importers.errors import ImportDataError
 
@@ -17,7 +18,6 @@ EMPTIEST = 10  # times as many samples in a common time base as recorded: more c
 LONGEST_STEP = 3.5  # median intervals; a longer step is a gap in a series: nothing is interpolated across
 PAUSE = 5.0  # [s]; a longer step is a pause in recording, no late delivery
 BURSTY = 2.0  # samples that come so many times slower over the whole than from one to the next come in bursts
-DATED_BACK = 0.5  # of its interval, a logged command: it changed at any time since the last record, half in the mean
 MESSAGE = "message"  # key of `Log.detail`: the kind of message of the topic that a table holds
 MOST_INSTANCES = 256  # of one sensor: ArduPilot numbers them in one byte
 

@@ -9,9 +9,9 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import smbus2
 
 from daq.acquisition.health import HealthSummary
 from daq.acquisition.sampler import Sampler
@@ -20,6 +20,7 @@ from daq.clock import RealClock
 from daq.config import load_config
 from daq.contract.recordings.messages import Statistics
 from daq.sensors.open import ReopeningBus
+from daq.sensors.transfers import prepared
 from daq.service.run import run_until_signal
 from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort, memory_pair
@@ -35,8 +36,8 @@ class SmbusFile(ReopeningBus):
         self._kernel = kernel
         super().__init__("/dev/i2c-replayed", 10, RealClock())
 
-    def _open(self) -> smbus2.SMBus:
-        return self._kernel.open()
+    def _open(self) -> Any:
+        return prepared(self._kernel.open())
 
 
 def describe(books: Statistics) -> Iterator[tuple[str, float, float]]:

@@ -13,6 +13,7 @@ from typing import Any
 
 import smbus2
 
+from daq.sensors import transfers
 from daq.sensors.ubx import NAV_PVT, UbxParser, frame
 
 # Status polls are answered "ready" once the scans run: the replay has no conversions that could be under way.
@@ -174,19 +175,21 @@ class AnsweringKernel:
     def __init__(self, bus: ReplayedBus) -> None:
         self._bus = bus
         self._address = 0
+        self._kept: dict[int, tuple[Any, list[tuple[int, int, int, int]]]] = {}
 
     def open(self) -> smbus2.SMBus:
         """A bus of smbus2 whose calls come here; one a process."""
         made = smbus2.SMBus()
         made.fd = os.open(os.devnull, os.O_RDWR)
-        smbus2.smbus2.ioctl = self._ioctl
+        made.funcs = smbus2.I2cFunc.I2C
+        smbus2.smbus2.ioctl = transfers.ioctl = self._ioctl
         return made
 
     def _ioctl(self, fd: int, request: int, argument: Any) -> None:
         if request == smbus2.smbus2.I2C_SLAVE:
             self._address = argument
         elif request == smbus2.smbus2.I2C_RDWR:
-            self._bus.i2c_rdwr(*argument.msgs[: argument.nmsgs])
+            self._transact(argument)
         elif argument.read_write == smbus2.smbus2.I2C_SMBUS_READ:
             data = argument.data.contents
             if argument.size == smbus2.smbus2.I2C_SMBUS_BYTE_DATA:
@@ -194,6 +197,18 @@ class AnsweringKernel:
             else:
                 answer = bytes(self._bus.read_i2c_block_data(self._address, argument.command, data.byte))
                 memmove(addressof(data) + 1, answer, len(answer))
+
+    def _transact(self, data: Any) -> None:
+        """Questions with their answers, taken apart once as the kernel does in C; the like comes again from who kept it."""
+        if data.nmsgs == 1:
+            self._bus.i2c_rdwr(*data.msgs[:1])
+            return
+        if id(data) not in self._kept:
+            pairs = zip(data.msgs[: data.nmsgs : 2], data.msgs[1 : data.nmsgs : 2], strict=False)
+            asked = [(q.addr, q.buf[0][0], a.len, addressof(a.buf.contents)) for q, a in pairs]
+            self._kept[id(data)] = data, asked
+        for address, register, length, at in self._kept[id(data)][1]:
+            memmove(at, bytes(self._bus.read_i2c_block_data(address, register, length)), length)
 
 
 def _in_turn(answers: Answers) -> dict[Question, Callable[[], list[int]]]:

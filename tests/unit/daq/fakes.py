@@ -100,10 +100,14 @@ class FakeBus:
         self._chip(i2c_addr).write(register, data)
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
+        register = None
         for message in i2c_msgs:
             chip = self._chip(message.addr)
-            assert message.flags & READ_FLAG
-            ctypes.memmove(message.buf, chip.plain[: message.len].ljust(message.len, b"\xff"), message.len)
+            if message.flags & READ_FLAG:
+                answer = chip.plain if register is None else bytes(chip.read(register, message.len))
+                ctypes.memmove(message.buf, answer[: message.len].ljust(message.len, b"\xff"), message.len)
+            else:
+                (register,) = bytes(message)
 
     def close(self) -> None:
         return

@@ -1,6 +1,7 @@
 """The edge: what opens hardware, what must never see it, and how a laboratory adds a sensor."""
 
 import ast
+import ctypes
 import errno
 import fcntl
 import os
@@ -13,21 +14,25 @@ import textwrap
 import threading
 import tty
 from pathlib import Path
+from typing import Any
 
 import pytest
-from smbus2 import SMBus
+import smbus2
+from smbus2.smbus2 import I2C_M_RD, I2C_RDWR, I2C_SLAVE
 
 from daq.acquisition.sampler import Sampler
 from daq.clock import RealClock, SimulatedClock
+from daq.sensors import transfers
 from daq.sensors.base import DriverConfigError
-from daq.sensors.bus import I2cBus, SerialPortCalls
+from daq.sensors.bus import I2cBus, SerialPortCalls, read_raw, read_words, write_raw
 from daq.sensors.config import BusConfig, SensorsConfig
 from daq.sensors.open import REOPEN_AFTER_NS, ReopeningBus, ReopeningPort, SysfsPulse, open_hardware
+from daq.sensors.transfers import PreparedBus, prepared
 from daq.sensors.ublox import GnssConfig
 from tests.unit.daq.cdfp_fit import cdfp_sensors
 from tests.unit.daq.fakes import FakeBus
 
-MAY_IMPORT_HARDWARE = {"daq/sensors/bus.py", "daq/sensors/open.py"}
+MAY_IMPORT_HARDWARE = {"daq/sensors/bus.py", "daq/sensors/open.py", "daq/sensors/transfers.py"}
 DRIVER_CODE = (
     "daq/sensors",
     "daq/acquisition/sampler.py",
@@ -85,8 +90,8 @@ def test_importing_all_drivers_loads_neither_simulator_nor_heavy_libraries(root:
 
 def test_real_bus_class_fits_the_protocol_and_its_calls() -> None:
     """The very `smbus2.SMBus`, on a device that is no I2C adapter: drivers get as far as the first transfer."""
-    assert issubclass(SMBus, I2cBus)
-    bus = SMBus()
+    assert issubclass(smbus2.SMBus, I2cBus)
+    bus = smbus2.SMBus()
     bus.fd = os.open(os.devnull, os.O_RDWR)  # every ioctl on it fails with ENOTTY, an OSError
     bus.funcs = 0
     try:
@@ -192,6 +197,7 @@ def test_serial_port_comes_back_after_its_plug_was_pulled(tmp_path: Path) -> Non
 class Adapter:
     """Stands for `smbus2.SMBus` on a file: answers with what is in it; one that was pulled answers EIO, as i2c-tiny-usb does."""
 
+    funcs = 0  # of smbus2.SMBus only
     pulled: frozenset[str] = frozenset()
     closed: tuple[str, ...] = ()
 
@@ -268,3 +274,74 @@ def test_pulse_stamps_are_carried_to_the_monotonic_clock(tmp_path: Path) -> None
     missing = SysfsPulse(tmp_path / "none", clock)
     assert "no pulse-per-second source" in missing.absent
     assert missing() is None
+
+
+class Kernel:
+    """Stands for `ioctl` on an adapter: transactions go to a chip of 256 registers with a running pointer."""
+
+    def __init__(self, address: int, taken: frozenset[int] = frozenset()) -> None:
+        self.address, self.taken, self.calls = address, taken, 0
+        self.registers, self.pointer = bytearray(range(256)), 0
+
+    def __call__(self, fd: int, request: int, argument: Any) -> None:
+        self.calls += 1
+        if request == I2C_SLAVE and argument in self.taken:
+            raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+        for message in argument.msgs[: argument.nmsgs] if request == I2C_RDWR else ():
+            if message.addr != self.address:
+                raise OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO))
+            if message.flags & I2C_M_RD:
+                ctypes.memmove(
+                    message.buf, bytes(self.registers[self.pointer : self.pointer + message.len]), message.len
+                )
+            else:
+                self.pointer, *data = bytes(message)
+                self.registers[self.pointer : self.pointer + len(data)] = data
+
+
+@pytest.fixture
+def kernel(monkeypatch: pytest.MonkeyPatch) -> Kernel:
+    made = Kernel(0x48, frozenset({0x68}))
+    monkeypatch.setattr(transfers, "ioctl", made)
+    monkeypatch.setattr(smbus2.smbus2, "ioctl", made)
+    return made
+
+
+def test_ready_transfers_carry_what_smbus2_would(kernel: Kernel) -> None:
+    bus = PreparedBus(smbus2.SMBus())
+    assert isinstance(bus, I2cBus)
+    for _ in range(2):  # made, and used again
+        assert bus.read_i2c_block_data(0x48, 0x10, 3) == [0x10, 0x11, 0x12]
+        assert bus.read_byte_data(0x48, 0xFF) == 0xFF
+        assert read_words(bus, 0x48, 0x20, 0x30) == (0x2021, 0x3031)
+        assert read_raw(bus, 0x48, 2) == b"\x30\x31"  # from where the pointer stands
+        bus.write_i2c_block_data(0x48, 0x20, [0xAB, 0xCD])
+        assert read_words(bus, 0x48, 0x20, 0x30) == (0xABCD, 0x3031)
+        bus.write_byte_data(0x48, 0x20, 0x20)
+        bus.write_byte_data(0x48, 0x21, 0x21)
+    write_raw(bus, 0x48, b"\x40\x01")
+    assert kernel.registers[0x40] == 1
+    calls = kernel.calls
+    bus.read_i2c_block_data(0x48, 0x10, 3)
+    assert kernel.calls == calls + 1
+    with pytest.raises(OSError, match="Remote I/O"):
+        bus.read_byte_data(0x49, 0)
+
+
+def test_chip_that_a_kernel_driver_has_taken_is_busy(kernel: Kernel) -> None:
+    bus = PreparedBus(smbus2.SMBus())
+    for _ in range(2):
+        with pytest.raises(OSError, match="busy"):
+            bus.read_byte_data(0x68, 0)
+        with pytest.raises(OSError, match="busy"):
+            bus.write_byte_data(0x68, 0, 1)
+        with pytest.raises(OSError, match="busy"):
+            read_words(bus, 0x68, 0, 1)
+
+
+def test_adapter_of_a_pc_is_used_through_smbus2_itself() -> None:
+    bus = smbus2.SMBus()
+    bus.funcs = smbus2.I2cFunc.SMBUS_READ_BYTE_DATA
+    assert prepared(bus) is bus
+    bus.funcs |= smbus2.I2cFunc.I2C
+    assert isinstance(prepared(bus), PreparedBus)

@@ -9,7 +9,7 @@ from estimation.aircraft.schema import aircraft_from_text
 from estimation.errors import AircraftError
 from estimation.models import load_model
 from estimation.session import runner
-from estimation.session.stated_uncertainty import share
+from estimation.session.stated_uncertainty import airspeed_share, share
 from estimation.session.structured import StructureWish
 from tests.studies.random_aeroplanes import Situation, fly
 from tests.unit.estimation.test_structure import craft_and_file
@@ -53,3 +53,24 @@ def test_a_file_says_it_in_shares() -> None:
     for line in ("Iyy = 4000.0", "Iyy = -0.1", "Ixz = 0.1"):
         with pytest.raises(AircraftError, match=f"uncertainty.{line[:3]}"):
             aircraft_from_text(f"[uncertainty]\n{line}\n", "own.toml", "own")
+
+
+def test_the_calibration_of_a_measured_airspeed_is_in_the_bounds() -> None:
+    """A pitot that may be 3 % off moves each derivative by 6 %: measured or reconstructed, the bounds say so; a reconstructed
+    airspeed has counted its own already."""
+    craft, file = craft_and_file()
+    flights = fly(craft, Situation("plain"), np.random.default_rng(91), 1)
+    speed = float(np.nanmedian(flights[0]["V"]))
+    stated = {"uncertainty": {"V": 0.03 * speed}}
+    sure, unsure = (replace(f, provenance=replace(f.provenance, detail=d)) for f in flights for d in ({}, stated))
+    assert airspeed_share(sure) == 0.0
+    assert airspeed_share(unsure) == pytest.approx(0.06)
+    by_others = {**stated, "reconstructed": {"columns": ["V"], "std": {"V": 0.1}}}
+    assert airspeed_share(replace(unsure, provenance=replace(unsure.provenance, detail=by_others))) == 0.0
+    found = [
+        runner.estimate(load_model("lateral", file), [f], file, ("ml",), structure=StructureWish.OFF).flights[0]
+        for f in (sure, unsure)
+    ]
+    one, other = (f.results["ml"].parameters["Cl_p"] for f in found)
+    assert other.estimate == pytest.approx(one.estimate)
+    assert other.std_coloured == pytest.approx(np.hypot(one.std_coloured, 0.06 * abs(one.estimate)))

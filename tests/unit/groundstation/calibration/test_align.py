@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from groundstation.calibration.align import completeness, derivative, hold, runs, to_scan_time, undo_lag
+from groundstation.calibration.align import by_stamp, completeness, derivative, hold, runs, to_scan_time, undo_lag
 
 PERIOD = 0.05
 
@@ -137,3 +137,21 @@ def test_derivative_does_not_reach_across_a_gap() -> None:
     number = np.concatenate([np.arange(10), np.arange(30, 40)])
     values = np.where(number < 20, 0.0, 100.0)
     np.testing.assert_allclose(derivative(values, number * PERIOD, number), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("every_s", [0.02, 0.1])
+def test_pulses_that_came_between_reports_are_late_and_early_alike(every_s: float) -> None:
+    """Pulses change at any time, a report shows what stands: what a servo of 35 ms does with them is late by nothing in the mean
+    (before: by half an interval)."""
+    rng, lag, fine = np.random.default_rng(4), 0.035, np.arange(0.0, 60.0, 1e-3)
+    pulse = np.repeat(rng.uniform(-1.0, 1.0, 145), 417)[: fine.size]
+    surface = np.zeros_like(fine)
+    for i in range(1, fine.size):
+        surface[i] = pulse[i - 1] + (surface[i - 1] - pulse[i - 1]) * np.exp(-1e-3 / lag)
+    stamps = np.arange(0.5, 59.5, every_s) + 0.0037
+    stamps = stamps + np.arange(stamps.size) % 7 * every_s / 70  # of another clock
+    reported = pulse[np.searchsorted(fine, stamps, side="right") - 1]
+    newest = np.searchsorted(stamps, scans := np.arange(1.0, 59.0, 0.02), side="right") - 1
+    shown = by_stamp(reported[newest], stamps[newest], scans, smooth=False, lag=-lag, pulse=True)
+    late = [float(np.nansum((shown - np.interp(scans - d * 1e-3, fine, surface)) ** 2)) for d in range(-30, 31)]
+    assert abs(int(np.argmin(late)) - 30) <= 0.15e3 * every_s
