@@ -70,7 +70,7 @@ def test_motion_of_many_is_that_of_one(airframe: Airframe, values: dict[str, flo
         x, u = rng.uniform(-0.2, 0.2, 4), rng.uniform(0.05, 0.2, 7)
         u[3:5] = 17.0, 1.2
         inputs = Inputs(*(np.array([[v]]) for v in u))
-        one = np.array(alone._rates(LateralState(*x), MotionInputs(*u)))
+        one = np.array(alone.rates(LateralState(*x), MotionInputs(*u)))
         np.testing.assert_allclose(
             many.rates(x[:, None, None], many.conditions(inputs))[:, 0, 0], one, rtol=1e-12, atol=1e-12
         )
