@@ -317,7 +317,7 @@ def test_flights_with_nothing_wrong_are_quiet_and_gaps_are_not_watched(
                 monitor.add(sample)
         alarms += len(monitor.alarms)
         watched.append(monitor.watched)
-    assert alarms == 0  # two minutes, at one false alarm an hour
+    assert alarms == 0  # in two minutes
     np.testing.assert_allclose(watched, 40.0, atol=0.2)
 
 
