@@ -11,7 +11,7 @@ from daq.identification.estimates import EquationInformation, LiveDerivative, Li
 from daq.identification.movement import ControlSignal
 from daq.identification.regression import LATERAL, Equation, PlaneRegression
 from daq.identification.rows import RowMaker
-from daq.identification.simulated_motion import SteadiedVane, simulation_of
+from daq.identification.simulated_motion import DENSE, SteadiedVane, simulation_of
 from daq.identification.solve import Block, RegressionSolution, Sums, solve
 
 Array = NDArray[np.float64]
@@ -21,7 +21,6 @@ GAP = 1.0  # s without a whole scan after which a new stretch begins
 SLOWEST = 3.0  # m/s; below, non-dimensional rates mean nothing
 MOVE_IT = "move it on purpose (doublet or 3-2-1-1)"
 NONE_MOVED = "no control has moved yet"
-DENSE = 0.06  # s between scans up to which it is known well enough how surfaces move from one to the next
 SHAPE, SHAPE_NO_LAG = 0.035, 0.05
 """Of a derivative of a moment: what an unknown way of the surfaces between scans 0.1 s apart is worth, where the servos' lag is
 known and where it is not; it grows with the square of the interval. Found by simulation without noise."""

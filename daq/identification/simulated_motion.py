@@ -27,6 +27,7 @@ DELAY = (
 LIMITS = (0.6, 12.0, 6.0, 3.0)  # rad, rad/s, rad/s, rad of beta p r phi: beyond, the believed aircraft has departed
 VANE_S = 0.4  # s in which a steadied angle follows the vane: where its noise and gusts of usual size are worth the same
 AFTERWARDS_S = 1.0  # s for which later scans correct an earlier angle: what comes after is worth less than a tenth
+DENSE = 0.06  # s between scans up to which it is known well enough how surfaces move from one to the next
 PITCH_LIMITS = (0.8, 8.0)  # rad, rad/s of alpha q
 
 
@@ -224,8 +225,9 @@ class SimulatedPitch(_Simulation[PitchState, PitchInputs]):
         )
 
     def _between(self, first: Sample, last: Sample, part: float, surfaces: Sequence[Between]) -> PitchInputs:
-        sample = Sample(*((1.0 - part) * a + part * b for a, b in zip(first, last, strict=True)))
-        return PitchInputs(sample, surfaces[0].at(part))
+        if 0.0 < part < 1.0:
+            first = Sample._make([a + part * (b - a) for a, b in zip(first, last, strict=True)])
+        return PitchInputs(last if part == 1.0 else first, surfaces[0].at(part))
 
     def rates(self, x: PitchState, inputs: PitchInputs) -> PitchState:
         """Equations of the pitching motion at measured airspeed and attitude."""
@@ -256,10 +258,10 @@ class SteadiedVane:
     """Angle of attack with the noise of the vane mostly off: gyro and accelerometer carry it on, the vane draws it.
 
     What they say of an interval is integrated by the cubic through the four nearest scans; what that misses where the elevator
-    moves is taken from a simulated motion, as in the rows of the regression. So it is known two scans late. By how much the vane
-    then draws it corrects the scans before as well, the less the longer ago (smoothing by Rauch, Tung and Striebel with a
-    constant gain), for `AFTERWARDS_S`: the noise that is left has half the standard deviation of the filter's. That, and gusts
-    faster than `VANE_S`, are an error of the columns; it has nothing to do with the instruments, so that it makes no bias.
+    moves between slow scans is taken from a simulated motion, as in the rows of the regression. So it is known two scans late.
+    By how much the vane then draws it corrects the scans before as well, the less the longer ago (smoothing by Rauch, Tung and
+    Striebel with a constant gain), for `AFTERWARDS_S`: at 20 Hz a fifth of the vane's noise is left, half of the filter's. That,
+    and gusts faster than `VANE_S`, are an error of the columns; it has nothing to do with the instruments, so it makes no bias.
 
     values: of the derivatives that the motion is simulated with; may change.
     """
@@ -272,6 +274,7 @@ class SteadiedVane:
         self._filtered: deque[Sample] = deque()
         self._corrections: deque[float] = deque()  # of each of them, by the scans since [rad]
         self._alpha = self._rise = math.nan
+        self._time, self._intervals = 0.0, 0  # between scans that belong together
 
     def restart(self) -> list[Sample]:
         """Scans are missing: those that waited, as far as they are corrected."""
@@ -283,12 +286,15 @@ class SteadiedVane:
 
     def add(self, sample: Sample) -> list[Sample]:
         """Samples before this one, with the steadied angle, that later ones hardly correct any more."""
-        if len(self._scans) < 2:
+        if self._scans:
+            self._time += sample.time - self._scans[-1].sample.time
+            self._intervals += 1
+        if len(self._scans) < 2 or not self._slow:
             self._simulated.restart(sample)
-        self._scans.append(VaneScan(sample, _alpha_rate(sample), self._simulated_rate(sample)))
+        self._scans.append(VaneScan(sample, _alpha_rate(sample), self._simulated_rate(sample) if self._slow else 0.0))
         if len(self._scans) < 3:
             return []
-        rise = self._simulate() if len(self._scans) > 3 else 0.0
+        rise = self._simulate() if len(self._scans) > 3 and self._slow else math.nan
         latest, drawn = self._scans[-3].sample, 0.0
         if len(self._scans) < 5:
             self._alpha = latest.alpha
@@ -305,6 +311,11 @@ class SteadiedVane:
         while latest.time - self._filtered[0].time > AFTERWARDS_S:
             settled.append(self._corrected())
         return settled
+
+    @property
+    def _slow(self) -> bool:
+        """Whether the elevator may do between scans what the cubic misses."""
+        return self._time > DENSE * self._intervals
 
     def _simulate(self) -> float:
         """Carry the simulated motion to the last scan but one: by how much its angle rises there [rad]."""
