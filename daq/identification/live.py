@@ -11,7 +11,7 @@ from daq.identification.estimates import EquationInformation, LiveDerivative, Li
 from daq.identification.movement import ControlSignal
 from daq.identification.regression import LATERAL, Equation, PlaneRegression
 from daq.identification.rows import RowMaker
-from daq.identification.simulated_motion import SteadiedVane, simulation_of
+from daq.identification.simulated_motion import DENSE, SteadiedVane, simulation_of
 from daq.identification.solve import Block, RegressionSolution, Sums, solve
 
 Array = NDArray[np.float64]
@@ -21,7 +21,6 @@ GAP = 1.0  # s without a whole scan after which a new stretch begins
 SLOWEST = 3.0  # m/s; below, non-dimensional rates mean nothing
 MOVE_IT = "move it on purpose (doublet or 3-2-1-1)"
 NONE_MOVED = "no control has moved yet"
-DENSE = 0.06  # s between scans up to which it is known well enough how surfaces move from one to the next
 SHAPE, SHAPE_NO_LAG = 0.035, 0.05
 """Of a derivative of a moment: what an unknown way of the surfaces between scans 0.1 s apart is worth, where the servos' lag is
 known and where it is not; it grows with the square of the interval. Found by simulation without noise."""
@@ -39,7 +38,7 @@ class LiveEstimator:
         self._airframe = airframe
         self._regression = regression
         self._motion = simulation_of(regression, airframe)
-        self._vane = SteadiedVane() if "alpha" in regression.states else None
+        self._vane = SteadiedVane(airframe, dict(self._motion.values)) if "alpha" in regression.states else None
         self._rows = RowMaker(airframe, self._motion, regression)
         self._controls = {c: ControlSignal() for c in regression.controls}
         self._closed = Sums.empty(regression.width, regression.total, regression.lags)
@@ -54,6 +53,8 @@ class LiveEstimator:
 
     def restart(self) -> None:
         """A new stretch begins: time may be any, and nothing leads over from before. What is known is kept."""
+        for steadied in [] if self._vane is None else self._vane.restart():
+            self._take_row(steadied)
         self._close_block()
         self._interrupt()
         self._levels.append(np.zeros(self._regression.total))
@@ -77,11 +78,10 @@ class LiveEstimator:
             self._learn()
 
     def _take(self, sample: Sample) -> None:
-        if self._vane is not None:
-            steadied = self._vane.add(sample)
-            if steadied is None:
-                return
-            sample = steadied
+        for steadied in [sample] if self._vane is None else self._vane.add(sample):
+            self._take_row(steadied)
+
+    def _take_row(self, sample: Sample) -> None:
         signals = self._regression.controls
         surfaces = tuple(control.add(getattr(sample, signals[c])) for c, control in self._controls.items())
         row = self._rows.add(sample, surfaces)
@@ -96,8 +96,6 @@ class LiveEstimator:
 
     def _interrupt(self) -> None:
         self._rows.restart()
-        if self._vane is not None:
-            self._vane.restart()
         self._block.interrupt()
         for control in self._controls.values():
             control.restart()
@@ -219,8 +217,10 @@ class LiveEstimator:
         """Simulate the instruments with what is known by now: belief and estimate, each weighted by its bound.
 
         An equation without the column of a control that may have moved is wrong by more than its bound says, and so would be
-        all rows that are made with a motion simulated from it.
+        all rows that are made with a motion simulated from it. While all rest, gusts move it, which no column stands for.
         """
+        if self._all_still:
+            return
         doubtful = {c for c, signal in self._controls.items() if signal.doubtful}
         solutions = self._solved()
         for equation in self._regression.equations:

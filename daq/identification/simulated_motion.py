@@ -14,7 +14,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from daq.identification.airframe import Airframe, Sample
 from daq.identification.regression import LATERAL, LONGITUDINAL, PlaneRegression
-from daq.identification.surfaces import Between, cubic_weights
+from daq.identification.surfaces import Between, SurfaceCurves, cubic_weights
 from daq.utilities.constants import GRAVITY
 
 LONGEST_STEP = 0.026  # s; rolling decays with some 17 /s and a servo's edge takes 35 ms: Runge-Kutta is within 0.1 %
@@ -26,6 +26,8 @@ DELAY = (
 )
 LIMITS = (0.6, 12.0, 6.0, 3.0)  # rad, rad/s, rad/s, rad of beta p r phi: beyond, the believed aircraft has departed
 VANE_S = 0.4  # s in which a steadied angle follows the vane: where its noise and gusts of usual size are worth the same
+AFTERWARDS_S = 1.0  # s for which later scans correct an earlier angle: what comes after is worth less than a tenth
+DENSE = 0.06  # s between scans up to which it is known well enough how surfaces move from one to the next
 PITCH_LIMITS = (0.8, 8.0)  # rad, rad/s of alpha q
 
 
@@ -119,10 +121,10 @@ class _Simulation(Generic[State, Inputs]):
     def _step(self, integral: State, h: float, first: Inputs, middle: Inputs, last: Inputs) -> State:
         """One step of the classical Runge-Kutta method over `h` seconds, of the motion and of its integral."""
         x = self.motion
-        k1 = self._rates(x, first)
-        k2 = self._rates(x.moved(k1, h / 2), middle)
-        k3 = self._rates(x.moved(k2, h / 2), middle)
-        k4 = self._rates(x.moved(k3, h), last)
+        k1 = self.rates(x, first)
+        k2 = self.rates(x.moved(k1, h / 2), middle)
+        k3 = self.rates(x.moved(k2, h / 2), middle)
+        k4 = self.rates(x.moved(k3, h), last)
         sixth = h / 6
         self.motion = x.moved(k1, sixth).moved(k2, 2 * sixth).moved(k3, 2 * sixth).moved(k4, sixth)
         return integral.moved(x.moved(k1, sixth).moved(k2, sixth).moved(k3, sixth), h)
@@ -134,7 +136,7 @@ class _Simulation(Generic[State, Inputs]):
         """What drives the motion where `part` of the interval has passed."""
         raise NotImplementedError
 
-    def _rates(self, x: State, u: Inputs) -> State:
+    def rates(self, x: State, u: Inputs) -> State:
         raise NotImplementedError
 
 
@@ -173,7 +175,7 @@ class SimulatedMotion(_Simulation[LateralState, MotionInputs]):
             rest * self._airframe.cg_ahead(a.cg_x) + part * self._airframe.cg_ahead(b.cg_x),
         )
 
-    def _rates(self, x: LateralState, u: MotionInputs) -> LateralState:
+    def rates(self, x: LateralState, u: MotionInputs) -> LateralState:
         """Equations of lateral motion without the rate of change of airspeed, which instruments can do without."""
         d, a = self.values, self._airframe
         q_s = 0.5 * u.rho * u.V * u.V * a.area
@@ -223,10 +225,11 @@ class SimulatedPitch(_Simulation[PitchState, PitchInputs]):
         )
 
     def _between(self, first: Sample, last: Sample, part: float, surfaces: Sequence[Between]) -> PitchInputs:
-        sample = Sample(*((1.0 - part) * a + part * b for a, b in zip(first, last, strict=True)))
-        return PitchInputs(sample, surfaces[0].at(part))
+        if 0.0 < part < 1.0:
+            first = Sample._make([a + part * (b - a) for a, b in zip(first, last, strict=True)])
+        return PitchInputs(last if part == 1.0 else first, surfaces[0].at(part))
 
-    def _rates(self, x: PitchState, inputs: PitchInputs) -> PitchState:
+    def rates(self, x: PitchState, inputs: PitchInputs) -> PitchState:
         """Equations of the pitching motion at measured airspeed and attitude."""
         d, a, (u, elevator) = self.values, self._airframe, inputs
         q_s = 0.5 * u.rho * u.V * u.V * a.area
@@ -243,38 +246,101 @@ class SimulatedPitch(_Simulation[PitchState, PitchInputs]):
         return PitchState(alpha_rate, moment / a.Iyy)
 
 
-class SteadiedVane:
-    """Angle of attack with the noise of the vane mostly off: gyro and accelerometer carry it to the next scan, the vane draws it.
+class VaneScan(NamedTuple):
+    """A scan with the rate of change of its angle of attack [rad/s], measured and simulated."""
 
-    What they say of an interval is integrated by the cubic through the four nearest scans, so it is known one scan late. What is
-    left of the vane's noise, and gusts faster than `VANE_S`, are an error of the columns; it has nothing to do with the
-    instruments, so that it makes no bias.
+    sample: Sample
+    measured: float
+    simulated: float
+
+
+class SteadiedVane:
+    """Angle of attack with the noise of the vane mostly off: gyro and accelerometer carry it on, the vane draws it.
+
+    What they say of an interval is integrated by the cubic through the four nearest scans; what that misses where the elevator
+    moves between slow scans is taken from a simulated motion, as in the rows of the regression. So it is known two scans late.
+    By how much the vane then draws it corrects the scans before as well, the less the longer ago (smoothing by Rauch, Tung and
+    Striebel with a constant gain), for `AFTERWARDS_S`: at 20 Hz a fifth of the vane's noise is left, half of the filter's. That,
+    and gusts faster than `VANE_S`, are an error of the columns; it has nothing to do with the instruments, so it makes no bias.
+
+    values: of the derivatives that the motion is simulated with; may change.
     """
 
-    def __init__(self) -> None:
-        self._scans: deque[tuple[float, float]] = deque(maxlen=4)  # time and measured rate of change
-        self._waiting: Sample | None = None
-        self._alpha = math.nan
+    def __init__(self, airframe: Airframe, values: dict[str, float]) -> None:
+        self._simulated = SimulatedPitch(airframe)
+        self._simulated.values = values
+        self._elevator = SurfaceCurves(airframe.servo_lag)
+        self._scans: deque[VaneScan] = deque(maxlen=5)
+        self._filtered: deque[Sample] = deque()
+        self._corrections: deque[float] = deque()  # of each of them, by the scans since [rad]
+        self._alpha = self._rise = math.nan
+        self._time, self._intervals = 0.0, 0  # between scans that belong together
 
-    def restart(self) -> None:
-        """Scans are missing."""
+    def restart(self) -> list[Sample]:
+        """Scans are missing: those that waited, as far as they are corrected."""
+        waiting = [self._corrected() for _ in range(len(self._filtered))]
+        waiting += [scan.sample for scan in list(self._scans)[-2:]]
         self._scans.clear()
-        self._waiting = None
+        self._elevator.restart()
+        return waiting
 
-    def add(self, sample: Sample) -> Sample | None:
-        """The sample before this one with the steadied angle; None at the beginning."""
-        self._scans.append((sample.time, _alpha_rate(sample)))
-        previous, self._waiting = self._waiting, sample
-        if previous is None:
-            return None
-        if len(self._scans) < 4:
-            self._alpha = previous.alpha
-            return previous
-        times, rates = zip(*self._scans, strict=True)
-        predicted = self._alpha + float(cubic_weights(*times) @ rates)
-        follow = 1.0 - math.exp(-(times[2] - times[1]) / VANE_S)
-        self._alpha = predicted + follow * (previous.alpha - predicted)
-        return previous._replace(alpha=self._alpha)
+    def add(self, sample: Sample) -> list[Sample]:
+        """Samples before this one, with the steadied angle, that later ones hardly correct any more."""
+        if self._scans:
+            self._time += sample.time - self._scans[-1].sample.time
+            self._intervals += 1
+        if len(self._scans) < 2 or not self._slow:
+            self._simulated.restart(sample)
+        self._scans.append(VaneScan(sample, _alpha_rate(sample), self._simulated_rate(sample) if self._slow else 0.0))
+        if len(self._scans) < 3:
+            return []
+        rise = self._simulate() if len(self._scans) > 3 and self._slow else math.nan
+        latest, drawn = self._scans[-3].sample, 0.0
+        if len(self._scans) < 5:
+            self._alpha = latest.alpha
+        else:
+            predicted = self._alpha + self._increment()
+            drawn = (1.0 - math.exp((self._scans[1].sample.time - latest.time) / VANE_S)) * (latest.alpha - predicted)
+            self._alpha = predicted + drawn
+        self._rise = rise
+        for k, earlier in enumerate(self._filtered):
+            self._corrections[k] += drawn * math.exp((earlier.time - latest.time) / VANE_S)
+        self._filtered.append(latest._replace(alpha=self._alpha))
+        self._corrections.append(0.0)
+        settled = []
+        while latest.time - self._filtered[0].time > AFTERWARDS_S:
+            settled.append(self._corrected())
+        return settled
+
+    @property
+    def _slow(self) -> bool:
+        """Whether the elevator may do between scans what the cubic misses."""
+        return self._time > DENSE * self._intervals
+
+    def _simulate(self) -> float:
+        """Carry the simulated motion to the last scan but one: by how much its angle rises there [rad]."""
+        four = [s.sample for s in list(self._scans)[-4:]]
+        times, elevator = zip(*((s.time, s.delta_e) for s in four), strict=True)
+        before = self._simulated.motion.alpha
+        self._simulated.advance(four[1], four[2], self._elevator.middle(times, elevator))
+        self._scans[-2] = self._scans[-2]._replace(simulated=self._simulated_rate(four[2]))
+        after = self._simulated.motion
+        return math.nan if after == (four[2].alpha, four[2].q) else after.alpha - before  # departed, and restarted
+
+    def _increment(self) -> float:
+        """Of the angle in the middle of the last scans but one [rad]."""
+        four = list(self._scans)[:4]
+        weights = cubic_weights(*(s.sample.time for s in four))
+        measured, simulated = (float(weights @ rates) for rates in zip(*(s[1:] for s in four), strict=True))
+        missed = self._rise - simulated
+        return measured + (missed if math.isfinite(missed) else 0.0)
+
+    def _simulated_rate(self, sample: Sample) -> float:
+        return self._simulated.rates(self._simulated.motion, PitchInputs(sample, sample.delta_e)).alpha
+
+    def _corrected(self) -> Sample:
+        sample = self._filtered.popleft()
+        return sample._replace(alpha=sample.alpha + self._corrections.popleft())
 
 
 def _alpha_rate(s: Sample) -> float:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.identification.monitor import FALSE_ALARMS
 from daq.utilities.packages import optional
 from estimation.answers.answer import Answer, Figures, Rows, plot_watched
 from estimation.threads import single_threaded
@@ -25,7 +26,7 @@ def watch(
     *,
     aircraft: "AnyAircraft" = None,
     segments: str | None = None,
-    rate: float = 1.0,
+    rate: float = FALSE_ALARMS,
     hours: float = 2.5,
     seed: int = 1,
 ) -> "Watching":

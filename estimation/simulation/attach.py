@@ -83,7 +83,7 @@ def attach(
     simulation = simulation_of(spec)
     craft = aircraft_for(simulation, flights, given)
     if simulation.referred is not None:
-        simulation = replace(simulation, oracle=simulation.referred(craft))
+        simulation = simulation.referred(craft)
     if which in BUILDERS:
         along_flights = simulate_along(simulation, load_model(which, craft), flights)
         model = base_model(simulation, which, craft, along_flights, free)

@@ -7,9 +7,12 @@ Each coefficient is
 with C_sim the simulation's along the flight (`along_flight`), a factor k_C (1) and an increment C_0 (0). C_x are derivatives as
 the field writes them (per rad, rates non-dimensional), beginning at `mean_C_x`, the simulation's own mean slope over the flights:
 what an estimate of C_x differs from it by is the increment that the simulation lacks. Effects add their terms behind these.
+
+A drag that knows the lift of the angle of attack alone (SITL's) gets share_CD CD_k (CL^2 - CL(alpha)^2): what its files cannot
+say is estimated beside, 0 as the simulation flies and 1 as a parabolic polar has it, and accuses none of its numbers.
 """
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from enum import StrEnum
 
 from estimation.aircraft import Aircraft
@@ -24,6 +27,8 @@ REGRESSORS = {
     "de": ("delta_e", "delta_e"), "da": ("delta_a", "delta_a"), "dr": ("delta_r", "delta_r"),
 }  # fmt: skip
 """Ending of a derivative's name -> what it multiplies, the variable behind that."""
+SHARE = "share_CD"
+SHARE_WORDS = "induced drag by the lift of elevator and pitch rate, not in the simulation: share of a parabolic polar"
 DESCRIPTION = "Base: the simulation {}"
 
 
@@ -51,6 +56,10 @@ def base_model(simulation: Simulation, which: str, aircraft: Aircraft, along_fli
                                     description=f"factor on the simulation's {c}"))  # fmt: skip
         parameters.append(Parameter(zero, "1", fixed=free is Free.NOTHING, role=usual_role(zero), reference=0.0,
                                     description=f"increment to the simulation's {c}"))  # fmt: skip
+        if c == "CD" and simulation.polar is not None:
+            terms.append(f"{SHARE}*polar_CD_k*(CL^2 - (polar_CL_0 + polar_CL_alpha*alpha)^2)")
+            constants |= {f"polar_{n}": v for n, v in asdict(simulation.polar).items()}
+            parameters.append(Parameter(SHARE, "1", fixed=free is Free.NOTHING, reference=0.0, description=SHARE_WORDS))
         for name in own_derivatives:
             regressor, variable = REGRESSORS[name.removeprefix(f"{c}_")]
             mean = _derivative(along_flights, c, variable, aircraft)

@@ -65,12 +65,22 @@ class Oracle(Protocol):
 
 
 @dataclass(frozen=True)
+class PolarOfAlpha:
+    """Induced drag CD_k (CL_0 + CL_alpha alpha)^2 of a simulation that knows the lift of the angle of attack alone there."""
+
+    CL_0: float
+    CL_alpha: float
+    CD_k: float
+
+
+@dataclass(frozen=True)
 class Simulation:
     """A simulation as it was asked for.
 
     spec: the text that names it. name: a short word for models and files. aircraft: its geometry, mass and inertia, NaN where
     it does not say, or None where it says nothing. notes: what of it is not used, or held. referred: for a simulation that flies
-    accelerations rather than coefficients, its oracle for the mass, inertia and geometry of an aircraft.
+    accelerations rather than coefficients, itself for the mass, inertia and geometry of an aircraft. polar: where its drag leaves
+    out the lift of elevator and pitch rate.
     """
 
     spec: str
@@ -78,4 +88,5 @@ class Simulation:
     oracle: Oracle
     aircraft: Aircraft | None = None
     notes: tuple[str, ...] = field(default=())
-    referred: Callable[[Aircraft], Oracle] | None = None
+    referred: "Callable[[Aircraft], Simulation] | None" = None
+    polar: PolarOfAlpha | None = None

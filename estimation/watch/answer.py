@@ -23,7 +23,7 @@ def lines(found: Watched) -> Iterator[str]:
     c = found.calibration
     yield (
         f"{found.flight.name}, model {found.model}: {found.manoeuvring_s:.0f} s of manoeuvring watched; thresholds for "
-        f"{c.rate:g} false alarm an hour from {c.hours:.1f} h of simulated flight"
+        f"{c.rate:g} false alarms an hour from {c.hours:.1f} h of simulated flight"
     )
     if not found.alarms:
         yield f"no alarm; the largest score was {max((w.score for w in found.history), default=0.0):.0%} of its threshold"

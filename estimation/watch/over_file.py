@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import Airframe, Sample
+from daq.identification.monitor import FALSE_ALARMS
 from daq.identification.monitor.bank import PLANES, MonitoredPlane, bank
 from daq.identification.monitor.monitor import Alarm, GapMonitor, GapMonitors, MonitorState
 from daq.identification.monitor.nulls import NullConditions
@@ -71,7 +72,7 @@ def _alarm_json(a: Alarm) -> dict[str, Any]:
 
 
 def watch(
-    model: Model, flight: Flight, aircraft: Aircraft, *, seed: int = 1, hours: float = 2.5, rate: float = 1.0
+    model: Model, flight: Flight, aircraft: Aircraft, *, seed: int = 1, hours: float = 2.5, rate: float = FALSE_ALARMS
 ) -> Watched:
     """Watch a flight with a linear model of one plane or both; thresholds for `rate` false alarms an hour of manoeuvring.
 

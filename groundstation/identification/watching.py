@@ -9,6 +9,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from daq.identification.airframe import Sample
+from daq.identification.monitor import FALSE_ALARMS
 from daq.identification.monitor.bank import PLANES, MonitoredPlane, bank
 from daq.identification.monitor.monitor import Alarm, GapMonitor, GapMonitors
 from daq.identification.monitor.nulls import NullConditions
@@ -84,11 +85,11 @@ class LiveWatch:
             self.trouble = f"no gap monitor: its thresholds cannot be simulated from these beliefs ({error})"
 
     def _monitor_of(self, plane: MonitoredPlane) -> GapMonitor:
-        """One false alarm an hour of all planes together."""
+        """All planes together have the allowed false alarms."""
         beliefs = {n: b for n, b in self._airframe.beliefs.items() if n in plane.parameters}
         values = {n: b.value for n, b in beliefs.items()}
         effects = bank(values, {n: b.std for n, b in beliefs.items() if b.std > 0.0}, plane)
-        rng, each = np.random.default_rng([SEED, len(effects)]), 1.0 / len(self._planes)
+        rng, each = np.random.default_rng([SEED, len(effects)]), FALSE_ALARMS / len(self._planes)
         calibration = calibrated(
             self._airframe, values, effects, self._conditions, rng=rng, hours=HOURS, rate=each, plane=plane
         )

@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from daq.identification.monitor import FALSE_ALARMS
 from daq.utilities.options import (
     aircraft_option,
     json_option,
@@ -26,7 +27,7 @@ EXAMPLE = "Example: sideslip watch flight.mcap --model ld4.toml --json watch.jso
 @segments_option()
 @click.option(
     "--rate",
-    default=1.0,
+    default=FALSE_ALARMS,
     show_default=True,
     type=click.FloatRange(0.01, 60.0),
     help="False alarms allowed in an hour of manoeuvring.",

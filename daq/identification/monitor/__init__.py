@@ -8,3 +8,7 @@ the statistic. Its threshold is from simulated flights as well.
 Sources: Willsky and Jones, IEEE Trans. Automatic Control 21 (1976), generalized likelihood ratio; Basseville and Nikiforov,
 Detection of Abrupt Changes (1993). numpy only.
 """
+
+FALSE_ALARMS = 0.25
+"""An hour of manoeuvring, that thresholds are set for: gusts three times the usual bring three times as many, still below one.
+One an hour in usual air would notice hardly more (tables in docs/validation/live.md)."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import Airframe
+from daq.identification.monitor import FALSE_ALARMS
 from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, MonitoredPlane
 from daq.identification.monitor.evidence import EffectScores, MonitorEvidence, Run, Whitening, fitted
 from daq.identification.monitor.nulls import NullConditions, fly
@@ -20,6 +21,7 @@ BEGIN_S = 3.0  # s in which window and predictor fill
 AT_ONCE = 100  # flights side by side: more no longer fit the caches
 EULER = 0.5772156649015329
 HOUR_S = 3600.0
+ENERGY_SHARE = 0.2  # what has no name grows large; in strong gusts energy brings most of the false alarms
 FAR, FAR_NORMAL = 0.999, 3.2905  # a share of all values, and how far out that of a normal variable lies
 
 
@@ -57,10 +59,10 @@ def calibrated(
     *,
     rng: np.random.Generator,
     hours: float = 2.5,
-    rate: float = 1.0,
+    rate: float = FALSE_ALARMS,
     plane: MonitoredPlane = LATERAL_PLANE,
 ) -> Calibration:
-    """Simulate so many hours of manoeuvring; half of the allowed false alarms to each statistic."""
+    """Simulate so many hours of manoeuvring; the energy of channels has `ENERGY_SHARE` of the allowed false alarms."""
     batches = max(1, round(hours * HOUR_S / FLIGHT_S / AT_ONCE))
     batches_of_scans = [
         fly(airframe, values, effects, conditions, rng, AT_ONCE, FLIGHT_S, plane=plane) for _ in range(batches)
@@ -78,8 +80,8 @@ def calibrated(
     )
     effect_scale, energy_scale = _usual(z), _usual(energy)
     seconds = FLIGHT_S - BEGIN_S
-    effect_threshold = exceeded(np.abs(effect_scale.of(z)).max(axis=(0, 2, 3)), seconds, rate / 2.0)
-    energy_threshold = exceeded(np.nanmax(energy_scale.of(energy), axis=(0, 2)), seconds, rate / 2.0)
+    effect_threshold = exceeded(np.abs(effect_scale.of(z)).max(axis=(0, 2, 3)), seconds, rate * (1.0 - ENERGY_SHARE))
+    energy_threshold = exceeded(np.nanmax(energy_scale.of(energy), axis=(0, 2)), seconds, rate * ENERGY_SHARE)
     return Calibration(
         whitening, effect_scale, energy_scale, effect_threshold, energy_threshold, rate, z.shape[1] * seconds / HOUR_S
     )

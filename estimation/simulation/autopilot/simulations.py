@@ -15,7 +15,7 @@ from estimation.simulation.autopilot.ardupilot import read_sitl_plane
 from estimation.simulation.autopilot.equations import MASS, GazeboPlane, SitlPlane, gazebo_forces, sitl_accelerations
 from estimation.simulation.autopilot.gazebo_file import read_gazebo_plane
 from estimation.simulation.autopilot.linear import FlightStates
-from estimation.simulation.oracle import Array, Simulation, SimulationError, States
+from estimation.simulation.oracle import Array, PolarOfAlpha, Simulation, SimulationError, States
 
 ARDUPILOT, GAZEBO = "ardupilot:", "gazebo:"  # before the file of a simulation
 
@@ -68,11 +68,20 @@ def ardupilot_simulation(file: str) -> Simulation:
         own = Aircraft(name, span=k["b"], area=k["s"], chord=k["c"], mass=MASS, Ixx=1.0, Iyy=1.0, Izz=1.0, Ixz=0.0,
                        title=f"ArduPilot SITL plane {name}, of 2 kg and 1 kg m2")  # fmt: skip
 
-    def referred(aircraft: Aircraft) -> SitlOracle:
+    def referred(aircraft: Aircraft) -> Simulation:
         aircraft.need(("m", "S", "b", "c", "Ixx", "Iyy", "Izz"), f"{ARDUPILOT}{file}")
-        return SitlOracle(plane, aircraft)
+        return replace(simulation, oracle=SitlOracle(plane, aircraft), polar=_polar_of_alpha(plane, aircraft))
 
-    return Simulation(f"{ARDUPILOT}{file}", name, SitlOracle(plane, own), own, plane.notes, referred)
+    simulation = Simulation(f"{ARDUPILOT}{file}", name, SitlOracle(plane, own), own, plane.notes, referred)
+    return simulation
+
+
+def _polar_of_alpha(plane: SitlPlane, aircraft: Aircraft) -> PolarOfAlpha:
+    """SITL's induced drag in coefficients of the aircraft, whose mass and area are others than 2 kg and the file's."""
+    k = plane.values
+    scale = k["s"] * aircraft.mass / (MASS * aircraft.area)
+    CD_k = 1.0 / (np.pi * k["oswald"] * k["b"] ** 2 / k["s"])
+    return PolarOfAlpha(scale * k["c_lift_0"], scale * k["c_lift_a"], CD_k / scale)
 
 
 def gazebo_simulation(file: str) -> Simulation:

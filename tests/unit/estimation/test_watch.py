@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sideslip
-from daq.identification.monitor import threshold
+from daq.identification.monitor import FALSE_ALARMS, threshold
 from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredPlane
 from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import Calibration
@@ -74,7 +74,7 @@ def known_thresholds(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
         *asked: object, rng: np.random.Generator, hours: float, rate: float, plane: MonitoredPlane
     ) -> Calibration:
         conditions = next(a for a in asked if isinstance(a, NullConditions))
-        assert (conditions.rate, hours, rate, plane) == (pytest.approx(20.0), 1.0, 1.0, LATERAL_PLANE)
+        assert (conditions.rate, hours, rate, plane) == (pytest.approx(20.0), 1.0, FALSE_ALARMS, LATERAL_PLANE)
         assert conditions.beta == pytest.approx(ORDINARY_NOISE.beta, rel=0.2)
         return quiet.calibration
 
@@ -220,7 +220,7 @@ def test_both_planes_are_watched_at_once_and_what_cannot_be_predicted_is_named(
         watch(load_model("longitudinal", aircraft), flight, aircraft, hours=1.0)
     with pytest.raises(EstimationError, match="nothing is simulated here"):
         watch(load_model("six-dof", aircraft), flight, aircraft, hours=1.0)
-    assert planes == [("lateral", 0.5)]
+    assert planes == [("lateral", FALSE_ALARMS / 2.0)]
     with pytest.raises(EstimationError, match="does not know CD_de of model"):
         strange = load_model("longitudinal", aircraft).plus(
             terms={"CD": "CD_de * delta_e"}, parameters=[Parameter("CD_de", 0.0)]

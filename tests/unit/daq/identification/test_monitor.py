@@ -70,7 +70,7 @@ def test_motion_of_many_is_that_of_one(airframe: Airframe, values: dict[str, flo
         x, u = rng.uniform(-0.2, 0.2, 4), rng.uniform(0.05, 0.2, 7)
         u[3:5] = 17.0, 1.2
         inputs = Inputs(*(np.array([[v]]) for v in u))
-        one = np.array(alone._rates(LateralState(*x), MotionInputs(*u)))
+        one = np.array(alone.rates(LateralState(*x), MotionInputs(*u)))
         np.testing.assert_allclose(
             many.rates(x[:, None, None], many.conditions(inputs))[:, 0, 0], one, rtol=1e-12, atol=1e-12
         )
@@ -317,7 +317,7 @@ def test_flights_with_nothing_wrong_are_quiet_and_gaps_are_not_watched(
                 monitor.add(sample)
         alarms += len(monitor.alarms)
         watched.append(monitor.watched)
-    assert alarms == 0  # two minutes, at one false alarm an hour
+    assert alarms == 0  # in two minutes
     np.testing.assert_allclose(watched, 40.0, atol=0.2)
 
 

@@ -34,7 +34,7 @@ def test_linear_motion_is_the_slope_of_the_simulated_one(airframe: Airframe) -> 
 
     def rates(x: list[float]) -> np.ndarray:
         drive = MotionInputs(0.0, LEVEL.theta, LEVEL.alpha, LEVEL.V, LEVEL.rho, x[4], x[5])
-        return np.array(motion._rates(LateralState(*x[:4]), drive))
+        return np.array(motion.rates(LateralState(*x[:4]), drive))
 
     step = 1e-5
     for i in range(6):

@@ -75,7 +75,7 @@ def test_motion_of_many_is_that_of_one(airframe: Airframe, values: dict[str, flo
         s = Sample(0, beta, p, q, r, phi, theta, alpha, 17.0, 0, 0, 0, 1.2, thrust=4.0, delta_e=elevator)
         u = ElevatorInputs(*(np.array([[getattr(s, n)]]) for n in ElevatorInputs._fields[:-2]))
         x = np.array([alpha, q, theta])[:, None, None]
-        one = np.array(alone._rates(PitchState(alpha, q), PitchInputs(s, elevator)))
+        one = np.array(alone.rates(PitchState(alpha, q), PitchInputs(s, elevator)))
         np.testing.assert_allclose(many.rates(x, many.conditions(u))[:2, 0, 0], one, rtol=1e-12, atol=1e-12)
         ax, az = many.forces(x, u)[:, 0, 0]
         lift, drag = lift_and_drag(airframe, s._replace(ax=ax, az=az))

@@ -76,6 +76,27 @@ def test_what_was_exported_reads_as_the_aircraft(target: str, out: str, spec: st
         assert getattr(simulation.aircraft, name) == pytest.approx(value, rel=1e-9)
 
 
+def test_what_drag_of_sitl_leaves_out_is_estimated_beside_it(tmp_path: Path) -> None:
+    """An aircraft whose drag goes with all of its lift: at a share of 1 the model on its own file has just that drag."""
+    craft = RandomAircraft(33)
+    path = craft.write(tmp_path)
+    assert export(path, "--to", "ardupilot", "-o", tmp_path / "x.json").return_value == 0
+    (columns,) = truth.fly([truth.Request(4, manoeuvres="longitudinal", duration=6.0)])
+    flight = Flight.build("f", columns.pop("time"), columns)
+    attached = attach(f"ardupilot:{tmp_path / 'x.json'}", "longitudinal", [flight], load_aircraft(path))
+    assert "share_CD" in attached.model.free_names
+    polar, d, x = attached.simulation.polar, craft.d, states(20)
+    assert polar is not None
+    alpha, q_hat = x.values["alpha"], x.values["q"] * craft.c / (2.0 * x.values["V"])
+    of_alpha = d["CL_0"] + d["CL_alpha"] * alpha
+    CL = of_alpha + d["CL_q"] * q_hat + d["CL_de"] * x.values["delta_e"]
+    level = States({**x.values, "beta": np.zeros(20)}, x.rho, x.alpha_dot)
+    body = attached.simulation.oracle.coefficients(level)
+    flown = -body[:, 0] * np.cos(alpha) - body[:, 2] * np.sin(alpha)
+    rest = polar.CD_k * (CL**2 - (polar.CL_0 + polar.CL_alpha * alpha) ** 2)
+    np.testing.assert_allclose(flown + rest, d["CD_0"] + d["CD_k"] * CL**2, rtol=1e-6)
+
+
 def test_accelerations_of_sitl_stand_whatever_aircraft_is_asked_about(tmp_path: Path) -> None:
     """A file without our comments: SITL flies 2 kg and 1 kg m2, and so must the model on it."""
     (tmp_path / "x.json").write_text(SITL_KEYS + "}")
