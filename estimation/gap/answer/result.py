@@ -178,6 +178,9 @@ class Histories:
     floor: Array  # (ny,) band, one standard deviation of the null residual
 
 
+PRIOR_FROZEN = "prior parameters frozen"  # the stage of the base as it was believed before the flights
+
+
 @dataclass(frozen=True)
 class DisagreementView:
     """The disagreement at one stage.

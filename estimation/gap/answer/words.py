@@ -61,6 +61,11 @@ def describe_unknown(step: EffectStep) -> str:
         else ""
     )
     text = f"Something the catalogue does not hold: {place}{example}. No name is given, because none explains enough of it."
+    if step.gap.before <= step.gap.floor:
+        text += (
+            f" Its size is no larger than gusts and errors of the inputs leave (a gap of {step.gap.before:.3g}, "
+            f"{step.gap.floor:.3g} with nothing hidden): its course stands out."
+        )
     if isinstance(step.shape, LaggedTerm):
         s = step.shape
         text += (

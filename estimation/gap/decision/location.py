@@ -14,7 +14,7 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
-from estimation.gap.answer.result import DisagreementView, Where
+from estimation.gap.answer.result import PRIOR_FROZEN, DisagreementView, Where
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Form
 from estimation.gap.fit.baseline import Baseline
@@ -42,11 +42,11 @@ EQUATIONS = ("CY", "Cl", "Cn", "CL", "CD", "Cm")
 
 
 def views(first: Baseline, last: Baseline, prepared: FlightRecords, changed: bool) -> tuple[DisagreementView, ...]:
-    """The stages there are: prior frozen (unless its motion runs away), refit, and with the named effects."""
+    """The stages there are: prior frozen (if there is one that does not run away), refit, and with the named effects."""
     stages = []
     frozen = prior_frozen(first)
     if frozen is not None:
-        stages.append(view("prior parameters frozen", frozen, prepared))
+        stages.append(view(PRIOR_FROZEN, frozen, prepared))
     stages.append(view("after the refit", first, prepared))
     if changed:
         stages.append(view("with the named effects", last, prepared))
@@ -54,9 +54,12 @@ def views(first: Baseline, last: Baseline, prepared: FlightRecords, changed: boo
 
 
 def prior_frozen(baseline: Baseline) -> Baseline | None:
-    """The baseline with every derivative at its prior and only initial states and biases fitted; None where that diverges."""
+    """The baseline with every derivative at its prior and only initial states and biases fitted; None where that diverges, or
+    nothing was believed."""
     problem = baseline.problem
     references = {p.name: p.reference for p in problem.model.parameters if p.reference is not None}
+    if not references:
+        return None
     frozen_fit = fit(problem, {**problem.starts(), **references}, baseline.fit.locals, frozen=True)
     return None if frozen_fit.diverged or not frozen_fit.residuals else replace(baseline, fit=frozen_fit)
 

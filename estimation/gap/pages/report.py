@@ -7,7 +7,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from estimation.gap.answer.result import EffectStep, GapResult, Histories
+from estimation.gap.answer.result import PRIOR_FROZEN, EffectStep, GapResult, Histories
 from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
@@ -121,9 +121,12 @@ def _step_parts(step: EffectStep, verdict: str) -> list[Part]:
 
 def _stages(result: GapResult) -> Markup:
     stages = "; ".join(f"{view.stage}: {view.gap:.2f}" for view in result.views)
+    frozen = (
+        " Frozen at what was believed before the flights the disagreement stands where it arises; a refit hides most of it in "
+        "the derivatives."
+    )
     return paragraph(
-        f"{stages} times the measurement noise. Frozen at what was believed before the flights the disagreement stands where it"
-        " arises; a refit hides most of it in the derivatives."
+        f"{stages} times the measurement noise.{frozen if any(v.stage == PRIOR_FROZEN for v in result.views) else ''}"
     )
 
 

@@ -119,6 +119,14 @@ def test_the_form_of_an_effect_is_told_where_it_is_one_of_several() -> None:
     assert describe_step(replace(drag, form="CD_abs_beta")).startswith("drag of sideslip (CD_beta2: CD_abs_beta")
 
 
+def test_an_unknown_under_its_floor_says_that_its_course_stands_out() -> None:
+    """A log of a firmware: a gap of 88.8 under a floor of 234, and an unknown."""
+    assert "(a gap of 88.8, 234 with nothing hidden): its course stands out" in describe_step(
+        replace(step("unknown"), gap=Gap(88.8, 88.8, 234.0))
+    )
+    assert "its course" not in describe_step(replace(step("unknown"), gap=Gap(2.0, 2.0, 1.0)))
+
+
 def test_a_held_out_gap_that_was_never_above_its_floor_is_told_to_say_nothing() -> None:
     """A right `Cm_de3` closed "0 %" of a held-out gap of 1.258 over a floor of 1.254."""
     unseen = Gap(1.258, 1.258, 1.254, highest=1.31)
