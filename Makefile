@@ -28,7 +28,7 @@ $(VENV)/.demo: pyproject.toml constraints.txt
 # The lowest versions that pyproject.toml declares, of what it names itself, in an environment of their own; then the tests.
 lowest:
 	$(PYTHON) -m venv $(VENV)-lowest
-	$(VENV)-lowest/bin/python -m pip install -q packaging
+	$(VENV)-lowest/bin/python -m pip install -q packaging 'setuptools>=77'
 	$(VENV)-lowest/bin/python tests/support/lowest.py > $(VENV)-lowest/constraints.txt
 	$(VENV)-lowest/bin/python -m pip install -q -c $(VENV)-lowest/constraints.txt -e '.[dev]'
 	$(VENV)-lowest/bin/pytest -q -n 3 --dist worksteal -m "$(ORDINARY) and not long"

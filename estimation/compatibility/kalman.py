@@ -40,10 +40,27 @@ class FilterRecord:
         """Sample interval [s]."""
         return float(np.median(np.diff(self.time)))
 
+    @cached_property
+    def measured(self) -> NDArray[np.bool_]:
+        """(N, ny) which outputs are."""
+        return np.isfinite(self.z)
+
+    @cached_property
+    def table(self) -> Array:
+        """(N, 2 nu + 2 ny) what the filter reads at each sample: inputs there and at the next, outputs, whether measured. Kept,
+        for a search for factors reads it a hundred times."""
+        return rows_of(self.u, self.z)
+
     def parts(self, count: int) -> list["FilterRecord"]:
         """The record in so many even pieces."""
         edges = np.linspace(0, len(self.time), count + 1).astype(int).tolist()
         return [FilterRecord(self.first + a, self.time[a:b], self.u[a:b], self.z[a:b]) for a, b in pairwise(edges)]
+
+
+def rows_of(u: Array, z: Array) -> Array:
+    """`FilterRecord.table` of inputs (N, nu) and outputs (N, ny)."""
+    measured = np.isfinite(z)
+    return np.hstack([u, np.vstack([u[1:], u[-1:]]), np.where(measured, z, 0.0), measured.astype(float)])
 
 
 @dataclass(frozen=True)
@@ -85,15 +102,15 @@ class KalmanFilter:
         """Filter one record. x0: (nx,) start; spread: (nx,) its standard deviation."""
         model, count = self.model, len(record.time)
         nx, ny = len(model.states), len(model.outputs)
-        z, fractions = self._at_their_instants(record, p)
-        measured = np.isfinite(z)
-        u_next = np.vstack([record.u[1:], record.u[-1:]])
-        rows = np.hstack([record.u, u_next, np.where(measured, z, 0.0), measured.astype(float)])
+        if self.delayed:
+            z, fractions = self._at_their_instants(record, p)
+            rows, measured = rows_of(record.u, z), self._usable(record)
+        else:
+            rows, measured, fractions = record.table, record.measured, np.zeros(0)
         levels = (noise.inputs**2, noise.outputs**2, noise.drift**2)
         fixed = np.concatenate([p, self._constants, *levels, [record.step], fractions])
         state = np.concatenate([x0, np.diag(spread**2).ravel()])
         rows_out = self._in_rows_of_the_record(self._chain.run(state, rows, fixed), record, p)
-        measured = self._usable(record)
         normalised, log_s = rows_out[:, :ny], rows_out[:, ny : 2 * ny]
         finite = len(rows_out) == count and bool(np.all(np.isfinite(rows_out)))
         log_variance = float(np.sum(log_s[measured[: len(rows_out)]])) if finite else np.inf

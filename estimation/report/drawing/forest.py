@@ -62,7 +62,7 @@ def forest_figure(rows: "Sequence[AnswerRow]") -> Picture | None:
     if not rows:
         return None
     with styled():
-        figure = Figure(figsize=(5.9, ROW * len(rows) + 1.0), layout="constrained")
+        figure = Figure(figsize=(4.8, ROW * len(rows) + 1.0), layout="constrained")
         draw_forest(figure.subplots(), rows)
     caption = "Each estimate with its 95 % interval, and how far from it other numbers lie: where a bar covers a mark they agree."
     return picture(figure, "forest", caption)

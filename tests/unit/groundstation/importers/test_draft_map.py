@@ -38,6 +38,19 @@ def test_names_and_the_units_in_them() -> None:
     ]
 
 
+def test_short_names_of_loggers() -> None:
+    """Roll_d is an angle in degrees, v_d a velocity down."""
+    names = ["Roll_d", "Pitch_d", "Ail", "Ele", "Ps_hPa", "v_d", "vd"]
+    assert candidate_columns(names) == {
+        "phi": ["Roll_d"],
+        "theta": ["Pitch_d"],
+        "delta_a": ["Ail"],
+        "delta_e": ["Ele"],
+        "p_static": ["Ps_hPa"],
+        "vd": ["vd", "v_d"],
+    }
+
+
 def test_load_factors_are_the_specific_forces() -> None:
     assert candidate_columns(["Nx (g)", "Ny (g)", "Nz (g)"]) == {"ax": ["Nx (g)"], "ay": ["Ny (g)"], "az": ["Nz (g)"]}
 
