@@ -1,4 +1,4 @@
-"""Sensors that are pulled and come back while the logger flies, alone and two at a time, at random instants: what does the file say?
+"""Sensors that are pulled and come back in flight, alone and two at a time, at random instants: what does the recording say?
 
     python -m tests.studies.failing_sensors [FLIGHTS] [SEED]
 
