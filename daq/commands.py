@@ -83,7 +83,7 @@ def recover(recording: Path, out: Path, json_path: Path | None) -> None:
         raise click.exceptions.Exit(1)
 
 
-@click.command(epilog="Example: sideslip preflight /etc/sideslip/cdfp.toml")
+@click.command(epilog="Example: sideslip preflight /etc/sideslip/aircraft.toml")
 @click.argument("config", type=click.Path(path_type=Path))
 @_JSON
 def preflight(config: Path, json_path: Path | None) -> None:
@@ -97,7 +97,7 @@ def preflight(config: Path, json_path: Path | None) -> None:
         raise click.exceptions.Exit(1)
 
 
-@click.command(epilog="Example: sideslip record /etc/sideslip/cdfp.toml")
+@click.command(epilog="Example: sideslip record /etc/sideslip/aircraft.toml")
 @click.argument("config", type=click.Path(path_type=Path))
 @click.option("--override", metavar="REASON", help="Record in spite of a no-go; the reason goes into the recording.")
 @click.option("--skip-preflight", is_flag=True, help="Record at once; that too goes into the recording.")

@@ -5,6 +5,7 @@ and turns every mistake into one sentence that names the key.
 """
 
 import hashlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -107,6 +108,25 @@ class LoggerConfig(ConfigSection):
                 raise ValueError("sequencer.until goes by identification on board; add a section [identification]")
             check_sequencer(self.sequencer, self.sensors, self.scan.rate_hz)
         return self
+
+    @model_validator(mode="after")
+    def _one_user_a_port(self) -> "LoggerConfig":
+        user_of: dict[str, str] = {}
+        for user, device in self._serial_ports():
+            if device in user_of:
+                raise ValueError(f"{user_of[device]} and {user} share the serial port {device}")
+            user_of[device] = user
+        return self
+
+    def _serial_ports(self) -> Iterator[tuple[str, str]]:
+        """Who opens which serial port."""
+        sensors = self.sensors
+        if sensors.gnss is not None and "gnss" not in sensors.from_sender:
+            yield "sensors.gnss", sensors.gnss.device
+        if sensors.autopilot_port is not None:
+            yield "sensors.autopilot" if sensors.autopilot else "sensors.capture", sensors.autopilot_port[0]
+        if self.downlink is not None and self.downlink.port.startswith("serial:"):
+            yield "downlink", self.downlink.port.split(":")[1]
 
     @model_validator(mode="after")
     def _identification_has_what_it_needs(self) -> "LoggerConfig":

@@ -19,7 +19,8 @@ from daq.sensors.sbus import FRAMING
 I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, unit 10 ms
 I2C_RETRIES = 0x0701
 REOPEN_AFTER_NS = 1_000_000_000
-BY_ID = "a name under /dev/serial/by-id stays the same on every plug"
+BY_ID = Path("/dev/serial/by-id")
+"""Names of adapters that stay the same on every plug."""
 LOOK_AFTER_NS = 200_000_000  # between two looks at whether a bus that fails is still there
 
 
@@ -222,8 +223,17 @@ class ReopeningPort(_Reopening):
         return serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True, **self._framing)
 
     def _advice(self, error: OSError) -> str:
-        busy = error.errno in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error)
-        advice = "busy; stop the other program that uses it" if busy else f"cannot be opened ({error}); {BY_ID}"
+        if error.errno in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error):
+            advice = "busy; stop the other program that uses it"
+        elif error.errno == errno.EACCES:
+            advice = "no permission; add the user to the group dialout"
+        elif error.errno == errno.ENOENT:
+            present = ", ".join(sorted(p.name for p in BY_ID.glob("*")))
+            advice = (
+                f"no such device; {f'under {BY_ID} are {present}' if present else f'nothing is under {BY_ID} either'}"
+            )
+        else:
+            advice = f"cannot be opened ({error}); a name under {BY_ID} stays the same on every plug"
         return f"serial port {self._device}: {advice}"
 
     def _failed(self) -> None:

@@ -5,7 +5,7 @@ listened to. A no-go refuses the recording unless a person overrides it, and the
 """
 
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -18,6 +18,7 @@ from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.storage import Storage, in_memory
+from daq.sensors.autopilot_line import AUTOPILOT
 from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, graded, rest_checks, sender_checks
 from daq.service.cross_checks import cross_checks
 
@@ -84,6 +85,7 @@ def run_preflight(
         *(_card_checks(config, clock, storage)),
         _calibration_check(config),
         _radio_check(config, radio),
+        *id_checks(config),
         *_sequencer_checks(config, clock, sampler, devices),
     ]
     return Preflight(tuple(checks))
@@ -268,3 +270,13 @@ def _radio_check(config: LoggerConfig, radio: Callable[[], RadioReport | None] |
     limit = config.preflight.radio_margin_db
     text = f"signal {margin:.0f} dB above noise at the weaker end (limit {limit:g} dB), buffer {report.free_percent} % free"
     return graded("radio", margin >= limit, text, failure)
+
+
+def id_checks(config: LoggerConfig) -> Iterator[PreflightCheck]:
+    """Nothing, or that the downlink would speak as the autopilot beside it: a station then takes two senders for one, and one
+    of them for lost."""
+    ours, sensors = config.downlink, config.sensors
+    beside = bool(sensors.from_sender) or (config.sequencer is not None and config.sequencer.through == "ardupilot")
+    if ours is not None and beside and AUTOPILOT in (ours.component_id, ours.data_component_id):
+        words = f"component {AUTOPILOT} is the autopilot's own: leave out downlink.component_id (191) and data_component_id (192)"
+        yield PreflightCheck("radio ids", PreflightVerdict.CAUTION, words)

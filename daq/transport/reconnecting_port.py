@@ -75,7 +75,7 @@ class ReconnectingPort:
     @property
     def why_away(self) -> str:
         """Why the other end is not there, or empty."""
-        return "" if self.is_open else str(self._away_error().strerror)
+        return "" if self.is_open else self._why
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         """Bytes that have arrived; OSError while the port is away."""

@@ -238,15 +238,15 @@ class Calibrator:
         for name, reading in values.items():
             group, smooth = readings.group[name], name not in self._linear and name not in _HELD
             sampled_at = table.time + table.known_offset(group) - readings.delay[name]
-            if self.facts.stamped(group):
-                lag = readings.lag.get(name, 0.0)
+            lag = readings.lag.get(name, 0.0)
+            if self.facts.stamped(group) or lag < 0.0:  # a servo lags behind pulses, whoever times them
                 pulse = name in _HELD or lag < 0.0
                 values[name] = by_stamp(reading, sampled_at, table.time, smooth=smooth, lag=lag, pulse=pulse)
             elif name in _HELD:
                 values[name] = hold(reading, table.number)
             else:
-                if readings.lag.get(name, 0.0) > 0.0:
-                    reading = undo_lag(reading, table.time, table.number, readings.lag[name])
+                if lag > 0.0:
+                    reading = undo_lag(reading, table.time, table.number, lag)
                 values[name] = to_scan_time(
                     reading, sampled_at, table.time, table.number, smooth=smooth, furthest=furthest
                 )

@@ -73,7 +73,7 @@ _THIS_AIRCRAFT = {
     "scans = 80 ": "scans = 16 ",
 }
 """In which the aircraft's configuration differs from the one that the page copies."""
-_CONFIG = "etc/sideslip/cdfp.toml"
+_CONFIG = "etc/sideslip/aircraft.toml"
 _ROOM_MB = 200
 
 

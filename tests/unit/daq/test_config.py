@@ -8,6 +8,7 @@ import pytest
 from pydantic import BaseModel
 
 from daq.config import ConfigError, LoggerConfig, ScanConfig, load_config, parse_config, read_calibration
+from daq.service.preflight import id_checks
 from daq.telemetry.config import LinkLimits
 from firmware_sim.hardware.registers.ublox import ReceiverFix, nav_pvt
 from firmware_sim.hardware.sensing.sensor_models import GnssModel
@@ -16,6 +17,7 @@ from tests.support.paths import ROOT
 from tests.unit.daq.cdfp_fit import cdfp_sensors
 
 FIX = ReceiverFix(1_790_000_000 * 10**9, 3, 9, 26.5, 80.2, 60.0, (15.0, 0.0, 0.0), 3e-8, 1.0, 1.0, 0.1)
+GNSS_LINE = "[sensors.gnss]                      # GLOBAL_POSITION_INT, GPS_RAW_INT, and UTC by SYSTEM_TIME"
 EXAMPLE = ROOT / "daq/configs/cdfp.toml"
 
 
@@ -118,3 +120,33 @@ def test_the_example_and_the_simulated_aircraft_mean_the_same_field_and_receiver
     assert sensors.attitude.declination_deg == pytest.approx(math.degrees(math.atan2(east, north)), abs=0.01)
     assert sensors.gnss.latency_s == pytest.approx(GnssModel().latency_ms * 1e-3)
     assert sensors.gnss.arrival_s == pytest.approx(sensors.gnss.latency_s + len(nav_pvt(FIX)) * 10 / sensors.gnss.baud)
+
+
+@pytest.mark.parametrize(
+    ("changed", "users"),
+    [
+        (('port = "serial:/dev/ttyUSB0:57600"', 'port = "serial:/dev/tty1:57600"'), "sensors.autopilot and downlink"),
+        (
+            (f'{GNSS_LINE}\ndriver = "autopilot"', '[sensors.gnss]\ndevice = "/dev/tty1"'),
+            "sensors.gnss and sensors.autopilot",
+        ),
+    ],
+)
+def test_one_serial_port_for_two_is_a_mistake(changed: tuple[str, str], users: str) -> None:
+    text = (ROOT / "daq/configs/autopilot.toml").read_text()
+    text = text.replace("/dev/serial/by-id/usb-ArduPilot-if00", "/dev/tty1")
+    parse_config(text, Path("logger.toml"))
+    assert changed[0] in text
+    with pytest.raises(ConfigError, match=f"{users} share the serial port /dev/tty1"):
+        parse_config(text.replace(*changed), Path("logger.toml"))
+
+
+@pytest.mark.parametrize("config", ["autopilot.toml", "cdfp.toml"])
+def test_speaking_as_the_autopilot_beside_it_is_a_caution(config: str) -> None:
+    text = (ROOT / "daq/configs" / config).read_text()
+    as_shipped = parse_config(text, Path("logger.toml"))
+    assert as_shipped.downlink is not None
+    as_aircraft = as_shipped.downlink.model_copy(update={"component_id": 1})
+    cautions = [list(id_checks(c)) for c in (as_shipped, as_shipped.model_copy(update={"downlink": as_aircraft}))]
+    assert cautions[0] == []
+    assert [c.verdict.name for c in cautions[1]] == (["CAUTION"] if config == "autopilot.toml" else [])

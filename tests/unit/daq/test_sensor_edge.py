@@ -105,13 +105,18 @@ def test_real_bus_class_fits_the_protocol_and_its_calls() -> None:
     assert scan.values == {}
 
 
-def test_a_missing_bus_or_port_is_one_sentence_and_no_end(tmp_path: Path) -> None:
+def test_a_missing_bus_or_port_is_one_sentence_and_no_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bus = cdfp_sensors().model_copy(update={"bus": BusConfig(device=str(tmp_path / "i2c-9"))})
     hardware = open_hardware(bus, RealClock())
     assert re.match(r".*i2c-9: no such device; enable I2C .* key sensors.bus.device", hardware.absent[0])
     hardware.close()
     hardware = open_hardware(SensorsConfig(gnss=GnssConfig(device=str(tmp_path / "ttyX"))), RealClock())
-    assert re.match(r"serial port .*ttyX: cannot be opened .*by-id", hardware.absent[0])
+    assert re.match(r"serial port .*ttyX: no such device; .*by-id", hardware.absent[0])
+    assert hardware.absent[0].count("ttyX") == 1
+    (tmp_path / "usb-u-blox_7-if00").touch()
+    monkeypatch.setattr("daq.sensors.open.BY_ID", tmp_path)
+    present = open_hardware(SensorsConfig(gnss=GnssConfig(device=str(tmp_path / "ttyX"))), RealClock()).absent[0]
+    assert present.endswith(f"under {tmp_path} are usb-u-blox_7-if00")
     with pytest.raises(OSError, match="ttyX"):
         hardware.devices[0].read(1)  # type: ignore[union-attr]
     hardware.close()

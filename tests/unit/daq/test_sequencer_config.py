@@ -27,7 +27,7 @@ def table() -> dict[str, Any]:
 
 
 def read(changed: dict[str, Any]) -> LoggerConfig:
-    return parse_config(toml_text(changed), Path("/etc/sideslip/cdfp.toml"))
+    return parse_config(toml_text(changed), Path("/etc/sideslip/aircraft.toml"))
 
 
 def test_off_by_default_and_the_shipped_section_is_accepted() -> None:

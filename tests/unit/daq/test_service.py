@@ -178,7 +178,14 @@ def test_unit_file_fits_the_service() -> None:
     parser.read(ROOT / "daq/service/sideslip.service")
     service = parser["Service"]
     assert service["Type"] == "notify"
-    assert "sideslip record" in service["ExecStart"]
+    command = service["ExecStart"].split()
+    assert command[:2] == ["/opt/sideslip/bin/sideslip", "record"]
+    pages = {n: (ROOT / "docs" / f"{n}.md").read_text() for n in ("build", "install-companion")}
+    for name, page in pages.items():
+        assert command[2] in page, (
+            f"who follows {name}.md has the service read another configuration than the one written"
+        )
+    assert f"daq/configs/cdfp.toml {command[2]}" in pages["install-companion"]
     assert float(service["WatchdogSec"]) > 2
     assert float(service["TimeoutStopSec"]) > 60, "longer than the recorder tries at the end"
     assert parser["Install"]["WantedBy"] == "multi-user.target"

@@ -360,3 +360,18 @@ def test_ratiometric_sensor_without_a_supply_file_is_an_error(make_scans: MakeSc
     texts = {n: t for n, t in nominal.texts.items() if n != "sensor_supply.toml"}
     with pytest.raises(CalibrationError, match=r"sensor_supply\.toml"):
         calibrate(make_scans(3), CalibrationSet.from_texts("poor", texts))
+
+
+def test_a_surface_by_its_pulse_is_behind_it_and_said_to_be_a_command(
+    make_scans: MakeScans, nominal: CalibrationSet
+) -> None:
+    """Whoever times the pulses, here a co-processor without a sender's stamps: the servo of the file lags behind them."""
+    rudder = load_calibration("autopilot").instruments["rudder"]
+    by_pulse = replace(nominal, instruments={**nominal.instruments, "rudder": rudder})
+    flight = calibrate(make_scans(80, lambda t: {"rudder": 0.1 if t > 11.99 else 0.0}), by_pulse)
+    at = int(np.argmax(flight["delta_r"] > 1e-6))
+    expected = 0.1 * (1.0 - np.exp(-(0.025 + 0.05 * np.arange(4)) / 0.035))
+    np.testing.assert_allclose(flight["delta_r"][at : at + 4], expected, atol=4e-3)
+    assert flight.held("delta_r") == pytest.approx(0.05)
+    assert flight.dated_back("delta_r") == pytest.approx(0.025)
+    assert flight.held("delta_e") is None
