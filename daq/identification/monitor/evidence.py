@@ -141,7 +141,7 @@ class InnovationsOfAir:
         """Both anew, as they are given. Nothing is learnt of a blind scan."""
         by_flight = white.T[:, :, None]
         self._products += by_flight * white.T[:, None, :]
-        self._scans += white.any(axis=0)[:, None, None]
+        self._scans += np.any(white, axis=0)[:, None, None]
         anew = (self._shape @ by_flight)[:, :, 0].T
         return anew, (self._shape @ signatures.transpose(2, 0, 1)).transpose(1, 2, 0)
 
