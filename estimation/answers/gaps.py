@@ -180,6 +180,23 @@ def _lines(result: "GapResult") -> list[str]:
                 lines.append(
                     f"{name}: the {parameter.reference_source} has {parameter.reference:.4g}, the flights {value:.4g}"
                 )
+    if beside := beside_simulation(result.model_after):
+        lines.append(beside)
     if result.files[1]:
         lines.append(f"model: {result.files[0]} -> {result.files[1]}")
     return lines
+
+
+def beside_simulation(model: "Model") -> str:
+    """What of a simulation is estimated whatever else is found: none of it is a gap, and a drag at rest that is off shows nowhere
+    else. Empty for a model that stands on none."""
+    coefficients = [n.removesuffix("_sim") for n in model.definitions if n.endswith("_sim")]
+    wanted = {f"{c}_0": 0.0 for c in coefficients} | {f"k_{c}": 1.0 for c in coefficients} | {"share_CD": 0.0}
+    found = [
+        f"{p.name} {p.start:.3g} ({wanted[p.name]:g})" for p in model.parameters if p.name in wanted and not p.fixed
+    ]
+    return (
+        "estimated beside the simulation, which has what stands in brackets: " + ", ".join(found)
+        if coefficients and found
+        else ""
+    )

@@ -10,6 +10,7 @@ exact, and a change is what goes beyond that. With t seconds behind a change, a 
 score of one of t seconds: a long one is late to notice, a short one sees large effects only. So several are looked at.
 """
 
+import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -97,6 +98,8 @@ WINDOWS_S = (
 )  # s of watched flight, a little more than twice the one before: at most a third of a score is lost
 ENERGY_S = 5.0  # s over which a channel's energy is looked at
 SETTLED_S = 15.0  # s of watched flight before those, which tell what the energy usually is
+MEMORY_S = 20.0  # s over which innovations tell what they are in this air: few changes stay unnoticed for as long
+AIR_AS_IF = 40.0  # scans of simulated air that those of this flight are added to
 TELLING = 0.2  # share of the evidence from which a channel is named
 TINY = 1e-12
 
@@ -104,12 +107,14 @@ TINY = 1e-12
 @dataclass
 class EvidenceSums:
     """Sums over half a second. time: of its first scan [s]; b: (flights, effects); C: (flights, effects, effects);
-    energy: (flights, 5) by channel; scans: how many; shares: (5, effects, flights) of b by channel."""
+    energy: (flights, 5) by channel, as whitened by the calibration; total: (flights,) of all channels, whitened by this air as
+    b and C are; scans: how many; shares: (5, effects, flights) of b by channel."""
 
     time: float
     b: Array
     C: Array
     energy: Array
+    total: Array
     scans: int
     shares: Array
 
@@ -123,6 +128,32 @@ class EffectScores:
     unnamed: Array
 
 
+class InnovationsOfAir:
+    """Whitening anew, by what innovations have been in this flight. What is white in the air and with the instruments of the
+    simulated flights on average is not in stronger gusts: they move sideslip, yaw rate and side force together, and look like
+    changes of yawing derivatives; in calm air less would be seen than could be."""
+
+    def __init__(self, channels: int, flights: int) -> None:
+        self._products, self._scans = np.zeros((flights, channels, channels)), np.zeros((flights, 1, 1))
+        self._shape = np.broadcast_to(np.eye(channels), self._products.shape)
+
+    def add(self, white: Array, signatures: Array) -> tuple[Array, Array]:
+        """Both anew, as they are given. Nothing is learnt of a blind scan."""
+        by_flight = white.T[:, :, None]
+        self._products += by_flight * white.T[:, None, :]
+        self._scans += np.any(white, axis=0)[:, None, None]
+        anew = (self._shape @ by_flight)[:, :, 0].T
+        return anew, (self._shape @ signatures.transpose(2, 0, 1)).transpose(1, 2, 0)
+
+    def renew(self) -> None:
+        """After a piece: from the next on what it has told counts as well."""
+        fade = math.exp(-PIECE_S / MEMORY_S)
+        self._products *= fade
+        self._scans *= fade
+        covariance = (self._products + AIR_AS_IF * np.eye(self._products.shape[1])) / (self._scans + AIR_AS_IF)
+        self._shape = np.linalg.inv(np.linalg.cholesky(covariance))
+
+
 class MonitorEvidence:
     """Sliding window over whitened innovations and signatures of several flights at once."""
 
@@ -132,26 +163,33 @@ class MonitorEvidence:
         self._open: EvidenceSums | None = None
         self._usual: Array | None = None  # sums of energy before the window
         self._usual_scans = 0
+        self._air: InnovationsOfAir | None = None
 
     def add(self, time: float, white: Array, signatures: Array) -> bool:
         """One scan: (5, flights) and (5, effects, flights); True when half a second is complete."""
+        energy = (white**2).T
+        if self._air is None:
+            self._air = InnovationsOfAir(*white.shape)
+        white, signatures = self._air.add(white, signatures)
         shares = white[:, None, :] * signatures
         b = shares.sum(axis=0).T
         C = np.einsum("cef,cgf->feg", signatures, signatures)
-        energy = (white**2).T
+        total = (white**2).sum(axis=0)
         if self._open is None:
-            self._open = EvidenceSums(time, b, C, energy, 1, shares)
+            self._open = EvidenceSums(time, b, C, energy, total, 1, shares)
             return False
         p = self._open
         p.b = p.b + b
         p.shares = p.shares + shares
         p.C += C
         p.energy = p.energy + energy
+        p.total = p.total + total
         p.scans += 1
         if time - p.time < PIECE_S - 0.026:  # half a scan, so that pieces do not drift by one
             return False
         self._pieces.append(p)
         self._open = None
+        self._air.renew()
         if len(self._pieces) > round(WINDOWS_S[-1] / PIECE_S):
             oldest = self._pieces.popleft()
             self._usual = oldest.energy if self._usual is None else self._usual + oldest.energy
@@ -179,7 +217,7 @@ class MonitorEvidence:
         """(flights, effects) scores by some of the pieces."""
         b = np.sum([p.b for p in pieces], axis=0)
         C = np.sum([p.C for p in pieces], axis=0)
-        total = np.sum([p.energy for p in pieces], axis=(0, 2))
+        total = np.sum([p.total for p in pieces], axis=0)
         scans = sum(p.scans for p in pieces)
         z, explained = self._scores(b, C)
         noise_variance = np.maximum(total - explained, 0.0) / (pieces[0].energy.shape[1] * max(scans, 1))

@@ -12,7 +12,7 @@ from scipy.stats import gumbel_r
 from daq.identification.airframe import DERIVATIVES, Airframe, Sample
 from daq.identification.monitor import threshold
 from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, bank
-from daq.identification.monitor.evidence import PIECE_S, MonitorEvidence, fitted
+from daq.identification.monitor.evidence import PIECE_S, InnovationsOfAir, MonitorEvidence, fitted
 from daq.identification.monitor.monitor import Alarm, GapMonitor
 from daq.identification.monitor.motions import Inputs, LateralMotion, instants
 from daq.identification.monitor.nulls import NullConditions, fly
@@ -221,7 +221,8 @@ def test_a_surface_that_moved_unseen_makes_an_interval_blind(
 
 
 def test_scores_are_those_of_a_regression_with_priors() -> None:
-    """Against generalised least squares with covariance I + G P G', written out."""
+    """Against generalised least squares with covariance I + G P G', written out; after each piece of eleven scans innovations are
+    whitened by what they were."""
     rng = np.random.default_rng(5)
     effects = (
         MonitoredEffect("a", "", "Cl", 1.0, "1", 0.3),
@@ -229,11 +230,16 @@ def test_scores_are_those_of_a_regression_with_priors() -> None:
         MonitoredEffect("c", "", "Cn", 1.0, "1"),
     )
     evidence, W, G = MonitorEvidence(effects), [], []
+    shape, products, seen = np.eye(5), np.zeros((5, 5)), 0.0
     for k in range(40):
         white, signatures = rng.standard_normal((5, 1)), rng.standard_normal((5, 3, 1)) * 0.3
-        evidence.add(0.05 * k, white, signatures)
-        W.append(white[:, 0])
-        G.append(signatures[:, :, 0])
+        complete = evidence.add(0.05 * k, white, signatures)
+        W.append(shape @ white[:, 0])
+        G.append(shape @ signatures[:, :, 0])
+        products, seen = products + white @ white.T, seen + 1.0
+        if complete:
+            products, seen = products * math.exp(-0.025), seen * math.exp(-0.025)
+            shape = np.linalg.inv(np.linalg.cholesky((products + 40.0 * np.eye(5)) / (seen + 40.0)))
     kept = sum(p.scans for p in evidence._pieces)
     w, g = np.concatenate(W[:kept]), np.concatenate(G[:kept])
     prior = np.array([0.3, 0.25])
@@ -247,6 +253,23 @@ def test_scores_are_those_of_a_regression_with_priors() -> None:
         mean = prior[k] ** 2 * g[:, k] @ inverse @ w
         spread = math.sqrt(prior[k] ** 4 * g[:, k] @ inverse @ g[:, k])
         assert score.z[0, -1, k] * scale == pytest.approx(mean / spread)
+
+
+def test_innovations_of_stronger_gusts_are_white_as_well() -> None:
+    """What moves three channels together, four times as strong as on average, does not stand out of the noise any more."""
+    rng, gust = np.random.default_rng(6), np.array([3.0, 0.0, 2.0, 0.0, 1.5])[:, None]
+    air, found = InnovationsOfAir(5, 2), []
+    for k in range(600):
+        white = rng.standard_normal((5, 2)) + gust * rng.standard_normal(2)
+        if k % 7 == 0:
+            white[:, 1] = 0.0  # nothing is learnt of a blind scan
+        found.append(air.add(white, np.zeros((5, 1, 2)))[0])
+        if k % 10 == 9:
+            air.renew()
+    last = np.array(found[300:])
+    for flight in (0, 1):
+        seen = last[last[:, :, flight].any(axis=1), :, flight]
+        assert np.linalg.eigvalsh(seen.T @ seen / len(seen))[-1] < 1.5  # of 16 and more without
 
 
 def _explained(w: Array, g: Array, prior: Array) -> float:

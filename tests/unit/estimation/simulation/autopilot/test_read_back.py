@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
+from estimation.answers.gaps import beside_simulation
 from estimation.models import load_model, write_model
 from estimation.simulation.attach import attach, simulation_of
 from estimation.simulation.oracle import SURFACES, VARIABLES, Array, Simulation, SimulationError, States
@@ -85,6 +86,7 @@ def test_what_drag_of_sitl_leaves_out_is_estimated_beside_it(tmp_path: Path) -> 
     flight = Flight.build("f", columns.pop("time"), columns)
     attached = attach(f"ardupilot:{tmp_path / 'x.json'}", "longitudinal", [flight], load_aircraft(path))
     assert "share_CD" in attached.model.free_names
+    assert "CD_0 0 (0), share_CD 0 (0)" in beside_simulation(attached.model)
     polar, d, x = attached.simulation.polar, craft.d, states(20)
     assert polar is not None
     alpha, q_hat = x.values["alpha"], x.values["q"] * craft.c / (2.0 * x.values["V"])
