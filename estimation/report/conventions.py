@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from estimation.models.library import BUILDERS
 from estimation.report.tables import ReportTable
+from estimation.session.stated_uncertainty import airspeed_share
 
 if TYPE_CHECKING:
     from estimation.session.session import EstimationSession
@@ -50,9 +51,20 @@ def conventions(session: "EstimationSession") -> Iterator[tuple[str, str]]:
         if n in constants and math.isfinite(constants[n])
     ]
     yield "constants", ", ".join(constant_texts) or "none"
+    if stated := _stated(session):
+        yield "corrected bounds", f"also count {stated}, which no residual shows"
     yield "CG", _centre(session)
     yield "aircraft", session.aircraft.title or session.aircraft.name
     yield "beliefs before", _sources(session)
+
+
+def _stated(session: "EstimationSession") -> str:
+    """What the corrected bounds hold of uncertainties that somebody has stated."""
+    of_airspeed = max((airspeed_share(f.flight) for f in session.flights), default=0.0)
+    counted = [f"the airspeed's calibration ({of_airspeed:.1%} of each derivative)"] if of_airspeed else []
+    if session.aircraft.uncertainty:
+        counted.append("what the aircraft file states of mass, inertia and geometry")
+    return " and ".join(counted)
 
 
 def _dampers(session: "EstimationSession") -> str:

@@ -1,5 +1,6 @@
 """Reports state what their numbers mean; a thesis table prints no number that could not be told."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,12 @@ import pytest
 from estimation.aircraft import load_aircraft
 from estimation.answers.estimates import session_lines
 from estimation.models import load_model
-from estimation.report.conventions import conventions_table
+from estimation.report.conventions import conventions, conventions_table
 from estimation.report.model_export import export_estimates
 from estimation.report.tables import CANNOT_TELL, ReportTable
 from estimation.session import runner
 from estimation.session.session import EstimationSession
+from groundstation.flight import Provenance
 from tests.unit.estimation.truth import NOISE, Case, fly
 
 
@@ -43,6 +45,16 @@ def test_the_printed_answer_and_the_page_state_conventions_and_constants(session
     assert "pitch damper" not in text
     table = conventions_table(session)
     assert {"axes", "units", "signs", "controls", "constants", "CG"} <= {row[0] for row in table.rows}
+
+
+def test_what_corrected_bounds_hold_of_stated_uncertainties_is_said(session: EstimationSession) -> None:
+    """0.24 m/s of some 16 are 1.5 %, twice that of a derivative; nothing is said where nobody has stated any."""
+    assert "corrected bounds" not in dict(conventions(session))
+    fit = session.flights[0]
+    V = float(np.nanmedian(fit.flight["V"]))
+    stated = replace(fit.flight, provenance=Provenance(detail={"uncertainty": {"V": 0.015 * V}}))
+    calibrated = replace(session, flights=(replace(fit, flight=stated),))
+    assert "airspeed's calibration (3.0% of each derivative)" in dict(conventions(calibrated))["corrected bounds"]
 
 
 def test_a_latex_table_has_no_number_for_what_cannot_be_told_and_the_belief_beside_what_can(
