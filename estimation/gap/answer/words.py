@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from estimation.gap.answer.result import EffectStep, GapVerdict
 from estimation.gap.answer.shape import TURN, Happened, HeldInstrument, LaggedTerm, ShapeCurve, SwingingTerm
+from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect
 
 EXAMPLES = (
@@ -29,11 +30,11 @@ def describe_step(step: EffectStep) -> str:
     if step.followed:
         shifts = " and ".join(f"{n} by {1e3 * v:.0f} ms" for n, v in step.followed.items())
         text += f" Without it the base moves {shifts} to follow; the gap before it is counted without that."
-    if step.holdout is not None and not step.holdout.showed:
+    if step.holdout is not None and not step.holdout.showed and step.holdout.closed < AS_SET.closed_share:
         before, highest = step.holdout.before, step.holdout.highest
         text += (
             f" The held-out flights did not show it in their gap ({before:.2f}, up to {highest:.2f} with nothing hidden): "
-            "what is closed there says nothing."
+            "that so little of it is closed there says nothing against it."
         )
     if len(step.members) > 1:
         rivals = " or ".join(f"{m.effect} ({m.weight:.2f})" for m in step.members)
