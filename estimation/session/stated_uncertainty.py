@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.aircraft import Aircraft
-from estimation.estimators.result import Estimate, Result
+from estimation.estimators.result import Estimate, EstimateHistory, Result
 from estimation.models.base import ParameterRole
 from estimation.session.evidence import POWER
 from estimation.session.session import EstimationSession
@@ -72,13 +72,17 @@ def _all_wider(results: Mapping[str, Result], aircraft: Aircraft, by_airspeed: f
 
 
 def _result_wider(result: Result, aircraft: Aircraft, by_airspeed: float) -> Result:
-    derivatives = set(result.model.free_of(ParameterRole.DERIVATIVE))
-    wider = {
-        n: _wider(e, math.hypot(share(n, aircraft), by_airspeed)) if n in derivatives else e
-        for n, e in result.parameters.items()
-    }
-    return replace(result, parameters=wider)
+    derivatives = result.model.free_of(ParameterRole.DERIVATIVE)
+    shares = {n: math.hypot(share(n, aircraft), by_airspeed) for n in derivatives}
+    wider = {n: _wider(e, shares.get(n, 0.0)) for n, e in result.parameters.items()}
+    return replace(result, parameters=wider, history=result.history and _history_wider(result.history, shares))
 
 
 def _wider(estimate: Estimate, relative: float) -> Estimate:
     return replace(estimate, std_coloured=math.hypot(estimate.std_coloured, relative * estimate.estimate))
+
+
+def _history_wider(history: EstimateHistory, shares: Mapping[str, float]) -> EstimateHistory:
+    """The bounds during the flight, which end at the corrected ones."""
+    std = {n: np.hypot(s, shares.get(n, 0.0) * history.estimate[n]) for n, s in history.std.items()}
+    return replace(history, std=std)

@@ -56,7 +56,7 @@ def test_the_command_writes_the_history(tmp_path: Path) -> None:
         assert np.isnan(series["estimate"][0])
         last, bound = series["estimate"][-1], series["std"][-1]
         assert last == found["parameters"][name]["estimate"]
-        assert bound == found["parameters"][name]["std_coloured"]
+        assert bound == pytest.approx(found["parameters"][name]["std_coloured"], rel=1e-12)
         assert abs(last - true) < 3.0 * bound < abs(true)
         told = np.isfinite(series["std"])
         assert series["std"][told][-1] < series["std"][told][0]
