@@ -99,6 +99,7 @@ WINDOWS_S = (
 ENERGY_S = 5.0  # s over which a channel's energy is looked at
 SETTLED_S = 15.0  # s of watched flight before those, which tell what the energy usually is
 MEMORY_S = 20.0  # s over which innovations tell what they are in this air: few changes stay unnoticed for as long
+LAGS = 2  # scans before one that tell of it
 AIR_AS_IF = 40.0  # scans of simulated air that those of this flight are added to
 TELLING = 0.2  # share of the evidence from which a channel is named
 TINY = 1e-12
@@ -135,7 +136,7 @@ class InnovationsOfAir:
     changes of yawing derivatives; in calm air less would be seen than could be."""
 
     def __init__(self, channels: int, effects: int, flights: int) -> None:
-        size = channels * (ORDER + 1)
+        size = channels * (LAGS + 1)
         self._channels, self._scans = channels, np.zeros((flights, 1, 1))
         self._products = np.zeros((flights, size, size))
         self._shape = np.broadcast_to(np.eye(size)[-channels:], (flights, channels, size))
