@@ -222,7 +222,7 @@ def test_a_surface_that_moved_unseen_makes_an_interval_blind(
 
 def test_scores_are_those_of_a_regression_with_priors() -> None:
     """Against generalised least squares with covariance I + G P G', written out; after each piece of eleven scans innovations are
-    whitened by what they were, each with the two before it."""
+    whitened by what they were, each with the one before it."""
     rng = np.random.default_rng(5)
     effects = (
         MonitoredEffect("a", "", "Cl", 1.0, "1", 0.3),
@@ -230,20 +230,20 @@ def test_scores_are_those_of_a_regression_with_priors() -> None:
         MonitoredEffect("c", "", "Cn", 1.0, "1"),
     )
     evidence, W, G = MonitorEvidence(effects), [], []
-    shape, products, seen = np.eye(15)[10:], np.zeros((15, 15)), 0.0
-    three, three_of = np.zeros(15), np.zeros((15, 3))
+    shape, products, seen = np.eye(10)[5:], np.zeros((10, 10)), 0.0
+    two, two_of = np.zeros(10), np.zeros((10, 3))
     for k in range(40):
         white, signatures = rng.standard_normal((5, 1)), rng.standard_normal((5, 3, 1)) * 0.3
         complete = evidence.add(0.05 * k, white, signatures)
-        three, three_of = np.append(three[5:], white), np.concatenate([three_of[5:], signatures[:, :, 0]])
-        W.append(shape @ three)
-        G.append(shape @ three_of)
-        products, seen = products + np.outer(three, three), seen + 1.0
+        two, two_of = np.append(two[5:], white), np.concatenate([two_of[5:], signatures[:, :, 0]])
+        W.append(shape @ two)
+        G.append(shape @ two_of)
+        products, seen = products + np.outer(two, two), seen + 1.0
         if complete:
             products, seen = products * math.exp(-0.025), seen * math.exp(-0.025)
-            now, told = (products + 40.0 * np.eye(15))[10:] / (seen + 40.0), (products + 40.0 * np.eye(15))[:10, :10]
-            from_before = now[:, :10] @ np.linalg.inv(told / (seen + 40.0))  # least squares
-            rest = np.linalg.inv(np.linalg.cholesky(now[:, 10:] - from_before @ now[:, :10].T))
+            usual = (products + 40.0 * np.eye(10)) / (seen + 40.0)
+            from_before = usual[5:, :5] @ np.linalg.inv(usual[:5, :5])  # least squares
+            rest = np.linalg.inv(np.linalg.cholesky(usual[5:, 5:] - from_before @ usual[:5, 5:]))
             shape = rest @ np.hstack([-from_before, np.eye(5)])
     kept = sum(p.scans for p in evidence._pieces)
     w, g = np.concatenate(W[:kept]), np.concatenate(G[:kept])
