@@ -91,7 +91,8 @@ def _alarm_table(found: Watched) -> ReportTable:
             ", ".join(a.channels),
             f"{a.score:.1f}",
             f"{a.threshold:.1f}",
-            "; ".join(f"{n.effect} {significant(n.size, 2)} {n.unit}" for n in a.leading) or "none of the list",
+            "; ".join(f"{n.effect} {significant(n.size, 2)} {n.unit}".removesuffix(" 1") for n in a.leading)
+            or "none of the list",
         )
         for a in found.alarms
     )

@@ -4,6 +4,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -229,6 +230,8 @@ def _station(
 def _views(settings: "GroundConfig", window: str, say: Say) -> "Iterator[SessionViews | None]":
     """The views of the session, closed at its end; None without any."""
     if window == "none":
+        if find_spec("rerun") is None:
+            say("no picture: the package 'rerun' is not installed; pip install 'sideslip[ground]', then --view web")
         yield None
         return
     from groundstation.viewer.session import SessionViews

@@ -77,6 +77,8 @@ def banner(in_force: Sequence[tuple[str, str, str]]) -> tuple[str, str]:
     if not in_force:
         return "", "no alarm"
     active = [row for row in in_force if row[1] == "active"]
-    level = max((row[2] for row in active or in_force), key=LEVELS.index)
-    names = ", ".join(name if state == "active" else f"{name} (over)" for name, state, _ in in_force)
-    return level, f"## {level}: {names}"
+    over = [row for row in in_force if row[1] != "active"]
+    level = max((row[2] for row in active or over), key=LEVELS.index)
+    names = [", ".join(row[0] for row in active)] if active else []
+    names += ["over: " + ", ".join(row[0] for row in over)] if over else []
+    return level, f"## {level}: {'; '.join(names)}"

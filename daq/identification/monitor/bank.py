@@ -164,10 +164,10 @@ def bank(
     for name in (n for n in plane.parameters if n in values or n in plane.regression.derivatives):
         value, equation = abs(values.get(name, 0.0)), name.partition("_")[0]
         if name in plane.constants:
-            step, prior = plane.constants[name], plane.levels[name]
+            step, prior, unit = plane.constants[name], plane.levels[name], "1"
         else:
-            step = max(0.1 * value, plane.least[equation])
+            step, unit = max(0.1 * value, plane.least[equation]), "1" if name == "CD_k" else "1/rad"
             share = PRIOR_WEAK if name in plane.weak else PRIOR
             prior = stds.get(name, max(share * value, share * plane.least[equation]))
-        effects.append(MonitoredEffect(name, TITLES.get(name, f"derivative {name}"), equation, step, "1/rad", prior))
+        effects.append(MonitoredEffect(name, TITLES.get(name, f"derivative {name}"), equation, step, unit, prior))
     return (*effects, *missing, *(_loading(values) if plane is PITCH_PLANE else ()))

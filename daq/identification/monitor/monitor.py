@@ -58,7 +58,7 @@ class Alarm:
         strength = f"since about {self.since:.1f} s; score {self.score:.1f}, threshold {self.threshold:.1f}"
         if not self.leading:
             return f"{place}, {strength}; errors have grown, and no effect of the list explains them so far"
-        names = "; ".join(f"{n.effect} ({n.title}) {n.size:.2g} {n.unit}" for n in self.leading)
+        names = "; ".join(f"{n.effect} ({n.title}) {n.size:.2g} {n.unit}".removesuffix(" 1") for n in self.leading)
         named_at = f" (by {self.named:.1f} s)" if self.named is not None and self.named > self.time else ""
         return f"{place}, {strength}; leading{named_at}: {names}"
 

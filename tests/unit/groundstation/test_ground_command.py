@@ -13,6 +13,7 @@ from daq.utilities.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.models import load_model
 from estimation.models.load import write_model
+from groundstation.cli import live
 from groundstation.cli.live import _estimate
 from groundstation.cli.services import Services
 from groundstation.live.config import GroundConfig
@@ -114,6 +115,15 @@ def test_an_estimate_is_made_by_what_the_command_is_given(tmp_path: Path) -> Non
     flights = [tmp_path / "m.mcap", tmp_path / "g.mcap"]
     assert asked == [(flights, model, "ml", tmp_path / "report") for model in ("lateral", "none")]
     assert told == ["recommended: ml", "the estimate could not be made: no such model"]
+
+
+def test_a_picture_that_cannot_be_is_spoken_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    for rerun_is in (True, False):
+        monkeypatch.setattr(live, "find_spec", lambda name, there=rerun_is: object() if there else None)
+        with live._views(GroundConfig(), "none", told.append) as views:
+            assert views is None
+    assert told == ["no picture: the package 'rerun' is not installed; pip install 'sideslip[ground]', then --view web"]
 
 
 def test_the_end_of_a_session_says_what_it_does(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_the_banner_shows_the_highest_level_and_what_is_over() -> None:
     alarms.update(0.0, {"V": 10.0, "n": 4.0})
     assert banner(alarms.in_force()) == ("ERROR", "## ERROR: airspeed below 11 m/s, n above 3")
     alarms.update(1.0, {"V": 12.0})
-    assert banner(alarms.in_force()) == ("WARN", "## WARN: n above 3, airspeed below 11 m/s (over)")
+    assert banner(alarms.in_force()) == ("WARN", "## WARN: n above 3; over: airspeed below 11 m/s")
 
 
 @dataclass

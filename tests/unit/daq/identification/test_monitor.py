@@ -222,7 +222,7 @@ def test_a_surface_that_moved_unseen_makes_an_interval_blind(
 
 def test_scores_are_those_of_a_regression_with_priors() -> None:
     """Against generalised least squares with covariance I + G P G', written out; after each piece of eleven scans innovations are
-    whitened by what they were."""
+    whitened by what they were, each with the one before it."""
     rng = np.random.default_rng(5)
     effects = (
         MonitoredEffect("a", "", "Cl", 1.0, "1", 0.3),
@@ -230,16 +230,21 @@ def test_scores_are_those_of_a_regression_with_priors() -> None:
         MonitoredEffect("c", "", "Cn", 1.0, "1"),
     )
     evidence, W, G = MonitorEvidence(effects), [], []
-    shape, products, seen = np.eye(5), np.zeros((5, 5)), 0.0
+    shape, products, seen = np.eye(10)[5:], np.zeros((10, 10)), 0.0
+    two, two_of = np.zeros(10), np.zeros((10, 3))
     for k in range(40):
         white, signatures = rng.standard_normal((5, 1)), rng.standard_normal((5, 3, 1)) * 0.3
         complete = evidence.add(0.05 * k, white, signatures)
-        W.append(shape @ white[:, 0])
-        G.append(shape @ signatures[:, :, 0])
-        products, seen = products + white @ white.T, seen + 1.0
+        two, two_of = np.append(two[5:], white), np.concatenate([two_of[5:], signatures[:, :, 0]])
+        W.append(shape @ two)
+        G.append(shape @ two_of)
+        products, seen = products + np.outer(two, two), seen + 1.0
         if complete:
             products, seen = products * math.exp(-0.025), seen * math.exp(-0.025)
-            shape = np.linalg.inv(np.linalg.cholesky((products + 40.0 * np.eye(5)) / (seen + 40.0)))
+            usual = (products + 40.0 * np.eye(10)) / (seen + 40.0)
+            from_before = usual[5:, :5] @ np.linalg.inv(usual[:5, :5])  # least squares
+            rest = np.linalg.inv(np.linalg.cholesky(usual[5:, 5:] - from_before @ usual[:5, 5:]))
+            shape = rest @ np.hstack([-from_before, np.eye(5)])
     kept = sum(p.scans for p in evidence._pieces)
     w, g = np.concatenate(W[:kept]), np.concatenate(G[:kept])
     prior = np.array([0.3, 0.25])
@@ -256,11 +261,15 @@ def test_scores_are_those_of_a_regression_with_priors() -> None:
 
 
 def test_innovations_of_stronger_gusts_are_white_as_well() -> None:
-    """What moves three channels together, four times as strong as on average, does not stand out of the noise any more."""
+    """What moves three channels together, four times as strong as on average, and one of them a scan later, stands out of the
+    noise no more, neither at once nor from scan to scan."""
     rng, gust = np.random.default_rng(6), np.array([3.0, 0.0, 2.0, 0.0, 1.5])[:, None]
-    air, found = InnovationsOfAir(5, 2), []
+    late = np.array([0.0, 0.0, 3.0, 0.0, 0.0])[:, None]
+    air, found, last_gust = InnovationsOfAir(5, 1, 2), [], np.zeros(2)
     for k in range(600):
-        white = rng.standard_normal((5, 2)) + gust * rng.standard_normal(2)
+        this_gust = rng.standard_normal(2)
+        white = rng.standard_normal((5, 2)) + gust * this_gust + late * last_gust
+        last_gust = this_gust
         if k % 7 == 0:
             white[:, 1] = 0.0  # nothing is learnt of a blind scan
         found.append(air.add(white, np.zeros((5, 1, 2)))[0])
@@ -270,6 +279,8 @@ def test_innovations_of_stronger_gusts_are_white_as_well() -> None:
     for flight in (0, 1):
         seen = last[last[:, :, flight].any(axis=1), :, flight]
         assert np.linalg.eigvalsh(seen.T @ seen / len(seen))[-1] < 1.5  # of 16 and more without
+        together = last[1:, :, flight].T @ last[:-1, :, flight] / len(last)
+        assert np.abs(together).max() < 0.25  # of 0.8 and more, were each scan made white alone
 
 
 def _explained(w: Array, g: Array, prior: Array) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from daq.identification.airframe import Airframe, Sample
 from daq.identification.monitor import threshold
 from daq.identification.monitor.bank import LATERAL_PLANE, PITCH_PLANE, MonitoredEffect, bank
-from daq.identification.monitor.monitor import Alarm, GapMonitor, GapMonitors, MonitorState
+from daq.identification.monitor.monitor import Alarm, GapMonitor, GapMonitors, MonitorState, Name
 from daq.identification.monitor.motions import ElevatorInputs, PitchMotion, between, instants
 from daq.identification.monitor.nulls import NullConditions, fly
 from daq.identification.monitor.predictors import FlightsScan, PredictorBank
@@ -43,10 +43,10 @@ def effects(values: dict[str, float]) -> tuple[MonitoredEffect, ...]:
 def calibration(airframe: Airframe, values: dict[str, float], effects: tuple[MonitoredEffect, ...]) -> Calibration:
     """From fewer flights than anybody would trust."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(threshold, "AT_ONCE", 20)
+        patch.setattr(threshold, "AT_ONCE", 40)
         patch.setattr(threshold, "FLIGHT_S", 40.0)
         rng = np.random.default_rng(14)
-        return calibrated(airframe, values, effects, NullConditions(), rng=rng, hours=0.2, plane=PITCH_PLANE)
+        return calibrated(airframe, values, effects, NullConditions(), rng=rng, hours=0.4, plane=PITCH_PLANE)
 
 
 def samples(scans: Sequence[FlightsScan], flight: int) -> list[Sample]:
@@ -62,6 +62,14 @@ def samples(scans: Sequence[FlightsScan], flight: int) -> list[Sample]:
         )
         for s in scans
     ]
+
+
+def test_effects_have_the_unit_that_they_are_told_in(effects: tuple[MonitoredEffect, ...]) -> None:
+    units = {e.name: e.unit for e in effects}
+    assert {units[n] for n in ("CL_0", "CD_0", "CD_k", "Cm_0", "mass")} == {"1"}
+    assert {units[n] for n in ("CL_alpha", "Cm_q", "Cm_de")} == {"1/rad"}
+    trim = Name("Cm_0", "pitching trim", 0.011, "1", 6.5)
+    assert Alarm(46.9, 34.6, "Cm", ("theta",), 6.5, 5.5, (trim,)).text.endswith("leading: Cm_0 (pitching trim) 0.011")
 
 
 def test_motion_of_many_is_that_of_one(airframe: Airframe, values: dict[str, float]) -> None:
