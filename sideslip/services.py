@@ -23,10 +23,10 @@ def _recipe(flight: "Flight") -> Any:
     return recipe(flight)
 
 
-def _estimate(flights: Sequence[Path], model: str, methods: str, report: Path) -> Iterable[str]:
+def _estimate(flights: Sequence[Path], model: str, methods: str, aircraft: str, report: Path) -> Iterable[str]:
     from estimation.answers.estimates import estimate
 
-    answer = estimate(flights, model, methods)
+    answer = estimate(flights, model, methods, aircraft=aircraft or None)
     return [*answer.lines(), f"report: {answer.report(report)}"]
 
 

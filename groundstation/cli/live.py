@@ -287,7 +287,8 @@ def _estimate(
         return
     report = folder / "report"
     try:
-        lines = services.estimate(flights, settings.handover.model, settings.handover.methods, report)
+        asked = settings.handover
+        lines = services.estimate(flights, asked.model, asked.methods, settings.identification.aircraft, report)
     except UserError as error:  # the session itself is sound, and its flights are written
         say(f"the estimate could not be made: {error}")
         return

@@ -15,8 +15,8 @@ class Services:
     """What the command line gives the verbs, as click's object; they know no aircraft files, models and estimators.
 
     aircraft: of a name or file, for live identification. recipe: what a flight is good for. estimate: of flights, with model,
-    methods and the folder of the report; gives what a person reads."""
+    methods, aircraft ("": the one the flights name) and the folder of the report; gives what a person reads."""
 
     aircraft: "AircraftSource"
     recipe: "Callable[[Flight], Any]"
-    estimate: Callable[[Sequence[Path], str, str, Path], Iterable[str]]
+    estimate: Callable[[Sequence[Path], str, str, str, Path], Iterable[str]]

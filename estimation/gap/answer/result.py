@@ -21,17 +21,18 @@ class GapVerdict(StrEnum):
 @dataclass(frozen=True)
 class Gap:
     """rms over all outputs of residual over measurement noise, and how much of what lies above the floor is gone. highest: up to
-    where flights with nothing hidden have it."""
+    where flights with nothing hidden have it; enough: share from which it counts as closed."""
 
     before: float
     after: float
     floor: float
     highest: float = 0.0
+    enough: float = 1.0
 
     @property
-    def showed(self) -> bool:
-        """Whether there was more than nothing hidden leaves: of less no share can be told."""
-        return self.before > self.highest
+    def says_nothing(self) -> bool:
+        """Whether little is closed of no more than nothing hidden leaves, of which no share can be told."""
+        return self.before <= self.highest and self.closed < self.enough
 
     @property
     def closed(self) -> float:

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 from estimation.gap.answer.result import EffectStep, GapVerdict
 from estimation.gap.answer.shape import TURN, Happened, HeldInstrument, LaggedTerm, ShapeCurve, SwingingTerm
-from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect
 
 EXAMPLES = (
@@ -30,7 +29,7 @@ def describe_step(step: EffectStep) -> str:
     if step.followed:
         shifts = " and ".join(f"{n} by {1e3 * v:.0f} ms" for n, v in step.followed.items())
         text += f" Without it the base moves {shifts} to follow; the gap before it is counted without that."
-    if step.holdout is not None and not step.holdout.showed and step.holdout.closed < AS_SET.closed_share:
+    if step.holdout is not None and step.holdout.says_nothing:
         before, highest = step.holdout.before, step.holdout.highest
         text += (
             f" The held-out flights did not show it in their gap ({before:.2f}, up to {highest:.2f} with nothing hidden): "

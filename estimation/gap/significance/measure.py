@@ -122,7 +122,7 @@ def gaps(before: Baseline, after: Baseline, floor: Floors) -> tuple[Gap, Gap | N
     )
     if held is None or floor.holdout_median is None:
         return training, None
-    return training, Gap(*held, floor.holdout_median, floor.highest)
+    return training, Gap(*held, floor.holdout_median, floor.highest, before.criteria.closed_share)
 
 
 def held_out_gaps(before: Baseline, after: Baseline) -> tuple[float, float] | None:

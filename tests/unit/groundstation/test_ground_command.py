@@ -95,8 +95,8 @@ def test_an_estimate_is_made_by_what_the_command_is_given(tmp_path: Path) -> Non
     """In this process, of the manoeuvres where there are some; what is wrong with it costs the session nothing."""
     asked: list[object] = []
 
-    def estimate(flights: Sequence[Path], model: str, methods: str, report: Path) -> list[str]:
-        asked.append((list(flights), model, methods, report))
+    def estimate(flights: Sequence[Path], model: str, methods: str, aircraft: str, report: Path) -> list[str]:
+        asked.append((list(flights), model, methods, aircraft, report))
         if model == "none":
             raise UserError("no such model")
         return ["recommended: ml"]
@@ -110,10 +110,12 @@ def test_an_estimate_is_made_by_what_the_command_is_given(tmp_path: Path) -> Non
     ]
     told: list[str] = []
     for model in ("lateral", "none"):
-        settings = SimpleNamespace(handover=SimpleNamespace(model=model, methods="ml"))
+        settings = SimpleNamespace(
+            handover=SimpleNamespace(model=model, methods="ml"), identification=SimpleNamespace(aircraft="cdfp")
+        )
         _estimate(handed, settings, tmp_path, told.append, services, show=False)
     flights = [tmp_path / "m.mcap", tmp_path / "g.mcap"]
-    assert asked == [(flights, model, "ml", tmp_path / "report") for model in ("lateral", "none")]
+    assert asked == [(flights, model, "ml", "cdfp", tmp_path / "report") for model in ("lateral", "none")]
     assert told == ["recommended: ml", "the estimate could not be made: no such model"]
 
 

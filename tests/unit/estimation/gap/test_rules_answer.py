@@ -129,13 +129,13 @@ def test_an_unknown_under_its_floor_says_that_its_course_stands_out() -> None:
 
 def test_a_held_out_gap_that_was_never_above_its_floor_is_told_to_say_nothing() -> None:
     """A right `Cm_de3` closed "0 %" of a held-out gap of 1.258 over a floor of 1.254."""
-    unseen = Gap(1.258, 1.258, 1.254, highest=1.31)
+    unseen = Gap(1.258, 1.258, 1.254, highest=1.31, enough=0.7)
     assert "did not show it in their gap (1.26, up to 1.31 with nothing hidden)" in describe_step(
         replace(step("Cm_de3"), holdout=unseen)
     )
-    assert "did not show it" not in describe_step(replace(step("Cm_de3"), holdout=Gap(1.4, 1.39, 1.254, highest=1.31)))
+    assert "did not show it" not in describe_step(replace(step("Cm_de3"), holdout=Gap(1.4, 1.39, 1.254, highest=1.31, enough=0.7)))
     # one that vanished there needs no excuse
-    assert "did not show it" not in describe_step(replace(step("Cm_de3"), holdout=Gap(1.30, 1.25, 1.254, highest=1.31)))
+    assert "did not show it" not in describe_step(replace(step("Cm_de3"), holdout=Gap(1.30, 1.25, 1.254, highest=1.31, enough=0.7)))
 
 
 def search(*names: str) -> Any:
