@@ -133,9 +133,13 @@ def test_a_held_out_gap_that_was_never_above_its_floor_is_told_to_say_nothing() 
     assert "did not show it in their gap (1.26, up to 1.31 with nothing hidden)" in describe_step(
         replace(step("Cm_de3"), holdout=unseen)
     )
-    assert "did not show it" not in describe_step(replace(step("Cm_de3"), holdout=Gap(1.4, 1.39, 1.254, highest=1.31, enough=0.7)))
+    assert "did not show it" not in describe_step(
+        replace(step("Cm_de3"), holdout=Gap(1.4, 1.39, 1.254, highest=1.31, enough=0.7))
+    )
     # one that vanished there needs no excuse
-    assert "did not show it" not in describe_step(replace(step("Cm_de3"), holdout=Gap(1.30, 1.25, 1.254, highest=1.31, enough=0.7)))
+    assert "did not show it" not in describe_step(
+        replace(step("Cm_de3"), holdout=Gap(1.30, 1.25, 1.254, highest=1.31, enough=0.7))
+    )
 
 
 def search(*names: str) -> Any:
