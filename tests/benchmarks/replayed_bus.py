@@ -4,7 +4,7 @@ import json
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from ctypes import addressof, memmove
 from itertools import cycle
 from math import ceil
@@ -64,9 +64,8 @@ class RecordingBus:
 
     def i2c_rdwr(self, *messages: Any) -> None:
         self._bus.i2c_rdwr(*messages)
-        for m in messages:
-            if m.flags & 1:
-                self.answers[m.addr, -1, m.len].append(list(m))
+        for question, m in _questions(messages):
+            self.answers[question].append(list(m))
 
     def close(self) -> None:
         self._bus.close()
@@ -134,10 +133,9 @@ class ReplayedBus:
         pass
 
     def i2c_rdwr(self, *messages: Any) -> None:
-        for m in messages:
-            if m.flags & 1:
-                for i, byte in enumerate(self._next[m.addr, -1, m.len]()):
-                    m.buf[i] = byte
+        for question, m in _questions(messages):
+            for i, byte in enumerate(self._next[question]()):
+                m.buf[i] = byte
 
     def close(self) -> None:
         pass
@@ -209,6 +207,17 @@ class AnsweringKernel:
             self._kept[id(data)] = data, asked
         for address, register, length, at in self._kept[id(data)][1]:
             memmove(at, bytes(self._bus.read_i2c_block_data(address, register, length)), length)
+
+
+def _questions(messages: Iterable[Any]) -> Iterator[tuple[Question, Any]]:
+    """The messages that are read into, each with its address, the register written before it (-1: none) and its length."""
+    register = -1
+    for m in messages:
+        if m.flags & 1:
+            yield (m.addr, register, m.len), m
+            register = -1
+        else:
+            register = m.buf[0][0] if m.len else -1
 
 
 def _in_turn(answers: Answers) -> dict[Question, Callable[[], list[int]]]:
