@@ -190,13 +190,13 @@ def _lines(result: "GapResult") -> list[str]:
 def beside_simulation(model: "Model") -> str:
     """What of a simulation is estimated whatever else is found: none of it is a gap, and a drag at rest that is off shows nowhere
     else. Empty for a model that stands on none."""
+    from estimation.simulation.base_model import SHARE
+
     coefficients = [n.removesuffix("_sim") for n in model.definitions if n.endswith("_sim")]
-    wanted = {f"{c}_0": 0.0 for c in coefficients} | {f"k_{c}": 1.0 for c in coefficients} | {"share_CD": 0.0}
+    names = {SHARE, *(name for c in coefficients for name in (f"{c}_0", f"k_{c}"))} if coefficients else {}
     found = [
-        f"{p.name} {p.start:.3g} ({wanted[p.name]:g})" for p in model.parameters if p.name in wanted and not p.fixed
+        f"{p.name} {p.start:.3g} ({p.reference:g})"
+        for p in model.parameters
+        if p.name in names and not p.fixed and p.reference is not None
     ]
-    return (
-        "estimated beside the simulation, which has what stands in brackets: " + ", ".join(found)
-        if coefficients and found
-        else ""
-    )
+    return "estimated beside the simulation, which has what stands in brackets: " + ", ".join(found) if found else ""

@@ -31,6 +31,7 @@ from estimation.compatibility.records import attitude_errors
 from estimation.errors import DataError
 from estimation.prepare.columns import with_derived
 from groundstation.flight import RECONSTRUCTED, Array, Flight
+from groundstation.flight.airspeed import calibration_error
 from groundstation.flight.findings import Finding, FindingKind
 
 AIR = ("alpha", "beta", "V")
@@ -88,7 +89,9 @@ def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
     """
     flight.require((*INERTIAL, *FIX), "the reconstruction of air data")
     airspeed, origin = airspeed_of(flight)
-    assumed = replace(assumed, airspeed_scale=_calibrated_to(flight, airspeed) or assumed.airspeed_scale)
+    assumed = replace(
+        assumed, airspeed_scale=calibration_error(flight.provenance.detail, airspeed) or assumed.airspeed_scale
+    )
     stretches, notes = stretches_of(flight, airspeed)
     noise = _noise(flight, airspeed, assumed)
     nodes = [s.nodes for s in stretches]
@@ -119,13 +122,6 @@ def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
         origin,
         tuple(notes),
     )
-
-
-def _calibrated_to(flight: Flight, airspeed: Array) -> float:
-    """Relative 1 sigma of an airspeed by its calibration; 0 where none is stated, as of a log."""
-    stated = flight.provenance.detail.get("uncertainty")
-    sigma = stated.get("V") if isinstance(stated, Mapping) else None
-    return float(sigma) / float(np.nanmedian(airspeed)) if isinstance(sigma, int | float) else 0.0
 
 
 def airspeed_of(flight: Flight) -> tuple[Array, str]:

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from daq.utilities.constants import GRAVITY
 from estimation.compatibility.air_filter import INTERVAL, Nodes
 from estimation.compatibility.records import (
-    FLYING,
     SHORTEST,
     attitude_jumps,
     attitude_rates,
@@ -20,6 +19,7 @@ from estimation.compatibility.records import (
 from estimation.errors import DataError
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
+from groundstation.flight.airspeed import FLYING
 
 INERTIAL = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi")
 FIX = ("vn", "ve", "vd")

@@ -14,6 +14,7 @@ from estimation.models.kinematic import ATTITUDE, MEASUREMENTS
 from estimation.prepare.conditioned import ConditionedFlight, condition_columns, repair_columns
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
+from groundstation.flight.airspeed import FLYING, flies_from
 from groundstation.flight.arrays import true_runs
 from groundstation.flight.contradictions import no_airspeed
 from groundstation.flight.findings import Finding, FindingKind
@@ -21,12 +22,6 @@ from groundstation.flight.kinematics import GYROS
 
 SHORTEST = 40  # samples
 COLUMNS = ("ax", "ay", "az", "p", "q", "r")
-FLYING = 5.0
-"""Airspeed [m/s] below which vanes do not follow the wind: on the ground, or not measured."""
-SLOW_FLYER = 1.5
-"""Airspeed [m/s] that the slowest aeroplanes reach (50 g in a hall fly at 2 to 5 m/s); a pitot at rest may show as much at times,
-so half of a record has to be near its largest."""
-
 JUMP = 0.1
 """Step [rad] of an attitude from one sample to the next, beyond what the rates turn, that no aircraft makes."""
 
@@ -148,7 +143,7 @@ def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
     if not flight.measured("V"):
         return np.ones(len(flight), bool)
     V = flight["V"]
-    from_speed = _flies_from(V)
+    from_speed = flies_from(V)
     slow = np.isfinite(V) & (from_speed > V)
     if slow.sum() > 0.5 * np.isfinite(V).sum() and not np.any(from_speed <= V):
         raise DataError(
@@ -159,14 +154,6 @@ def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
         share = int(slow.sum())
         notes.append(f"{share} samples with V below {from_speed:.2g} m/s left out: not in flight")
     return np.asarray(~slow)
-
-
-def _flies_from(V: Array) -> float:
-    """Airspeed [m/s] from which the aircraft flies: half of what a slow one flies at throughout, else FLYING."""
-    known = V[np.isfinite(V)]
-    largest, middle = (float(known.max()), float(np.median(known))) if known.size else (0.0, 0.0)
-    steady = largest < FLYING and largest > SLOW_FLYER and middle > 0.5 * largest
-    return 0.5 * middle if steady else FLYING
 
 
 def _begin(model: Model, flight: Flight, z: Array, part: slice, notes: list[str]) -> int:

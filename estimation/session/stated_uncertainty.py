@@ -18,6 +18,7 @@ from estimation.models.base import ParameterRole
 from estimation.session.evidence import POWER
 from estimation.session.session import EstimationSession
 from groundstation.flight import Flight
+from groundstation.flight.airspeed import calibration_error
 
 FORCE = {"mass": 1, "area": 1}
 LINES: Mapping[str, Mapping[str, int]] = {
@@ -44,11 +45,9 @@ def share(name: str, aircraft: Aircraft) -> float:
 
 def airspeed_share(flight: Flight) -> float:
     """Relative 1 sigma of every derivative by the calibration of a measured airspeed; 0 where none is stated."""
-    stated = flight.provenance.detail.get("uncertainty")
-    sigma = stated.get("V") if isinstance(stated, Mapping) else None
-    if "V" in flight.reconstructed or not flight.measured("V") or not isinstance(sigma, int | float):
+    if "V" in flight.reconstructed or not flight.measured("V"):
         return 0.0
-    return POWER * float(sigma) / float(np.nanmedian(flight["V"])) if 0.0 < sigma < math.inf else 0.0
+    return POWER * calibration_error(flight.provenance.detail, flight["V"])
 
 
 def with_stated_uncertainty(session: EstimationSession) -> EstimationSession:

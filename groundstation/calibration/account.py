@@ -11,9 +11,10 @@ from daq.utilities.constants import GRAVITY
 from groundstation.calibration import curves
 from groundstation.calibration.align import BRIDGED, COMPLETE, REPEATED, completeness
 from groundstation.calibration.calibration_set import CalibrationSet
-from groundstation.calibration.columns import direct_columns
+from groundstation.calibration.columns import MIXED, direct_columns
 from groundstation.calibration.scan_table import Readings, ScanTable
 from groundstation.calibration.schema import Instrument
+from groundstation.flight.airspeed import in_flight
 from groundstation.flight.flight import BACK, CHANNELS, DATED_BACK, HELD, INTERVAL
 from groundstation.flight.quality.noise import noise
 
@@ -68,7 +69,7 @@ def account(
 def _by_pulses(table: ScanTable, calibration: CalibrationSet, readings: Readings) -> dict[str, dict[str, object]]:
     """Surfaces that are known by the pulse that moves them, as an import describes a command: what a servo did between two
     reports is open."""
-    mixed = dict.fromkeys(("elevon_left", "elevon_right"), ("delta_e", "delta_a")) if calibration.get("mixing") else {}
+    mixed = {n: columns for columns, names in MIXED.items() for n in names} if calibration.get("mixing") else {}
     direct: dict[str, tuple[str, ...]] = {d.reading: (d.column.name,) for d in direct_columns(calibration)}
     found: dict[str, dict[str, object]] = {}
     for name, lag in readings.lag.items():
@@ -137,7 +138,8 @@ def _first_value(table: ScanTable, group: str) -> int | None:
 
 
 def column_uncertainty(calibration: CalibrationSet, columns: Mapping[str, Array]) -> dict[str, float]:
-    """One sigma of the calibration of each column at this flight's median reading, as the calibration files state it.
+    """One sigma of the calibration of each column at this flight's median reading (of V: in flight), as the calibration files
+    state it.
 
     What the files do not state is not in it; noise is apart (`noise`).
     """
@@ -172,12 +174,11 @@ def _controls(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
     item = calibration.get("mixing")
     if item is None or item.mixing is None:
         return
-    weights = {"e": item.mixing.elevator, "a": item.mixing.aileron}
-    for prefix, left_name, right_name in (("delta", "elevon_left", "elevon_right"), ("cmd", "pwm_1", "pwm_2")):
+    for columns, (left_name, right_name) in MIXED.items():
         left, right = _curve_sigma(calibration.get(left_name)), _curve_sigma(calibration.get(right_name))
         if left is not None and right is not None:
-            for axis, (a, b) in weights.items():
-                _put(sigmas, f"{prefix}_{axis}", float(np.hypot(a * left, b * right)))
+            for column, (a, b) in zip(columns, (item.mixing.elevator, item.mixing.aileron), strict=True):
+                _put(sigmas, column, float(np.hypot(a * left, b * right)))
 
 
 def _air(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict[str, float]) -> None:
@@ -187,7 +188,9 @@ def _air(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict
     pressure, warmth = item.static.uncertainty, item.static.temperature_uncertainty
     _put(sigmas, "p_static", pressure)
     _put(sigmas, "temperature", warmth)
-    rho, p, t, q, v = (_median(columns, n) for n in ("rho", "p_static", "temperature", "p_dynamic", "V"))
+    rho, p, t = (_median(columns[n]) for n in ("rho", "p_static", "temperature"))
+    flying = in_flight(columns["V"])  # at rest an error of the pressure is any number of m/s
+    q, v = (_median(columns[n][flying]) for n in ("p_dynamic", "V"))
     if rho is not None and p and t:
         relative = float(np.hypot(pressure / p, warmth / t))
         _put(sigmas, "rho", rho * relative)
@@ -221,6 +224,6 @@ def _triads(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: d
             _put(sigmas, axis, float(np.hypot(sigma, item.triad.matrix_uncertainty * size)))
 
 
-def _median(columns: Mapping[str, Array], name: str) -> float | None:
-    values = columns[name][np.isfinite(columns[name])]
-    return float(np.median(values)) if values.size else None
+def _median(values: Array) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else None

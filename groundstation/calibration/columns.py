@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 
 GNSS = tuple("latitude_e7 longitude_e7 height_msl_mm velocity_north_mm velocity_east_mm velocity_down_mm".split())
+MIXED = {("delta_e", "delta_a"): ("elevon_left", "elevon_right"), ("cmd_e", "cmd_a"): ("pwm_1", "pwm_2")}
+"""Elevator and aileron -> what they are mixed of."""
 
 
 class CombinedColumns:
@@ -105,9 +107,8 @@ class CombinedColumns:
 
     def _controls(self) -> None:
         item = self.calibration.get("mixing")
-        pairs = (("delta_e", "delta_a", "elevon_left", "elevon_right"), ("cmd_e", "cmd_a", "pwm_1", "pwm_2"))
         if item is not None and item.mixing is not None:
-            for elevator, aileron, left_name, right_name in pairs:
+            for (elevator, aileron), (left_name, right_name) in MIXED.items():
                 left, right = self._value(left_name), self._value(right_name)
                 for column, weights in ((elevator, item.mixing.elevator), (aileron, item.mixing.aileron)):
                     self.columns[column] = weights[0] * left + weights[1] * right

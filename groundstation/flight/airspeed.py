@@ -1,5 +1,7 @@
-"""When a pitot stopped telling the speed though the aircraft flew on: blocked by water or ice, or without its tube."""
+"""What an airspeed says of a flight: when the aircraft flies, how well its calibration knows it, and when a pitot stopped telling
+the speed though the aircraft flew on: blocked by water or ice, or without its tube."""
 
+import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -7,6 +9,11 @@ import numpy as np
 from daq.utilities.constants import GRAVITY, SEA_LEVEL_DENSITY
 from groundstation.flight.arrays import Array, Mask, true_runs
 
+FLYING = 5.0
+"""Airspeed [m/s] below which vanes do not follow the wind: on the ground, or not measured."""
+SLOW_FLYER = 1.5
+"""Airspeed [m/s] that the slowest aeroplanes reach (50 g in a hall fly at 2 to 5 m/s); a pitot at rest may show as much at times,
+so half of a record has to be near its largest."""
 LOST = 0.3
 """Of the airspeed that a tenth of the flight exceeds: wings carry a tenth of the weight there."""
 LASTS = 1.0  # [s] of a loss: gusts and single wild values are shorter
@@ -26,6 +33,30 @@ def airspeed(columns: Mapping[str, Array]) -> Array | None:
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(2.0 * np.maximum(columns["p_dynamic"], 0.0) / density))
     return columns.get("V_cas")
+
+
+def flies_from(V: Array) -> float:
+    """Airspeed [m/s] from which the aircraft flies: half of what a slow one flies at throughout, else FLYING."""
+    known = V[np.isfinite(V)]
+    largest, middle = (float(known.max()), float(np.median(known))) if known.size else (0.0, 0.0)
+    steady = largest < FLYING and largest > SLOW_FLYER and middle > 0.5 * largest
+    return 0.5 * middle if steady else FLYING
+
+
+def in_flight(V: Array) -> Mask:
+    """(N,) samples with an airspeed of flight: on the ground a recording may last longer than in the air."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(flies_from(V) <= V)
+
+
+def calibration_error(detail: Mapping[str, object], V: Array) -> float:
+    """Relative 1 sigma of an airspeed (N,) [m/s] in flight as the calibration in a provenance's detail states it; 0 where none is
+    stated, as of a log, or nothing flies."""
+    stated = detail.get("uncertainty")
+    sigma = stated.get("V") if isinstance(stated, Mapping) else None
+    if not isinstance(sigma, int | float) or not 0.0 < sigma < math.inf or not (flying := in_flight(V)).any():
+        return 0.0
+    return float(sigma) / float(np.median(V[flying]))
 
 
 def ground_speed(time: Array, columns: Mapping[str, Array]) -> Array | None:

@@ -12,10 +12,11 @@ from scipy.signal import savgol_filter
 from estimation.compatibility.correct import correct_flight
 from estimation.compatibility.problem import refuse_singular
 from estimation.compatibility.reconstruction import Compatibility, compatibility
-from estimation.compatibility.records import FLYING, _flies_from, attitude_errors, attitude_jumps
+from estimation.compatibility.records import attitude_errors, attitude_jumps
 from estimation.errors import EstimationError
 from estimation.models.kinematic import compatibility_model
 from groundstation.flight import Flight, MissingColumnError, write_flight
+from groundstation.flight.airspeed import FLYING, flies_from
 from sideslip.verbs.check import check
 
 DEG = np.pi / 180
@@ -243,4 +244,4 @@ def test_command_writes_json_as_the_interface_says(tmp_path: Path, rng: np.rando
     ],
 )
 def test_a_slow_aircraft_flies_from_half_of_its_speed(speeds: np.ndarray, least: float) -> None:
-    assert _flies_from(speeds) == pytest.approx(least)
+    assert flies_from(speeds) == pytest.approx(least)
