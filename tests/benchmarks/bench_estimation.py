@@ -5,6 +5,7 @@ flight, then cost against samples, parameters and flights. Times are processor s
 they are what a wall clock shows where nothing else runs, and do not grow where something does.
 """
 
+import json
 import os
 import resource
 import subprocess
@@ -25,6 +26,7 @@ from estimation.models import load_model
 from estimation.prepare.flight_data import FlightData
 from estimation.prepare.pipeline import prepare
 from groundstation.flight import write_flight
+from tests.benchmarks.conftest import Against
 from tests.unit.estimation.truth import NOISE, STRONG, Case, fly
 
 MODEL = load_model("lateral-simple", "cdfp")
@@ -113,7 +115,8 @@ def peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def main() -> None:
+def main() -> dict[str, float]:
+    """Print the tables; what the limits are of."""
     rng = np.random.default_rng(1)
     flight = fly(Case(noise=NOISE, servo=None), rng)[0][0]
     sigma = {n: NOISE[n] for n in MODEL.output_names}
@@ -123,11 +126,11 @@ def main() -> None:
     first = time.process_time() - begin
     data = prepare(MODEL, flight)
     prepare_time = timed(lambda: prepare(MODEL, flight))
-    own = output_error(MODEL, data, options=OutputErrorOptions(sigma=sigma, compile_="never"))
+    options = OutputErrorOptions(sigma=sigma, compile_="never", improve_start=False, hold="linear", paths=False)
+    own = output_error(MODEL, data, options=options)
     slow, seconds = scipy_fit(data)
     usual = timed(lambda: output_error(MODEL, data, options=OutputErrorOptions(compile_="never")))
     off = max(abs(own.values[n] - slow[n]) / own.std[n] for n in STRONG)
-    options = OutputErrorOptions(sigma=sigma, compile_="never", improve_start=False)
     virtual = timed(lambda: output_error(MODEL, data, options=options))
     alone = timed(lambda: search([data], options))
     quick = timed(lambda: search([data], replace(options, compile_="auto")))
@@ -167,24 +170,22 @@ def main() -> None:
         print(f"{count:8d} {timed(lambda n=count: fit(flights[:n], 'auto'), 1):8.3f} s compiled")  # type: ignore[misc]
     print(f"{100:8d} {timed(lambda: fit(flights, 'never'), 1):8.3f} s without a compiler")
     print(f"peak memory {peak_mb():.0f} MB")
-
-
-def in_one_thread() -> None:
-    """`main` in a process whose linear algebra uses one thread, as that of `sideslip estimate` does."""
-    one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    subprocess.run(
-        [sys.executable, "-m", "tests.benchmarks.bench_estimation", "here"], env={**os.environ, **one}, check=True
-    )
+    return {"off": off, "scipy": seconds, "no compiler": alone, "compiled": quick, "with bounds": fast}
 
 
 @pytest.mark.benchmark
 @pytest.mark.timeout(600)
-def test_estimation_speed() -> None:
-    in_one_thread()
+def test_estimation_speed(tmp_path: Path, compared: Against) -> None:
+    """In a process whose linear algebra uses one thread, as that of `sideslip estimate` does."""
+    one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    answer = tmp_path / "found.json"
+    command = [sys.executable, "-m", "tests.benchmarks.bench_estimation", str(answer)]
+    subprocess.run(command, env={**os.environ, **one}, check=True)
+    found = json.loads(answer.read_text())
+    compared("own optimum off scipy's [bounds]", found["off"], 0.01)
+    for how, most in (("no compiler", 1 / 50), ("compiled", 1 / 250), ("with bounds", 1 / 30)):
+        compared(f"a fit, {how} / scipy's least_squares", found[how] / found["scipy"], most)
 
 
 if __name__ == "__main__":
-    if "here" in sys.argv:
-        main()
-    else:
-        in_one_thread()
+    Path(sys.argv[1]).write_text(json.dumps(main()))
