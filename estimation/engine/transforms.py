@@ -20,15 +20,15 @@ def _delay(time: Array, value: Array, seconds: float) -> Array:
     """
     if time.size < 2:
         return value.copy()
-    at = np.clip(time - seconds, time[0], time[-1])
-    slope = np.gradient(value, time)
-    slope[[0, -1]] = 0.0
-    i = np.clip(np.searchsorted(time, at, "right") - 1, 0, time.size - 2)
-    h = time[i + 1] - time[i]
-    s = (at - time[i]) / h
-    rise = value[i + 1] - value[i]
-    first, last = h * slope[i] - rise, rise - h * slope[i + 1]
-    return np.asarray(value[i] + s * rise + s * (1.0 - s) * ((1.0 - s) * first + s * last))
+    step, rise = time[1:] - time[:-1], value[1:] - value[:-1]
+    slope = np.zeros(value.size)  # of a parabola through a sample and its neighbours
+    share = step[1:] / (step[:-1] + step[1:])
+    slope[1:-1] = share * rise[:-1] / step[:-1] + (1.0 - share) * rise[1:] / step[1:]
+    first, last = step * slope[:-1] - rise, rise - step * slope[1:]
+    at = np.minimum(np.maximum(time - seconds, time[0]), time[-1])
+    i = np.minimum(np.searchsorted(time, at, "right") - 1, time.size - 2)
+    s = (at - time[i]) / step[i]
+    return np.asarray(value[i] + s * (rise[i] + (1.0 - s) * ((1.0 - s) * first[i] + s * last[i])))
 
 
 def _lag(time: Array, value: Array, seconds: float) -> Array:

@@ -10,7 +10,7 @@ Remple, chapter 8).
 import math
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from estimation.frequency.records import DetrendedStretch, Signals
 from groundstation.flight import Array
@@ -33,7 +33,7 @@ def feedback_note(signals: Signals) -> str:
         return ""
     rho = cross / norm
     share = float(np.sum(rho**2)) - lags / count
-    if share < SHARE or count * float(np.sum(rho**2)) < float(chi2.ppf(1.0 - CHANCE, lags)):
+    if share < SHARE or count * float(np.sum(rho**2)) < float(chdtri(lags, CHANCE)):
         return ""
     return (
         f"{signals.names[0]} follows {signals.output} ({100 * share:.0f} % of its new movements answer what "

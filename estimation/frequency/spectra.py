@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import czt
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from estimation.frequency.records import DetrendedStretch
 from estimation.signals.curves import Complex
@@ -166,5 +166,5 @@ def _solved(X: Complex, Y: Complex, R: Array, length: float) -> WindowResponse |
     variance = rest / residual_freedom * (PR @ inverse)[:, 0, 0].real
     explained = np.abs(H[:, 0]) ** 2 / inverse[:, 0, 0].real
     first = size[:, 0, 0]
-    std = np.sqrt(0.5 * variance) * student.ppf(0.975, 2 * freedom) / NORMAL
+    std = np.sqrt(0.5 * variance) * stdtrit(2 * freedom, 0.975) / NORMAL
     return WindowResponse(length, H[:, 0] / first, std / first, explained / (explained + rest), freedom, first**2)

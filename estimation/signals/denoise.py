@@ -12,6 +12,7 @@ The noise level comes from the signal itself (`noise_level`), so nothing need be
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,20 +183,18 @@ class Fits:
         self.evidence = by_length(count + 1, signals, longest)
         self.moments: list[list[Array]] = []  # of every length: terms of (signals, stretches)
         self.local: list[list[Array]] = []  # coefficients, alike
-        self.inverses: list[Array] = []
+        grams = _grams(longest, order) + np.eye(terms) / width**2
+        self.inverses: Array = np.linalg.inv(grams)
+        constants = -0.5 * np.linalg.slogdet(grams)[1] - terms * np.log(width)
         for n in range(1, longest + 1):
-            basis = _basis(n, order)
-            gram = basis.T @ basis + np.eye(terms) / width**2
-            inverse: Array = np.linalg.inv(gram).astype(np.float64)
+            inverse = self.inverses[n - 1]
             moments = _centred([c[:, n:] - c[:, :-n] for c in sums], time[: count - n + 1] + 0.5 * (n - 1), n)
             local = [sum(inverse[i, j] * moments[j] for j in range(terms)) for i in range(terms)]
             explained = sum(m * c for m, c in zip(moments, local, strict=True))
             energy = square[:, n:] - square[:, :-n]
-            constant = -0.5 * np.linalg.slogdet(gram)[1] - terms * np.log(width)
-            self.evidence[n:, :, n - 1] = (constant - 0.5 * (energy - explained)).T
+            self.evidence[n:, :, n - 1] = (constants[n - 1] - 0.5 * (energy - explained)).T
             self.moments.append(moments)
             self.local.append(local)
-            self.inverses.append(inverse)
 
     def average(self, forward: Array, backward: Array, score: Array) -> Array:
         """Mean over segmentations of the fitted curves, (signals, N).
@@ -230,8 +229,7 @@ class Fits:
         moments = np.zeros((self.longest, count, signals, terms))
         for n in range(1, self.longest + 1):
             moments[n - 1, : count - n + 1] = np.array(self.moments[n - 1]).transpose(2, 1, 0)
-        inverses = np.stack(self.inverses)
-        roots = np.linalg.cholesky(inverses)
+        inverses, roots = self.inverses, np.linalg.cholesky(self.inverses)
         padded = np.concatenate([np.full((self.longest, signals), -np.inf), forward])
         lengths = np.arange(1, self.longest + 1)
         time = np.arange(count) - 0.5 * count
@@ -286,6 +284,13 @@ def _centred(sums: Sequence[Array], centre: Array, n: int) -> list[Array]:
     if len(sums) > 2:
         moments.append((sums[2] - 2.0 * centre * sums[1] + centre**2 * sums[0]) / half**2)
     return moments
+
+
+@cache
+def _grams(longest: int, order: int) -> Array:
+    """(longest, terms, terms) inner products of the powers on pieces of 1, 2, ... samples, from -1 to 1."""
+    bases = [_basis(n, order) for n in range(1, longest + 1)]
+    return np.stack([basis.T @ basis for basis in bases])
 
 
 def _basis(n: int, order: int) -> Array:

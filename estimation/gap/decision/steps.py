@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from estimation.gap.answer.result import EffectStep, Gap, Migration, Tie, Weighed, Where
 from estimation.gap.criteria import Criteria
@@ -211,4 +211,4 @@ def ties_of(round_: Round) -> tuple[Tie, ...]:
 
 def nominal_threshold(hypotheses: int, criteria: Criteria) -> float:
     """What the largest |z| of so many hypotheses would stay below were the noise model exact (Bonferroni, two-sided)."""
-    return float(norm.isf(criteria.nominal_alarm / 2 / max(hypotheses, 1)))
+    return float(-ndtri(criteria.nominal_alarm / 2 / max(hypotheses, 1)))

@@ -8,7 +8,6 @@ An attitude that is measured afresh each time (optically, say) is none of these 
 """
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from estimation.compatibility.records import attitude_rates
 from estimation.engine.kernel import Array
@@ -91,6 +90,8 @@ def _rounded(flight: Flight, values: Array, spacing: float, rate: Array, criteri
     """
     if spacing <= criteria.slow_control:
         return None
+    from scipy.interpolate import CubicSpline  # here: rarely needed, and long to import
+
     filled, shares = values.copy(), []
     for segment in flight.segments:
         time, course = flight.time[segment], values[segment]

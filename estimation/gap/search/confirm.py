@@ -22,7 +22,7 @@ from estimation.gap.records.candidate_model import awakened
 from estimation.gap.significance.screen import Hypothesis, Screen, equivalent_z, one_sided
 
 FIRST_STEPS = 5  # from every start; the better end goes on
-STEPS = 12  # in all: a candidate that takes more is no explanation anyone would find first
+STEPS = 30  # in all, along a narrow valley (a slow servo against roll damping): twelve end where rounding had led them
 ENOUGH = 0.02  # of the log-likelihood: rivals are weighed by whole units of it
 NEAREST, FARTHEST = 0.3, 3.0  # usual sizes from no effect, between which a fit starts: at none a play has no slope
 SHORTER = (0.3, 0.03)  # of the first start, where the motion runs away from it

@@ -12,7 +12,6 @@ from functools import lru_cache
 from itertools import groupby
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter
 
 from estimation.engine.kernel import Array
 from estimation.estimators.normal_equations import solved
@@ -36,6 +35,8 @@ NEEDED = 9.0  # twice a log-likelihood: three standard deviations of one more un
 def lag_behind(course: Array, time: Array, memory: float) -> Array:
     """(N,) how far a first-order lag [s] of a course (N,) is behind it, begun at rest."""
     keep = float(np.exp(-np.median(np.diff(time)) / memory))
+    from scipy.signal import lfilter  # here: only where nothing named is found, and half a second to import
+
     follower, _ = lfilter([1.0 - keep], [1.0, -keep], course, zi=[keep * course[0]])
     return np.asarray(follower - course)
 
@@ -92,12 +93,16 @@ class _AtOnce:
 
 def oscillator(course: Array, time: Array, frequency: float, damping: float) -> Array:
     """(N,) what an oscillator of unit size makes of a course (N,) that is straight between samples, begun at rest where it is."""
+    from scipy.signal import lfilter
+
     numerator, denominator = _recursion(float(np.median(np.diff(time))), frequency, damping)
     return np.asarray(course[0] + lfilter(numerator, denominator, course - course[0]))
 
 
 @lru_cache(maxsize=256)
 def _recursion(step: float, frequency: float, damping: float) -> tuple[Array, Array]:
+    from scipy.signal import cont2discrete
+
     square = frequency * frequency
     numerator, denominator, _ = cont2discrete(([square], [1.0, 2.0 * damping * frequency, square]), step, method="foh")
     return np.ravel(numerator), np.ravel(denominator)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from estimation.engine.kernel import Array
 
@@ -44,6 +43,8 @@ def _powers(u: Array, knots: Array) -> Array:
 @cache
 def basis() -> Basis:
     """The columns of every increment: unit rms over -1..1, free of constant and line, smoothest first."""
+    from scipy.interpolate import BSpline  # here: long to import
+
     knots = np.linspace(-1.0, 1.0, INNER + 2)
     padded = np.concatenate([np.full(DEGREE, -1.0), knots, np.full(DEGREE, 1.0)])
     count = INNER + DEGREE + 1

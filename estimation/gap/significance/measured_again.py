@@ -60,14 +60,12 @@ class MeasuredAgain:
         flyer = NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, exact)
         pairs = zip(problem.whiteners, self.baseline.fit.residuals, strict=True)
         limit = RAN_AWAY * sum(w.energy(residual) for w, residual in pairs)
-        repeats = []
-        for number in range(REPEATS):
-            rng = Stream.MEASURED_AGAIN.generator(self.seed, number)
-            records = [self._remade(flyer, index, rng) for index in range(len(problem.records))]
-            finite = tuple(r for r in records if r is not None)
-            if len(finite) == len(records) and sum(r.energy for r in finite) < limit:
-                repeats.append(finite)
-        return tuple(repeats)
+        indices = range(len(problem.records))
+        streams = (Stream.MEASURED_AGAIN.generator(self.seed, number) for number in range(REPEATS))
+        flown = [[self._flown(flyer, index, rng) for index in indices] for rng in streams]
+        remade = zip(*(self._remade(index, [flights[index] for flights in flown]) for index in indices), strict=True)
+        finite = (tuple(r for r in records if r is not None) for records in remade)
+        return tuple(f for f in finite if len(f) == len(problem.records) and sum(r.energy for r in f) < limit)
 
     def share(self, gain: float, found: ModelFit) -> float:
         """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
@@ -96,24 +94,40 @@ class MeasuredAgain:
             if len(residuals) == len(pairs):
                 yield again, replace(found, residuals=residuals)
 
-    def _remade(self, flyer: NullFlyer, index: int, rng: np.random.Generator) -> Remade | None:
-        problem, values = self.baseline.problem, self.baseline.fit.values
-        record, true_inputs, prepared = (
-            problem.records[index],
-            problem.coarse[index].u.copy(),
-            problem.coarse[index].u.copy(),
-        )
-        for column, signal in enumerate(problem.model.inputs):
-            noise = record.input_noise.get(signal.name, 0.0)
-            if signal.control and noise > 0.0:
-                true_inputs[:, column] = course(record, signal.name, true_inputs[:, column], noise, rng)
-                measured = true_inputs[:, column] + noise * rng.standard_normal(len(true_inputs))
-                prepared[:, column] = prepared_anew(record, signal.name, measured, noise, self.baseline)
-        outputs = flyer.observed(index, rng, problem.driven(problem.grids[index].with_inputs(true_inputs), values))
-        modelled = problem.modelled(index, values, self.baseline.fit.locals[index], inputs=prepared)
-        if outputs is None or modelled is None:
-            return None
-        return Remade(outputs, prepared, problem.whiteners[index].energy(outputs - modelled))
+    def _flown(self, flyer: NullFlyer, index: int, rng: np.random.Generator) -> tuple[Array | None, Array]:
+        """Outputs of the base flown through a course that the controls of a record may have taken, None where it runs away;
+        and its inputs (N, nu), those controls as measured."""
+        problem, record = self.baseline.problem, self.baseline.problem.records[index]
+        true_inputs, measured = problem.coarse[index].u.copy(), problem.coarse[index].u.copy()
+        for column, name, noise in self._noisy_controls(index):
+            true_inputs[:, column] = course(record, name, true_inputs[:, column], noise, rng)
+            measured[:, column] = true_inputs[:, column] + noise * rng.standard_normal(len(true_inputs))
+        driven = problem.driven(problem.grids[index].with_inputs(true_inputs), self.baseline.fit.values)
+        return flyer.observed(index, rng, driven), measured
+
+    def _remade(self, index: int, flown: Sequence[tuple[Array | None, Array]]) -> list[Remade | None]:
+        """One record as flown in every repeat, its controls prepared anew; None where the motion runs away."""
+        problem, fit = self.baseline.problem, self.baseline.fit
+        prepared = [measured.copy() for _, measured in flown]
+        for column, name, noise in self._noisy_controls(index):
+            courses = [measured[:, column] for _, measured in flown]
+            anew = prepared_anew(problem.records[index], name, courses, noise, self.baseline)
+            for inputs, values in zip(prepared, anew, strict=True):
+                inputs[:, column] = values
+        remade: list[Remade | None] = []
+        for (outputs, _), inputs in zip(flown, prepared, strict=True):
+            modelled = problem.modelled(index, fit.values, fit.locals[index], inputs=inputs)
+            if outputs is None or modelled is None:
+                remade.append(None)
+            else:
+                remade.append(Remade(outputs, inputs, problem.whiteners[index].energy(outputs - modelled)))
+        return remade
+
+    def _noisy_controls(self, index: int) -> list[tuple[int, str, float]]:
+        """Column, name and noise of every control of a record that has noise."""
+        problem, known = self.baseline.problem, self.baseline.problem.records[index].input_noise
+        controls = [(i, s.name, known.get(s.name, 0.0)) for i, s in enumerate(problem.model.inputs) if s.control]
+        return [(i, name, noise) for i, name, noise in controls if noise > 0.0]
 
 
 def _recorded(model: Model, record: FlightRecord, remade: Remade) -> FlightRecord:
@@ -155,13 +169,16 @@ def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: 
     return np.where(raw, smooth, prepared + error)
 
 
-def prepared_anew(record: FlightRecord, name: str, measured: Array, noise: float, baseline: Baseline) -> Array:
-    """(N,) a measured control without its noise, but for what follows the motion, and by its steps as measured where the record's
-    own is."""
+def prepared_anew(
+    record: FlightRecord, name: str, measured: Sequence[Array], noise: float, baseline: Baseline
+) -> list[Array]:
+    """(N,) each: a control measured several times without its noise, but for what follows the motion, and by its steps as
+    measured where the record's own is."""
     follows = record.follows.get(name, 0.0)
-    smooth = denoise_many([measured - follows], noise=noise)[0].values + follows
+    smooth = [d.values + follows for d in denoise_many([m - follows for m in measured], noise=noise)]
     raw = record.raw.get(name)
     if raw is None or not raw.any():
         return smooth
     interval = float(np.median(np.diff(record.time)))
-    return with_raw_steps(smooth, measured, noise, baseline.criteria.surface_step, interval)[0]
+    step = baseline.criteria.surface_step
+    return [with_raw_steps(s, m, noise, step, interval)[0] for s, m in zip(smooth, measured, strict=True)]

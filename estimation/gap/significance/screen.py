@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtri  # scipy.stats takes half a second to import
 
 from estimation.engine.kernel import Array
 from estimation.estimators.normal_equations import eliminated, solved
@@ -25,6 +25,7 @@ from estimation.models.base import Model
 SMALL = 0.05  # usual sizes: secant steps to both sides, in which every smooth effect is linear
 LARGE = 0.3  # usual sizes: where only one side is possible, far enough that a play or a delay acts at all
 TINY = 1e-300  # keeps a column without length from dividing by zero
+SMALLEST_TAIL = 1e-300  # a probability that still has a quantile
 
 
 @dataclass(frozen=True)
@@ -199,8 +200,8 @@ def equivalent_z(gain: float, unknowns: int) -> float:
     """The |z| of one unknown that is as improbable as a gain in twice the log-likelihood with several."""
     if unknowns == 1:
         return float(np.sqrt(max(gain, 0.0)))
-    tail = chi2.logsf(max(gain, 0.0), unknowns)
-    return float(-norm.ppf(np.exp(max(tail, -700.0)) / 2)) if tail > -650 else float(np.sqrt(gain))
+    tail = chdtrc(unknowns, max(gain, 0.0))
+    return float(-ndtri(tail / 2)) if tail > SMALLEST_TAIL else float(np.sqrt(gain))
 
 
 def build_screen(tangent: Tangent, hypotheses: Sequence[Hypothesis]) -> Screen:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtri
 
 from estimation.engine.kernel import Array
 from estimation.estimators.normal_equations import solved
@@ -20,13 +20,12 @@ from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round, upper_quantile
-from estimation.gap.significance.screen import TINY, shared_prior
+from estimation.gap.significance.screen import SMALLEST_TAIL, TINY, shared_prior
 from estimation.gap.significance.tangent import Tangent, is_door, through_doors
 
 EVERY = 0.5  # s between the instants at which a step is looked for: a twentieth of the gain is lost between two of them
 STRETCHES = (1.0, 3.0)  # s, of disturbances; each begins a third of it after the one before
 MOST = 6  # taken one after the other
-SMALLEST_TAIL = -700.0  # of a logarithm of a probability that still has one
 AIR = frozenset(DISTURBANCE.format(s) for s in ("V", "alpha", "beta"))  # motion through the air, which a gust moves
 SEEN = 1e-6  # of a column's length: one of which the base leaves less says nothing
 FEWEST = 4  # samples to either side of a step
@@ -349,8 +348,7 @@ def standing_out(gains: Array, unknowns: Array, groups: Sequence[Hashable]) -> t
 
 def equivalent(gains: Array, unknowns: Array) -> Array:
     """|z| of one unknown as improbable as gains of so many."""
-    tail = chi2.logsf(gains, unknowns)
-    return np.asarray(norm.isf(0.5 * np.exp(np.maximum(tail, SMALLEST_TAIL))))
+    return np.asarray(-ndtri(0.5 * np.maximum(chdtrc(unknowns, gains), SMALLEST_TAIL)))
 
 
 def _gains(products: Products, beside: ProjectedColumns, event: int) -> Array:
