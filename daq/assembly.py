@@ -193,13 +193,15 @@ def _companion(config: LoggerConfig, wanted: IdentificationConfig, logger: Logge
     """The process that identifies on board; its numbers go into the recording and down the link."""
     show = (lambda name, value: None) if link is None else link.downlink.messages.set_named
     aircraft = config.aircraft.file or config.aircraft.name
+    flown_for = config.sequencer.wanted if config.sequencer is not None else None
+    until = "" if flown_for is None else flown_for.name
 
     def tell(text: str) -> None:
         logger.say(LogLevel.INFO, "test point", text)  # lines named identification are JSON
         if link is not None:
             link.text(_INFORMATIONAL, text)
 
-    return Companion(wanted, aircraft, str(config.calibration), logger.say, show, tell)
+    return Companion(wanted, aircraft, str(config.calibration), logger.say, show, tell, until)
 
 
 def _actuation(config: LoggerConfig, edge: HardwareEdge) -> Actuation | None:

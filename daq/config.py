@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
 from daq.companion.process import IdentificationConfig
+from daq.identification.regression import DEFAULT_MODEL, REGRESSIONS
 from daq.recorder.config import RecorderConfig
 from daq.sensors.config import SensorsConfig
 from daq.telemetry.config import DownlinkConfig
@@ -104,10 +105,21 @@ class LoggerConfig(ConfigSection):
     @model_validator(mode="after")
     def _sequencer_is_served(self) -> "LoggerConfig":
         if self.sequencer is not None:
-            if self.sequencer.until and self.identification is None:
-                raise ValueError("sequencer.until goes by identification on board; add a section [identification]")
+            if self.sequencer.wanted is not None:
+                self._check_wanted(self.sequencer.wanted.name)
             check_sequencer(self.sequencer, self.sensors, self.scan.rate_hz)
         return self
+
+    def _check_wanted(self, name: str) -> None:
+        """Whether `sequencer.until` names what is identified on board; what the file of a model estimates the companion knows."""
+        if self.identification is None:
+            raise ValueError("sequencer.until goes by identification on board; add a section [identification]")
+        model = self.identification.model or DEFAULT_MODEL
+        estimated = [n for r in REGRESSIONS.get(model, ()) for n in r.shown]
+        if estimated and name not in estimated:
+            raise ValueError(
+                f"sequencer.until: model {model} does not estimate {name}; name one of {', '.join(estimated)}"
+            )
 
     @model_validator(mode="after")
     def _one_user_a_port(self) -> "LoggerConfig":

@@ -5,7 +5,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from daq.identification.airframe import Airframe, Belief
-from daq.identification.regression import LATERAL, LONGITUDINAL, REGRESSIONS, LiveAircraft, PlaneRegression
+from daq.identification.regression import (
+    DEFAULT_MODEL,
+    LATERAL,
+    LONGITUDINAL,
+    REGRESSIONS,
+    LiveAircraft,
+    PlaneRegression,
+)
 from estimation.aircraft import Aircraft
 from estimation.aircraft.library import load_aircraft
 from estimation.aircraft.schema import aircraft_from_text
@@ -28,7 +35,7 @@ def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAi
     )
     sources = {n: p.source for n, p in aircraft.derivatives.items()}
     if not model or model in REGRESSIONS:
-        regressions = REGRESSIONS[model or "lateral"]
+        regressions = REGRESSIONS[model or DEFAULT_MODEL]
         return LiveAircraft(
             aircraft.name, airframe_of_file(aircraft, regressions), sources, None, aircraft.throws, regressions
         )

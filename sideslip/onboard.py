@@ -40,6 +40,9 @@ def answers(source: BinaryIO, sink: BinaryIO) -> None:
     calibrator = Calibrator(load_calibration(setup.calibration), setup.details)
     alignment, landing = ScanAlignment(BATCH_S), LandingLimits()
     aircraft = live_aircraft(setup.aircraft, model=setup.model)
+    if setup.until and setup.until not in aircraft.shown:
+        words = f"sequencer.until: {setup.model} does not estimate {setup.until}, so no set ends by it"
+        _write(sink, CompanionReply(alarm=words))
     stretches = ManoeuvreDetector(landing.flying_speed, landing.flying_s, aircraft.regressions)
     live = LiveIdentification(aircraft, calibrator, WANTED, alignment, stretches, watched=setup.watch)
     due = point_told = -math.inf

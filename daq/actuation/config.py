@@ -119,7 +119,7 @@ class WantedBound(NamedTuple):
     def reached(self, known: Mapping[str, tuple[float, float]]) -> bool:
         """known: derivative -> estimate and bound."""
         estimate, bound = known.get(self.name, (0.0, math.inf))
-        return bound <= self.share * abs(estimate)
+        return 0.0 < bound <= self.share * abs(estimate)
 
 
 class EnvelopeConfig(_SequencerTable):

@@ -43,13 +43,20 @@ Tell = Callable[[str], None]
 
 
 class Companion:
-    """One process. aircraft, calibration: as `Setup` has them. say: a line for recording and journal; show: a value for
+    """One process. aircraft, calibration, until: as `Setup` has them. say: a line for recording and journal; show: a value for
     the ground; tell: a line for recording and ground that is no warning."""
 
     def __init__(
-        self, config: IdentificationConfig, aircraft: str, calibration: str, say: Say, show: Show, tell: Tell
+        self,
+        config: IdentificationConfig,
+        aircraft: str,
+        calibration: str,
+        say: Say,
+        show: Show,
+        tell: Tell,
+        until: str = "",
     ) -> None:
-        self._config, self._aircraft, self._calibration = config, aircraft, calibration
+        self._config, self._aircraft, self._calibration, self._until = config, aircraft, calibration, until
         self._say, self._show, self._tell = say, show, tell
         self._process: subprocess.Popen[bytes] | None = None
         self._waiting = bytearray()
@@ -88,6 +95,7 @@ class Companion:
                 self._config.every_s,
                 self._config.model,
                 self._config.watch,
+                self._until,
             )
         )
 
@@ -111,9 +119,10 @@ class Companion:
         self._listen()
 
     def known(self) -> Mapping[str, tuple[float, float]] | None:
-        """Derivative -> estimate and bound, of its last answer; None where that is too old to go by."""
+        """Derivative -> estimate and bound, of its last answer; None where that is too old to go by, or not of these scans."""
         age = self._scan_time - self._answer.time
-        return self._answer.values if self._process is not None and age <= STALE * self._config.every_s else None
+        fresh = self._process is not None and 0.0 <= age <= STALE * self._config.every_s
+        return self._answer.values if fresh else None
 
     def close(self) -> None:
         """Let it answer for the last time, then end it."""

@@ -22,7 +22,8 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,9}")  # what NAMED_VALUE_FLOAT has 
 @dataclass(frozen=True)
 class Setup:
     """aircraft: its name, or the path of its file. calibration: directory. details: facts of the sensors. every_s: of flight
-    between two answers. model: name or file of what is estimated; empty: lateral. watch: with the gap monitor beside it."""
+    between two answers. model: name or file of what is estimated; empty: lateral. watch: with the gap monitor beside it.
+    until: the derivative that the sequencer flies a set for; empty: none."""
 
     aircraft: str
     calibration: str
@@ -30,12 +31,13 @@ class Setup:
     every_s: float
     model: str = ""
     watch: bool = False
+    until: str = ""
 
 
 @dataclass(frozen=True)
 class CompanionReply:
     """values: derivative -> estimate and bound, those that can be told. words: one line for a person. trouble: why there is
-    no more. point: a line on the test point that is just over; alarm: what the gap monitor has to say; empty for nothing new."""
+    no more. point: a line on the test point that is just over; alarm: a warning, such as the gap monitor's; empty: none new."""
 
     time: float = math.nan
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -94,6 +94,11 @@ class PlaneRegression:
         """Every parameter, constants included."""
         return tuple(name for equation in self.equations for name in equation.derivatives)
 
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Derivatives in the order in which they are shown; constants are kept, but nobody flies for them."""
+        return tuple(name for equation in self.equations for name in equation.terms)
+
     @cached_property
     def signals(self) -> tuple[str, ...]:
         """Signals of a sample that it needs."""
@@ -193,6 +198,7 @@ REGRESSIONS: Mapping[str, tuple[PlaneRegression, ...]] = {
     "six-dof": (LATERAL, LONGITUDINAL),
 }
 """By the model whose derivatives they tell."""
+DEFAULT_MODEL = "lateral"
 
 
 @dataclass(frozen=True)
@@ -218,8 +224,8 @@ class LiveAircraft:
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """Derivatives in the order in which they are shown; constants are kept, but nobody flies for them."""
-        return tuple(name for r in self.regressions for e in r.equations for name in e.terms)
+        """What is shown of each plane."""
+        return tuple(name for r in self.regressions for name in r.shown)
 
 
 AircraftSource = Callable[[str, str | None, str], LiveAircraft]

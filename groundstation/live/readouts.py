@@ -67,6 +67,8 @@ class FreshValues:
 
 
 LEVELS = ("WARN", "ERROR", "CRITICAL")
+LARGE_BANNER = 45
+"""Letters that the pane of the banner holds as a heading on a page of 820 pixels; more of them are set as text, or are cut off."""
 
 
 def banner(in_force: Sequence[tuple[str, str, str]]) -> tuple[str, str]:
@@ -81,4 +83,5 @@ def banner(in_force: Sequence[tuple[str, str, str]]) -> tuple[str, str]:
     level = max((row[2] for row in active or over), key=LEVELS.index)
     names = [", ".join(row[0] for row in active)] if active else []
     names += ["over: " + ", ".join(row[0] for row in over)] if over else []
-    return level, f"## {level}: {'; '.join(names)}"
+    text = f"{level}: {'; '.join(names)}"
+    return level, f"## {text}" if len(text) <= LARGE_BANNER else f"**{text}**"

@@ -116,8 +116,12 @@ def blueprint(
         row_shares=[2, 1, 1],
     )
     link = rrb.Tabs(plots["link"], plots["signal"])
-    right = rrb.Vertical(health, link, rrb.Tabs(events, status), row_shares=[2.2, 1, 1.3])
-    flying = rrb.Horizontal(plots_left, middle, right, column_shares=[1.3, 1.1, 0.9], name="Flight")
+    right = rrb.Vertical(health, link, row_shares=[2.2, 1])
+    # words below both: a line of the log is as wide as its pane, what is beyond is cut off
+    beside = rrb.Vertical(
+        rrb.Horizontal(middle, right, column_shares=[1.1, 0.9]), rrb.Tabs(events, status), row_shares=[3.4, 1.0]
+    )
+    flying = rrb.Horizontal(plots_left, beside, column_shares=[1.3, 2.0], name="Flight")
     if not identified:
         return rrb.Blueprint(flying, *panels)
     return rrb.Blueprint(rrb.Tabs(flying, _identification(live, coefficients), active_tab=0), *panels)
@@ -187,7 +191,7 @@ def _top(*, live: bool, narrow: bool) -> rrb.Container:
     if narrow:
         return rrb.Vertical(readouts, words, row_shares=[1.4, 1.0])
     lamp = _bare(rrb.StateTimelineView(origin=e.ALARM, name="Alarm"))
-    return rrb.Horizontal(readouts, words, lamp, column_shares=[3.4, 1.1, 0.5])
+    return rrb.Horizontal(readouts, words, lamp, column_shares=[3.4, 1.4, 0.4])
 
 
 def _bare(view: rrb.View) -> rrb.View:

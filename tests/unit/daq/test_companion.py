@@ -3,17 +3,20 @@
 import json
 import sys
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import pytest
 
 from daq.companion.process import BACKLOG, Companion, IdentificationConfig
-from daq.companion.wire import CompanionReply, read_answer
+from daq.companion.wire import CompanionReply, Setup, read_answer, setup_frame
 from daq.config import ConfigError, parse_config
 from daq.contract.recordings.messages import LogLevel
 from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan
 from daq.identification.movement import ManoeuvreDetector
+from estimation.aircraft.library import load_aircraft
+from estimation.models import load_model, write_model
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.apply import Calibrator
@@ -21,6 +24,7 @@ from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY, load_ca
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.session import LiveIdentification
 from sideslip.live_aircraft import live_aircraft
+from sideslip.onboard import answers
 
 CALIBRATION = NOMINAL_DIRECTORY / "cdfp"
 
@@ -131,6 +135,19 @@ def test_one_that_does_not_read_leaves_the_loop_alone(scans: list[Scan], monkeyp
         "cannot keep up: scans are left out of it; recording goes on",
         "has not finished in time; its last numbers are those before",
     ]
+
+
+def test_a_set_flown_for_what_a_model_file_does_not_estimate_is_said(tmp_path: Path) -> None:
+    write_model(load_model("lateral", load_aircraft("cdfp")), tmp_path / "m.toml")
+
+    def said(until: str) -> bytes:
+        sink = BytesIO()
+        setup = Setup("cdfp", str(CALIBRATION), {}, 5.0, str(tmp_path / "m.toml"), until=until)
+        answers(BytesIO(setup_frame(setup)), sink)
+        return sink.getvalue()
+
+    assert b"does not estimate Cm_q, so no set ends by it" in said("Cm_q")
+    assert said("Cl_p") == b""
 
 
 def test_an_answer_holds_what_can_be_shown() -> None:

@@ -124,6 +124,29 @@ def test_what_is_watched_must_be_fitted() -> None:
         read(changed)
 
 
+@pytest.mark.parametrize(
+    ("model", "name", "known"),
+    [
+        ("", "Cl_p", True),
+        ("", "Clp", False),
+        ("lateral", "CL_alpha", False),
+        ("longitudinal", "Cl_p", False),
+        ("six-dof", "Cm_q", True),
+        ("six-dof", "Cm_0", False),  # nobody flies for a constant
+        ("own.toml", "Foo", True),  # what it estimates is known once it is read
+    ],
+)
+def test_until_names_what_is_estimated_on_board(model: str, name: str, known: bool) -> None:
+    changed = table()
+    changed["sequencer"]["until"] = f"{name} 5 %"
+    changed["identification"] = {"model": model}
+    if known:
+        assert read(changed).sequencer is not None
+        return
+    with pytest.raises(ConfigError, match=f"does not estimate {name}; name one of C[YL]_"):
+        read(changed)
+
+
 def test_without_a_heartbeat_line_nothing_is_assembled(tmp_path: Path) -> None:
     config = read(table())
     with pytest.raises(HeartbeatError, match="heartbeat line"):

@@ -95,12 +95,19 @@ def test_more_sets_without_a_bound_are_refused_and_off_is_the_default() -> None:
     assert sequencer_config(until=" Cn_beta  2.5 % ").wanted == WantedBound("Cn_beta", 0.025)
 
 
+@pytest.mark.parametrize("bound", [0.0, -0.02])
+def test_no_bound_at_all_does_not_end_a_set(bound: float) -> None:
+    assert WantedBound("Cl_p", 0.05).reached({"Cl_p": (-0.5, 0.02)})
+    assert not WantedBound("Cl_p", 0.05).reached({"Cl_p": (-0.5, bound)})
+    assert not WantedBound("Cl_p", 0.05).reached({"Cl_p": (0.0, 0.0)})
+
+
 def test_old_answers_are_no_news() -> None:
     companion = Companion(IdentificationConfig(every_s=2.0), "cdfp", "", *[lambda *_: None] * 3)
     assert companion.known() is None  # not started
     companion._process = object()  # type: ignore[assignment]  # one that never says more
     assert companion.known() is None
     companion._answer = CompanionReply(10.0, {"Cl_p": (-0.5, 0.02)})
-    for seconds, fresh in ((11.0, True), (15.9, True), (16.1, False)):
+    for seconds, fresh in ((9.0, False), (11.0, True), (15.9, True), (16.1, False)):  # nor those of another clock
         companion._scan_time = Scan(1, round(seconds * 1e9)).time
         assert (companion.known() is not None) is fresh

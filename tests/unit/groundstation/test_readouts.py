@@ -49,6 +49,12 @@ def test_the_banner_shows_the_highest_level_and_what_is_over() -> None:
     assert banner(alarms.in_force()) == ("WARN", "## WARN: n above 3; over: airspeed below 11 m/s")
 
 
+def test_a_banner_too_long_for_its_pane_is_set_small() -> None:
+    in_force = [("gap monitor: Cl_da (aileron effectiveness)", "active", "WARN"), ("airspeed", "active", "ERROR")]
+    words = "ERROR: gap monitor: Cl_da (aileron effectiveness), airspeed"
+    assert banner(in_force) == ("ERROR", f"**{words}**")
+
+
 @dataclass
 class Device:
     device: str
