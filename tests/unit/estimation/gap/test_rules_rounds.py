@@ -264,7 +264,7 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     monkeypatch.setattr(
         searching, "fit_hypothesis", lambda problem, fit, h, guess, beyond: given.update(beyond=beyond) or (None, h)
     )
-    monkeypatch.setattr(searching, "assess", lambda problem, fit, h, found, inflation: (h.label, inflation))
+    monkeypatch.setattr(searching, "assess", lambda problem, fit, h, found, inflation: (h.label, round(inflation, 9)))
     monkeypatch.setattr(searching, "material", lambda found, interval, noise, criteria: (*found, interval, noise))
     monkeypatch.setattr(searching, "better_rivals", better)
     monkeypatch.setattr(searching, "confirmed", confirmed)
