@@ -138,8 +138,8 @@ def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], found: ModelFit)
 
 
 def own_share(gain: float, without: float, freed: float, criteria: Criteria) -> float:
-    """The share of a gain that is the effect's own, within 0 to 1. without: what residuals gain where the effect is not; freed: what
-    of the gain is no residual's but that of priors."""
+    """The share of a gain that is the effect's own, within 0 to 1. without: what residuals gain where the effect is not; freed:
+    what of the gain is no residual's but that of priors."""
     by_residuals = gain - freed
     by_noise = max(0.5 * (by_residuals + without), 0.0)
     own = 0.5 * (by_residuals - without) - criteria.control_noise_known * by_noise
