@@ -136,14 +136,12 @@ class GapAnswer(Answer):
         return write_gap_report(self.result, Path(folder), self.catalogue)
 
     def headline(self) -> str:
-        return f"Gap: {self.verdict}{': ' if self.effects else ''}{', '.join(self.effects)}"
+        names = [" or ".join(m.effect for m in s.members) or s.effect for s in self.result.steps]
+        return f"Gap: {self.verdict}{': ' if names else ''}{', '.join(names)}"
 
     def rows(self) -> Rows:
         """A row for each effect that was added."""
-        rows = [
-            (s.effect, s.title, f"{s.score:.1f}", f"{s.threshold:.2f}", f"{s.gap.closed:.0%}")
-            for s in self.result.steps
-        ]
+        rows = [(s.effect, s.title, f"{s.score:.1f}", f"{s.threshold:.2f}", s.gap.share) for s in self.result.steps]
         return ("effect", "", "score", "threshold", "closed"), rows
 
     def _repr_html_(self) -> str:
@@ -162,10 +160,10 @@ def _lines(result: "GapResult") -> list[str]:
             f"{'floor':>7s} {'training':>8s} {'held out':>9s}"
         )
     for s in result.steps:
-        holdout = "-" if s.holdout is None else f"{s.holdout.closed:.0%}"
+        holdout = "-" if s.holdout is None else s.holdout.share
         lines.append(
             f"{s.effect:20s} {s.score:7.1f} {s.threshold:9.2f} {s.confidence:7.2f}  {s.gap.before:10.3f} {s.gap.after:7.3f} "
-            f"{s.gap.floor:7.3f} {s.gap.closed:8.0%} {holdout:>9s}"
+            f"{s.gap.floor:7.3f} {s.gap.share:>8s} {holdout:>9s}"
         )
     if any(s.holdout is not None for s in result.steps):
         lines.append(

@@ -31,8 +31,19 @@ class Gap:
 
     @property
     def says_nothing(self) -> bool:
-        """Whether little is closed of no more than nothing hidden leaves, of which no share can be told."""
-        return self.before <= self.highest and self.closed < self.enough
+        """Whether nothing stood above the floor, or little is closed of no more than nothing hidden leaves: of neither a share
+        can be told."""
+        return self.within_floor or (self.before <= self.highest and self.closed < self.enough)
+
+    @property
+    def within_floor(self) -> bool:
+        """Whether the gap was no larger than nothing hidden usually leaves, so that there was none to close."""
+        return self.before <= self.floor
+
+    @property
+    def share(self) -> str:
+        """What is closed, as a reader sees it."""
+        return "-" if self.within_floor else f"{self.closed:.0%}"
 
     @property
     def closed(self) -> float:

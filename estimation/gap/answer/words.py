@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from estimation.gap.answer.result import EffectStep, GapVerdict
+from estimation.gap.answer.result import EffectStep, Gap, GapVerdict
 from estimation.gap.answer.shape import TURN, Happened, HeldInstrument, LaggedTerm, ShapeCurve, SwingingTerm
 from estimation.gap.effects.base import Effect
 
@@ -29,11 +29,13 @@ def describe_step(step: EffectStep) -> str:
     if step.followed:
         shifts = " and ".join(f"{n} by {1e3 * v:.0f} ms" for n, v in step.followed.items())
         text += f" Without it the base moves {shifts} to follow; the gap before it is counted without that."
+    if step.gap.within_floor:
+        text += course_stands_out(step.gap)
     if step.holdout is not None and step.holdout.says_nothing:
         before, highest = step.holdout.before, step.holdout.highest
         text += (
             f" The held-out flights did not show it in their gap ({before:.2f}, up to {highest:.2f} with nothing hidden): "
-            "that so little of it is closed there says nothing against it."
+            "what is closed of that says nothing for it or against it."
         )
     if len(step.members) > 1:
         rivals = " or ".join(f"{m.effect} ({m.weight:.2f})" for m in step.members)
@@ -61,11 +63,8 @@ def describe_unknown(step: EffectStep) -> str:
         else ""
     )
     text = f"Something the catalogue does not hold: {place}{example}. No name is given, because none explains enough of it."
-    if step.gap.before <= step.gap.floor:
-        text += (
-            f" Its size is no larger than gusts and errors of the inputs leave (a gap of {step.gap.before:.3g}, "
-            f"{step.gap.floor:.3g} with nothing hidden): its course stands out."
-        )
+    if step.gap.within_floor:
+        text += course_stands_out(step.gap)
     if isinstance(step.shape, LaggedTerm):
         s = step.shape
         text += (
@@ -75,6 +74,14 @@ def describe_unknown(step: EffectStep) -> str:
     if isinstance(step.shape, SwingingTerm):
         text += f" {describe_swing(step.shape)}"
     return text
+
+
+def course_stands_out(gap: Gap) -> str:
+    """A sentence on what is certain though the gap is one that flights have with nothing hidden."""
+    return (
+        f" Its size is no larger than gusts and errors of the inputs leave (a gap of {gap.before:.3g}, "
+        f"{gap.floor:.3g} with nothing hidden): its course stands out."
+    )
 
 
 def describe_swing(swing: SwingingTerm) -> str:

@@ -284,3 +284,9 @@ def prior_terms(problem: LikelihoodProblem, names: Sequence[str], values: Mappin
 def prior_cost(problem: LikelihoodProblem, names: Sequence[str], values: Mapping[str, float]) -> float:
     weight, distance = prior_terms(problem, names, values)
     return 0.5 * float(np.sum(distance[weight > 0] ** 2 / weight[weight > 0]))
+
+
+def freed_by(problem: LikelihoodProblem, base_fit: ModelFit, found: ModelFit) -> float:
+    """What a fit gains (twice a log-likelihood) as what is only nuisance, surfaces moved in time, need not bend as far for it."""
+    names = [n for n in problem.free if problem.nuisance(n)]
+    return 2.0 * (prior_cost(problem, names, base_fit.values) - prior_cost(problem, names, found.values))

@@ -33,7 +33,7 @@ def step_gap(step: EffectStep) -> ReportTable:
 
 
 def _gap(gap: Gap) -> tuple[str, str, str, str]:
-    return number(gap.before, 3), number(gap.after, 3), number(gap.floor, 3), f"{100.0 * gap.closed:.0f}"
+    return number(gap.before, 3), number(gap.after, 3), number(gap.floor, 3), gap.share.removesuffix("%")
 
 
 def step_parameters(step: EffectStep) -> ReportTable | None:

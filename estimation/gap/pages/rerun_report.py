@@ -140,7 +140,7 @@ def _verdict(result: GapResult) -> str:
     if result.steps:
         rows = [
             [s.effect, f"{s.score:.1f}", f"{s.threshold:.1f}", f"{s.gap.before:.2f}", f"{s.gap.after:.2f}",
-             f"{s.gap.floor:.2f}", f"{s.gap.closed:.0%}", "-" if s.holdout is None else f"{s.holdout.closed:.0%}"]
+             f"{s.gap.floor:.2f}", s.gap.share, "-" if s.holdout is None else s.holdout.share]
             for s in result.steps
         ]  # fmt: skip
         head = ["effect", "score", "threshold", "gap before", "after", "floor", "closed", "closed, held out"]

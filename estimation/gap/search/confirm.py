@@ -16,7 +16,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
 from estimation.gap.fit.baseline import ROUGH, first_values
 from estimation.gap.fit.fitting import fit
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, prior_cost
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, freed_by
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.significance.screen import Hypothesis, Screen, equivalent_z, one_sided
@@ -222,12 +222,6 @@ def begun_anew(problem: LikelihoodProblem) -> int:
     return len(problem.records) - len({r.flight for r in problem.records})
 
 
-def freed_by(problem: LikelihoodProblem, base_fit: ModelFit, found: ModelFit) -> float:
-    """What a fit gains (twice a log-likelihood) as what is only nuisance, surfaces moved in time, need not bend as far for it."""
-    names = [n for n in problem.free if problem.nuisance(n)]
-    return 2.0 * (prior_cost(problem, names, base_fit.values) - prior_cost(problem, names, found.values))
-
-
 def deflated(gain: float, freed: float, inflation: float) -> float:
     """A gain over its inflation on the nulls. That is of residuals: the part that comes from priors is not scattered by them."""
     return (gain - freed) / inflation + freed
@@ -270,10 +264,7 @@ def leading(screen: Screen, gains: Array, criteria: Criteria, further: Collectio
     selected = [
         h for h in order[: criteria.full_fits] if h in always or screen.hypotheses[h].form.nonlinear or gains[h] > limit
     ]
-    cosines = np.abs(screen.projected().cosines())
-    best_span = screen.span(order[0])
-    for h in order[len(selected) :]:
-        if h not in selected and cosines[np.ix_(best_span, screen.span(h))].max() > criteria.tie:
-            selected.append(h)
+    tied = screen.tied(order[0], criteria)
+    selected += [h for h in order[len(selected) :] if h not in selected and tied[h]]
     asked = [x.form.play or x.form.lagging or h in further for h, x in enumerate(screen.hypotheses)]
     return [*selected, *(h for h, is_asked in enumerate(asked) if is_asked and h not in selected)]

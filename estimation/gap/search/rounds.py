@@ -72,13 +72,18 @@ def _rival(
     """The best hypothesis that beats an earlier effect, which gains `gain`, by a clear margin where that was taken out, and is
     confirmed there as any is that gets a name, with the model that has it; or None.
 
-    By how much nulls scatter gains is known of the last round, and of what is in its model of the round before it was.
+    By how much nulls scatter gains is known of the last round, and of what is in its model of the round before it was. Of a rival
+    with nearly the signature of the old effect the last round knows what is left of it beside that: it shares the old one's.
     """
     problem, criteria = without.problem, without.criteria
     hypotheses = hypotheses_for(without.clean, setting.effects, setting.prepared.available)
     screen = build_screen(Tangent(problem, without.fit), hypotheses)
     rounds = (old.round_, last)
     scatter = _of_each(screen, *(individual_inflation(round_) for round_ in rounds))
+    keys = [h.key for h in hypotheses]
+    if old.candidate.hypothesis.key in keys:
+        tied = screen.tied(keys.index(old.candidate.hypothesis.key), criteria)
+        scatter = np.where(tied, np.maximum(scatter, own_inflation(old.candidate)), scatter)
     gains = linear_gains(screen, problem)
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
     candidates, needed = [], gain / own_inflation(old.candidate) + criteria.exchange

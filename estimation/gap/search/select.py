@@ -138,8 +138,7 @@ def shared_inflation(round_: Round) -> dict[tuple[str, str], float]:
     """
     screen, first = round_.screen, int(np.argmax(round_.gains / round_.inflation))
     common = float(round_.inflation[first])
-    cosines = np.abs(screen.projected().cosines())[screen.span(first)]
-    tied = [cosines[:, screen.span(h)].max() > round_.criteria.tie for h in range(len(screen.hypotheses))]
+    tied = screen.tied(first, round_.criteria)
     return {
         h.key: float(inflation)
         if inflation > round_.criteria.common_inflation * common and not h.form.nonlinear and not is_tied

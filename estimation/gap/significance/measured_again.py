@@ -22,7 +22,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, freed_by
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
@@ -71,7 +71,8 @@ class MeasuredAgain:
         """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
 
         Half the difference from its mean gain on flights without the effect, less what the sum of both, twice what the noise of
-        the controls gives it, may be wrong by. 1 where these flights cannot be flown.
+        the controls gives it, may be wrong by. What the base need not move in time for it any more is its own: flights made anew
+        are held against each other by their residuals alone. 1 where these flights cannot be flown.
         """
         if gain <= 0.0:
             return 1.0
@@ -81,7 +82,8 @@ class MeasuredAgain:
         gains = [g for remade in self.sets if (g := _gain(trial, remade, found)) is not None]
         if not gains:
             return 1.0
-        return own_share(gain, float(np.mean(gains)), self.baseline.criteria)
+        freed = freed_by(self.baseline.problem, self.baseline.fit, found)
+        return own_share(gain, float(np.mean(gains)), freed, self.baseline.criteria)
 
     def problems(self) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
         """Every repeat as flights of its own: the base with the values found on the flights, and its residuals on these."""
@@ -149,11 +151,13 @@ def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], found: ModelFit)
     return total
 
 
-def own_share(gain: float, without: float, criteria: Criteria) -> float:
-    """The share of a gain that is the effect's own, within 0 to 1. without: what is gained where the effect is not."""
-    by_noise = max(0.5 * (gain + without), 0.0)
-    share = 0.5 * (gain - without) - criteria.control_noise_known * by_noise
-    return float(np.clip(share / gain, 0.0, 1.0))
+def own_share(gain: float, without: float, freed: float, criteria: Criteria) -> float:
+    """The share of a gain that is the effect's own, within 0 to 1. without: what residuals gain where the effect is not; freed:
+    what of the gain is no residual's but that of priors."""
+    by_residuals = gain - freed
+    by_noise = max(0.5 * (by_residuals + without), 0.0)
+    own = 0.5 * (by_residuals - without) - criteria.control_noise_known * by_noise
+    return float(np.clip((min(own, by_residuals) + freed) / gain, 0.0, 1.0))
 
 
 def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: np.random.Generator) -> Array:

@@ -159,6 +159,11 @@ class Screen:
         """Column indices of one hypothesis."""
         return [i for i, c in enumerate(self.columns) if c.hypothesis == hypothesis]
 
+    def tied(self, hypothesis: int, criteria: Criteria) -> list[bool]:
+        """Of every hypothesis, whether its signature is nearly that of one of them."""
+        cosines = np.abs(self.projected().cosines())[self.span(hypothesis)]
+        return [bool(cosines[:, self.span(h)].max() > criteria.tie) for h in range(len(self.hypotheses))]
+
 
 @dataclass(frozen=True)
 class Projected:

@@ -142,6 +142,16 @@ def test_a_held_out_gap_that_was_never_above_its_floor_is_told_to_say_nothing() 
     )
 
 
+def test_no_share_is_told_of_a_gap_that_was_never_above_its_floor() -> None:
+    """ArduPlane's own log: 11.4 before and 11.6 after a right `Cn_da`, under a floor of 12.2, was "0 %" of training flights."""
+    under = Gap(11.38, 11.58, 12.16)
+    assert (under.share, Gap(11.85, 11.27, 12.16).share, Gap(3.0, 1.2, 1.0).share) == ("-", "-", "94%")
+    assert "(a gap of 11.4, 12.2 with nothing hidden): its course stands out" in describe_step(
+        replace(step("Cn_da"), gap=under)
+    )
+    assert "did not show it" in describe_step(replace(step("Cn_da"), holdout=Gap(11.38, 11.27, 12.16, 14.0, 0.7)))
+
+
 def search(*names: str) -> Any:
     findings = [stub(candidate=stub(hypothesis=stub(effect=EFFECTS[n], form=EFFECTS[n].forms[0]))) for n in names]
     hypotheses = [stub(effect=EFFECTS[n]) for n in ("Cn_da", "Cn_da", "beta_lag", "beta_bias")]

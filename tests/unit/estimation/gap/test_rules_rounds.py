@@ -230,7 +230,8 @@ def test_a_rival_counts_as_much_as_its_nulls_scatter_and_has_to_be_significant()
 
 def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """That is known of the last round, and of the earlier effect's own; the first that is confirmed takes the place. A bound is
-    widened by what a small step scatters, a score by what is said of delays and plays."""
+    widened by what a small step scatters, a score by what is said of delays and plays. A rival of the same signature scatters as
+    the earlier effect: beside `thrust_scale` nothing was left of `mass_error` to scatter, and it took the place at equal gain."""
     asked = [hypothesis(name, "linear") for name in ("own", "loud", "new", "other")]
     scatter = {"old": {asked[0].key: 2.0, asked[1].key: 3.0}, "last": {asked[1].key: 100.0}}
     given: dict[str, Any] = {}
@@ -252,7 +253,9 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     monkeypatch.setattr(searching, "deeper_fit", lambda base, fit: fit if fit is elsewhere.fit else None)
     monkeypatch.setattr(searching, "hypotheses_for", lambda *args: asked)
     monkeypatch.setattr(searching, "Tangent", lambda *args: None)
-    monkeypatch.setattr(searching, "build_screen", lambda *args: stub(hypotheses=asked))
+    monkeypatch.setattr(
+        searching, "build_screen", lambda *args: stub(hypotheses=asked, tied=lambda *_: [True, False, False, True])
+    )
     monkeypatch.setattr(searching, "linear_gains", lambda *args: np.array([20.0, 1000.0, 30.0, 5.0]))
     monkeypatch.setattr(searching, "linear_guess", lambda *args: {})
     monkeypatch.setattr(
@@ -261,7 +264,7 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     monkeypatch.setattr(
         searching, "fit_hypothesis", lambda problem, fit, h, guess, beyond: given.update(beyond=beyond) or (None, h)
     )
-    monkeypatch.setattr(searching, "assess", lambda problem, fit, h, found, inflation: (h.label, inflation))
+    monkeypatch.setattr(searching, "assess", lambda problem, fit, h, found, inflation: (h.label, round(inflation, 9)))
     monkeypatch.setattr(searching, "material", lambda found, interval, noise, criteria: (*found, interval, noise))
     monkeypatch.setattr(searching, "better_rivals", better)
     monkeypatch.setattr(searching, "confirmed", confirmed)
@@ -274,7 +277,7 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     assert given.pop("gain") == pytest.approx(25.0)
     assert given.pop("beyond") == pytest.approx(1000.0 - 0.25 * (25.0 + AS_SET.exchange)), "what a rival has to gain"
     assert given == {
-        "found": [(n, v, 0.05, {"delta_a": 0.002}) for n, v in (("new", 1.0), ("loud", 100.0), ("other", 1.0))],
+        "found": [(n, v, 0.05, {"delta_a": 0.002}) for n, v in (("new", 1.0), ("loud", 100.0), ("other", 4.0))],
         "threshold": 4.5,
         "baseline": without,
         "inflation": [5.0, 4.5, 1.0, 1.0],

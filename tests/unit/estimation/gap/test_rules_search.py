@@ -317,4 +317,17 @@ def test_a_fit_that_ends_above_the_base_it_holds_begins_nearer_to_no_effect(
 def test_a_fifth_of_what_the_noise_of_the_controls_gives_is_not_counted(
     gain: float, without: float, share: float
 ) -> None:
-    assert own_share(gain, without, AS_SET) == pytest.approx(share, abs=1e-12)
+    assert own_share(gain, without, 0.0, AS_SET) == pytest.approx(share, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("gain", "without", "freed", "share"),
+    [(27.0, 0.3, 26.8, 1.0), (93.1, 20.8, -8.8, 0.21), (180.0, -141.8, 33.9, 0.98)],
+    ids=["a delay that the base followed in time", "a noisy elevator", "a lag"],
+)
+def test_what_the_base_need_not_move_in_time_is_an_effects_own(
+    gain: float, without: float, freed: float, share: float
+) -> None:
+    """`elevator_delay` of half a sample beside `thrust_scale`: 26.8 of its 27 were a surface that the base had moved in time, and
+    .39 of them were counted."""
+    assert own_share(gain, without, freed, AS_SET) == pytest.approx(share, abs=0.015)
