@@ -66,7 +66,12 @@ def __getattr__(name: str) -> Any:
             return getattr(importlib.import_module(_HOMES.get(name, "sideslip.api")), _RENAMED.get(name, name))
         except ModuleNotFoundError as error:
             raise missing(error, f"sideslip.{name}") from error
-    raise AttributeError(f"module 'sideslip' has no attribute {name!r}")
+    near = ""
+    if not name.startswith("_"):  # those are asked for by tools that go on without them
+        from daq.utilities.plain_words import meant
+
+        near = meant(name, __all__)
+    raise AttributeError(f"module 'sideslip' has no attribute {name!r}{near}")
 
 
 def __dir__() -> list[str]:

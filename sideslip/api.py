@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from daq.utilities.packages import missing
+from daq.utilities.plain_words import meant
 from estimation.answers import (
     checks,
     designs,
@@ -59,10 +60,15 @@ FLIGHTS = ("flight", "flights", "holdout")
 
 
 def _asking(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, which asks for a package of an extra by a sentence where it is missing."""
+    """The function, which asks for a package of an extra by a sentence where it is missing, and names the argument meant."""
+    known = inspect.signature(function).parameters
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        for name in kwargs:
+            if name not in known:
+                near = meant(name, known) or f"; it takes {', '.join(known)}"
+                raise TypeError(f"{function.__name__}() has no argument {name!r}{near}")
         try:
             return function(*args, **kwargs)
         except ModuleNotFoundError as error:

@@ -61,6 +61,8 @@ WITH_OPTION: Mapping[tuple[str, str], str] = {
         "import",
         "--draft-map",
     ): "write down in {out} what is UNKNOWN, then sideslip import {file} --map {out} -o flight.mcap",
+    ("fly", "--list"): "sideslip fly NAME",
+    ("fly", "--port"): "sideslip calibrate {out}/onboard -o flight.mcap",
     ("import", "--recipe"): "sideslip import {file} --draft-map -o map.toml",
     ("aircraft", "new"): "",  # the verb says it itself
     ("check", "--write"): "sideslip estimate {out}/{stem}.mcap",
@@ -81,17 +83,26 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
     text = (AFTER_A_FAILED_CHECK if failed else {}).get(verb, NEXT.get(verb, ""))
     if not failed:
         text = next((t for (v, option), t in WITH_OPTION.items() if v == verb and option in rest), text)
-    out = next((b for a, b in zip(rest, rest[1:], strict=False) if a in OUTPUTS), "demo" if verb == "demo" else "OUT")
+    out = next((b for a, b in zip(rest, rest[1:], strict=False) if a in OUTPUTS), _usual_output(verb, rest))
     beside = {b for a, b in zip(rest, rest[1:], strict=False) if a in BESIDE}
     files = [w for w in rest if w not in (out, *beside) and not w.startswith("-") and Path(w).is_file()]
     file = next(iter(files), "FLIGHT")
     flight = next((w for w in files if not w.endswith(".toml")), "FLIGHT")
     model = next((w for w in rest[:1] if not w.startswith("-")), "MODEL.toml")
     line = text.format(out=out, file=file, flight=flight, model=model, rest=rest, stem=Path(file).stem)
-    if verb == "fly":
+    if verb == "fly" and (Path(out) / "plan.toml").is_file():
+        return f"sideslip bench {out}/onboard --plan {out}/plan.toml -o calibration"
+    if verb == "fly" and text == NEXT["fly"]:
         return line + _free_flight(Path(out) / "scenario.toml")
     estimates = text.startswith(("sideslip estimate {file}", "sideslip estimate {out}"))
     return line + _whose(rest, line.split()[2]) if estimates else line
+
+
+def _usual_output(verb: str, rest: Sequence[str]) -> str:
+    """Where a verb writes that is not told where; OUT where it would not."""
+    if verb == "fly":
+        return next((f"flights/{w}" for w in rest if Path("flights", w).is_dir()), "OUT")
+    return "demo" if verb == "demo" else "OUT"
 
 
 def _free_flight(scenario_file: Path) -> str:

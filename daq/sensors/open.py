@@ -100,7 +100,10 @@ class _Reopening:
             if now_ns < self._retry_ns:
                 raise OSError(errno.ENODEV, f"{self._device} is not there")
             self._retry_ns = now_ns + REOPEN_AFTER_NS
-            self._opened = self._open()
+            try:
+                self._opened = self._open()
+            except FileNotFoundError as error:  # its words name no file
+                raise OSError(errno.ENODEV, f"{self._device} is not there") from error
         return self._opened
 
     def _use(self, method: str, *arguments: Any) -> Any:

@@ -235,7 +235,8 @@ class Check(Answer):
         from estimation.report.check_page import write_check_report
 
         quality = [self.quality[f.name] for f in self.flights]
-        return write_check_report(self.flights, quality, self.named, Path(folder), self.align)
+        agreement = [self.agreement(f.name) for f in self.flights]
+        return write_check_report(self.flights, quality, self.named, Path(folder), self.align, agreement)
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
         """Everything as .json, the table of factors as .csv, measured and reconstructed motion as a picture."""

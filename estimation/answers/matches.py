@@ -106,8 +106,10 @@ class Match(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        largest = max((f.theil for p in self.proofs for f in p.fit.values()), default=float("nan"))
-        return f"Match of {', '.join(p.name for p in self.proofs)}: largest Theil coefficient {largest:.3f}"
+        judged = [(p.name, n, f.matches(self.limit)) for p in self.proofs for n, f in p.fit.items()]
+        failed = [n if len(self.proofs) == 1 else f"{n} of {name}" for name, n, matches in judged if not matches]
+        verdict = f"{', '.join(failed)} beyond the limit" if failed else "every channel within its limit"
+        return f"Match of {', '.join(p.name for p in self.proofs)}: {verdict}"
 
     def rows(self) -> Rows:
         """A row for each flight and channel."""

@@ -1,6 +1,7 @@
 """What `sideslip check` shows: page, lines and figure; Table 2 beside the paper's, Figure 7, what is wrong with the data."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,7 @@ from estimation.report.drawing.figures import (
 from estimation.report.drawing.marks_drawn import aligned_figures, draw_marks
 from estimation.report.flight_tables import collected, flight_card, notes_table, provenance_table
 from estimation.report.names import face, literal, tex
-from estimation.report.page import Page, Section, box, coloured, free_table
+from estimation.report.page import Page, Section, box, bullets, coloured, free_table, paragraph
 from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, significant
 
 if TYPE_CHECKING:
@@ -124,6 +125,10 @@ def write_figure(flights: Sequence[ReconstructedFlight], path: Path) -> None:
 
 UNITS = {"V": "m/s"}
 RECONSTRUCTED = "#0072B2"
+NEXT = (
+    "Take the errors out: check FLIGHT --write FOLDER, then estimate FOLDER/FLIGHT.",
+    "Where a check fails: view FLIGHT.",
+)
 COLUMNS = 2  # flights beside each other in a figure
 
 
@@ -133,30 +138,32 @@ def write_check_report(
     results: Sequence[tuple[str, Compatibility]],
     folder: Path,
     align: str | None = None,
+    agreement: Sequence[str] = (),
 ) -> Path:
     """Write folder/index.html, with its tables as CSV and LaTeX beside it; returns the page.
 
     results: one a flight, in the order of `flights`, then the joint one where there is one. align: how further flights are laid
-    on the first in time; None: they are not.
+    on the first in time; None: they are not. agreement: whether the instruments agree, a sentence a flight.
     """
     reconstructed = [r.flights[0] for _, r in results[: len(flights)]]
     counts = [finding.severity for findings in quality for finding in findings]
     notes = notes_table((flight.name, note) for flight in reconstructed for note in flight.notes)
+    detail = partial(Section, folded=True)
     sections = [
+        Section("", "", [paragraph(f"{text}.", "verdict-line") for text in agreement]),
         Section("", "", [_status_box(results, counts.count("fail"), counts.count("warn"))]),
-        Section("card", "Flight card", [flight_card(flights)], "Flight card"),
         Section("factors", "Instrument factors", [factor_table(results, flights), _unclear(results)], "Factors"),
-        Section(
+        Section("", "", [Markup("<p><b>Next</b></p>"), bullets(NEXT)]),
+        detail(
             "motion",
             "Measured and reconstructed motion",
             [*motion_figures(reconstructed, flights), _fit_table(reconstructed)],
             "Motion",
         ),
-        Section("aligned", "Laid on one another in time", aligned_figures(flights, align), "Aligned")
-        if align
-        else None,
-        Section("quality", "Data quality", [*_findings(flights, quality), notes], "Quality"),
-        Section("provenance", "Provenance", [provenance_table(flights)], "Provenance"),
+        detail("aligned", "Laid on one another in time", aligned_figures(flights, align), "Aligned") if align else None,
+        detail("quality", "Data quality", [*_findings(flights, quality), notes], "Quality"),
+        detail("card", "Flight card", [flight_card(flights)], "Flight card"),
+        detail("provenance", "Provenance", [provenance_table(flights)], "Provenance"),
     ]
     lead = (
         f"{len(flights)} flight{'s' if len(flights) > 1 else ''}: {', '.join(f.name for f in flights)}. "

@@ -3,7 +3,7 @@
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -144,16 +144,32 @@ def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iter
             f"{folder_name} holds a session already ({old[0].name}); give another folder with --out"
         )
     for folder in [folder_name, *(folder_name.with_name(f"{folder_name.name}_{n}") for n in range(2, 100) if dated)]:
+        new = not folder.exists()
         with ExitStack() as lock:
             try:
                 lock.enter_context(folder_of_ones_own(folder, "ground"))
             except FolderInUseError:
                 continue
-            yield folder, lock.enter_context(spoken(folder))
+            try:
+                yield folder, lock.enter_context(spoken(folder))
+            finally:
+                lock.close()
+                if new:
+                    _remove_unused(folder)
             return
     raise GroundConfigError(
         f"{folder_name}: another ground station writes there; give this one another folder with --out"
     )
+
+
+def _remove_unused(folder: Path) -> None:
+    """Take a new session's folder away where the session never began: a port was wrong, or in use."""
+    with suppress(OSError):
+        files = [*folder.iterdir()]
+        if not any(f.is_dir() or f.stat().st_size for f in files):
+            for file in files:
+                file.unlink()
+            folder.rmdir()
 
 
 def _conclude(station: "Station", handovers: list["Handover"], json_path: Path | None, model: str, say: Say) -> bool:

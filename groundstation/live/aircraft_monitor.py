@@ -5,7 +5,9 @@ A monitor is told what happened, in order; it never waits, and the view it feeds
 
 import math
 import time as clock
+from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Protocol
 
 from daq.contract.scan import Scan
@@ -23,6 +25,7 @@ from groundstation.receiver.findings import legible
 IN_FLIGHT_ONLY = ("V", "alpha")
 _SEVERITY = {0: "CRITICAL", 1: "CRITICAL", 2: "CRITICAL", 3: "ERROR", 4: "WARN"}
 STATUS_PERIOD_S = 1.0
+MOST_RECENT = 1000  # scans, where a sender's times stand still
 READOUT_PERIOD_S = 0.25  # four times a second: faster nobody reads digits
 
 
@@ -62,6 +65,7 @@ class AircraftMonitor:
         self._landing_config = config.handover.landing
         self._landing = LandingWatch(self._landing_config)
         self._air_facts: dict[str, str] = {}
+        self._recent: deque[Scan] = deque(maxlen=MOST_RECENT)
         self._logger: ev.LoggerStatus | None = None
         self._sequencer: ev.SequencerStatus | None = None
         self._link: ev.LinkStatistics | None = None
@@ -87,12 +91,27 @@ class AircraftMonitor:
         self._announce(self._alarms.acknowledge(self.time))
 
     def use_calibration(self, calibration: CalibrationSet, facts: Mapping[str, str]) -> None:
-        """Calibrate with what the aircraft itself carries, from now on. An airspeed read by other scales tells of no flight."""
+        """Calibrate with what the aircraft itself carries, from now on.
+
+        An airspeed read by other scales tells of no flight: the last seconds are read again by these, so that one under way
+        goes on, and a radio that is silent at that moment is seen.
+        """
         self.calibrator = Calibrator(calibration, facts)
         self._calibration = calibration
         air = {key: text for key, text in facts.items() if key.startswith(("pitot.", "static."))}
         if air != self._air_facts:
             self._air_facts, self._landing = air, LandingWatch(self._landing_config)
+            with suppress(CalibrationError):  # the next scan says it
+                for scan in self._recent:
+                    self._landing.update(scan.time, self.calibrator.sample(scan))
+
+    def _remember(self, scan: Scan) -> None:
+        """Keep the scans that prove a flight."""
+        if self._recent and scan.time < self._recent[-1].time:  # the aircraft has started anew
+            self._recent.clear()
+        self._recent.append(scan)
+        while scan.time - self._recent[0].time > self._landing_config.flying_s + 1.0:
+            self._recent.popleft()
 
     def scan(self, scan: Scan, *, late: bool = False, received_ns: int | None = None) -> bool:
         """One scan; True when it shows that the flight has ended."""
@@ -108,6 +127,7 @@ class AircraftMonitor:
             for group, status in scan.groups.items()
             if not (status.state.usable or status.state.words in ("off", "stale"))
         ]
+        self._remember(scan)
         landed = self._landing.update(scan.time, values)
         watched = {k: v for k, v in values.items() if k not in IN_FLIGHT_ONLY or self.phase is Phase.FLYING}
         if scan.groups:

@@ -19,7 +19,7 @@ from pathlib import Path
 import click
 
 from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
-from daq.utilities.plain_words import visible
+from daq.utilities.plain_words import meant, visible
 from daq.utilities.rotating_log import RotatingLog
 from daq.utilities.standard_streams import Speaker
 from groundstation.identification.words import lines
@@ -42,6 +42,7 @@ logs              list the recordings on board
 fetch NUMBER      download one of them into this session's folder
 quit              end the session and write the flight
 With several aircraft begin with the number: 2 mark"""
+_FORMS = {line.split()[0]: line[:18].strip() for line in HELP.splitlines()[:-1]}
 _LONGEST = 4096
 
 
@@ -107,6 +108,11 @@ def _ours(descriptor: int) -> bool:
         return False
 
 
+def _hint(word: str) -> str:
+    """What to type in place of a line that begins with this word."""
+    return f"; type {_FORMS[word]}" if word in _FORMS else meant(word, _FORMS) or "; type help"
+
+
 class Console:
     """Obeys typed words. echo: where answers go."""
 
@@ -137,7 +143,7 @@ class Console:
         elif len(systems) > 1 and words[:1] not in (["status"], ["ack"], ["live"]):
             self._echo(f"which aircraft? begin with its number: {', '.join(map(str, systems))}")
         elif not words or not self._known(words, systems):
-            self._echo(f"{line!r} is not understood; type help")
+            self._echo(f"{line!r} is not understood{_hint(words[0] if words else '')}")
         return True
 
     def _known(self, words: list[str], systems: list[int]) -> bool:

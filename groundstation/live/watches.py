@@ -249,8 +249,8 @@ class FreeSpace:
 
     @property
     def values(self) -> dict[str, float]:
-        """As channels of alarms. A pace that uses nothing up counts as a year, so that an alarm can end."""
-        return {FREE: self.megabytes, LEFT: min(self.minutes, 525_600.0)}
+        """As channels of alarms. A pace that uses nothing up counts as ten hours, so that an alarm can end."""
+        return {FREE: self.megabytes, LEFT: min(self.minutes, 600.0)}
 
     @property
     def words(self) -> str:

@@ -31,6 +31,15 @@ def test_importing_it_is_light() -> None:
     assert set(dir(ss)) >= {"open", "import_log", "check", "estimate", "match", "gap", "design", "simulate"}
 
 
+def test_a_mistyped_function_or_argument_is_answered_with_the_one_meant() -> None:
+    with pytest.raises(AttributeError, match="did you mean estimate"):
+        _ = ss.estimat
+    with pytest.raises(TypeError, match=r"estimate\(\) has no argument 'metod'; did you mean method"):
+        ss.estimate([], metod="ml")  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="it takes path"):
+        ss.open("a.mcap", zzz=1)  # type: ignore[call-arg]
+
+
 def test_raw_recordings_are_calibrated_when_opened() -> None:
     raw, flight = ss.open(RECORDINGS / "cdfp_ld4_raw.mcap"), ss.open(LD4)
     np.testing.assert_allclose(raw["p"], flight["p"], rtol=1e-12)

@@ -87,6 +87,20 @@ def test_after_a_simulated_flight_only_what_forces_flew_is_estimated(
     assert line == f"sideslip estimate {tmp_path}/flight.mcap{segments}"
 
 
+def test_after_a_flight_the_next_step_names_where_it_went(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("quiet", "bench_faces"):
+        Path("flights", name).mkdir(parents=True)
+    Path("flights/bench_faces/plan.toml").touch()
+    assert next_line(["fly", "--list"], failed=False) == "sideslip fly NAME"
+    assert next_line(["fly", "quiet"], failed=False) == "sideslip estimate flights/quiet/flight.mcap"
+    bench = next_line(["fly", "bench_faces"], failed=False)
+    assert bench == "sideslip bench flights/bench_faces/onboard --plan flights/bench_faces/plan.toml -o calibration"
+    assert next_line(["fly", "quiet", "--port", "udp:h:1", "--out", "f"], failed=False).endswith(
+        "f/onboard -o flight.mcap"
+    )
+
+
 def test_every_verb_says_what_to_do_next_and_quiet_does_not(capsys: pytest.CaptureFixture[str]) -> None:
     assert {*NEXT} == {*VERBS} - HELPERS - SAY_IT_THEMSELVES
     assert {*AFTER_A_FAILED_CHECK} <= {*VERBS}

@@ -45,6 +45,12 @@ def step_parameters(step: EffectStep) -> ReportTable | None:
     return ReportTable(f"parameters_{step.effect}", "Estimate of the effect", head, rows)
 
 
+def value_and_unit(step: EffectStep, name: str) -> tuple[str, str]:
+    """A parameter of the effect, and its bound with the unit."""
+    value, bound = value_and_bound(*step.estimates[name])
+    return value, f"{bound} {step.units.get(name, '')}".rstrip()
+
+
 def step_members(step: EffectStep) -> ReportTable | None:
     """Effects that explain the disagreement about as well, where there are any."""
     if len(step.members) < 2:

@@ -13,12 +13,14 @@ from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.pages import gap_tables
 from estimation.gap.pages.figures import AFTER, BEFORE, residual_maps
+from estimation.gap.pages.first_screen import first_screen
 from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, grid, picture, styled
 from estimation.report.flight_tables import notes_table
 from estimation.report.names import axis_label, face
-from estimation.report.page import Page, Part, Section, box, paragraph
+from estimation.report.page import Page, Part, Section, paragraph
 
 BAND = "#9db4c4"
+LEADING = 12  # hypotheses on the first screen
 TITLES = {
     "no_gap": "No gap",
     "gap_closed": "Gap found and closed",
@@ -43,23 +45,25 @@ def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] 
     limits = [t for t in (gap_tables.ties_table(result), gap_tables.cannot_table(result)) if t is not None]
     seen = paragraph("These flights would show every effect of the catalogue, and tell each from the others.")
     notes = notes_table((_of_flight(n) for n in result.notes), filed=True)
+    detail = partial(Section, folded=True)
     sections = [
-        Section("", "", _answer(result)),
+        *first_screen(result, sizes, score_figure(result, LEADING), _meaning(result)),
         *(
-            Section(f"step{n}", _step_title(n, step), _step_parts(step, result.text), step.effect)
+            detail(f"step{n}", _step_title(n, step), _step_parts(step, result.text), step.effect)
             for n, step in numbered
         ),
-        Section("where", "Where the disagreement lives", places, "Where") if places else None,
-        Section("repeat", "Repeatability", [repeat]) if repeat else None,
-        Section("histories", "Measured, before, after", histories, "Histories"),
-        Section(
+        detail("where", "Where the disagreement lives", places, "Where") if places else None,
+        detail("repeat", "Repeatability", [repeat]) if repeat else None,
+        detail("histories", "Measured, before, after", histories, "Histories"),
+        detail(
             "hypotheses",
             "All hypotheses",
             [score_figure(result), sizes, gap_tables.rejected_table(result)],
             "Hypotheses",
+            printed=False,
         ),
-        Section("limits", "What these flights cannot tell", limits or [seen], "What these flights cannot tell"),
-        Section("lineage", "Lineage", [_lineage(result), notes], "Lineage"),
+        detail("limits", "What these flights cannot tell", limits or [seen], "What these flights cannot tell"),
+        detail("lineage", "Lineage", [_lineage(result), notes], "Lineage"),
     ]
     # a flight of several stretches has a history for each
     flights = dict.fromkeys(h.flight + (" (held out)" if h.holdout else "") for h in result.histories)
@@ -67,21 +71,20 @@ def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] 
     return Page(TITLES[result.verdict.value], lead, sections).write(folder / "index.html", folder / "tables")
 
 
-def _answer(result: GapResult) -> list[Part]:
-    """The paragraph of the verdict, and what its numbers mean."""
+def _meaning(result: GapResult) -> Markup:
+    """What the numbers of the first screen mean."""
     gate = result.details["kinematic_gate"]
     instrument = ""
     if gate["best"]:
         instrument = (
             f" (best instrument error {gate['best']}, score {gate['score']} against {gate['threshold']}: {gate['why']})"
         )
-    note = (
+    return paragraph(
         "Gaps are rms residuals in units of the measurement noise σ, over all outputs; the floor is their median over"
         f" {result.details['nulls']} simulated nulls (seed {result.details['seed']}). Family-wise threshold of the scores"
-        f" {result.threshold:.2f} (nominal {result.nominal_threshold:.2f}). Kinematic check: {gate['origin']}{instrument}."
+        f" {result.threshold:.2f} (nominal {result.nominal_threshold:.2f}). Kinematic check: {gate['origin']}{instrument}.",
+        "note",
     )
-    closed = result.verdict.value in ("no_gap", "gap_closed")
-    return [box([paragraph(result.text)], warn=not closed), paragraph(note, "note")]
 
 
 def _step_title(number: int, step: EffectStep) -> str:
@@ -213,21 +216,26 @@ def curve_figure(curve: ShapeCurve) -> Picture:
     )
 
 
-def score_figure(result: GapResult) -> Picture:
-    """Scores of all hypotheses and the threshold that simulated nulls set."""
+def score_figure(result: GapResult, most: int | None = None) -> Picture:
+    """Scores of the hypotheses, or of the `most` leading ones, and the threshold that simulated nulls set."""
     from matplotlib.figure import Figure
 
-    names = list(result.scores)
+    names = sorted(result.scores, key=lambda name: -result.scores[name])[:most]
     effects = {s.effect for s in result.steps}
     colours = [AFTER if n in effects else MEASURED for n in names]
+    size = (9, 0.18 * len(names) + 1) if most is None else (5.6, 0.28 * len(names) + 1)
     with styled():
-        figure = Figure(figsize=(9, 0.18 * len(names) + 1), layout="constrained")
+        figure = Figure(figsize=size, layout="constrained")
         axis = figure.subplots()
         axis.barh(range(len(names)), [max(result.scores[n], 1e-3) for n in names], color=colours)
-        axis.set_yticks(range(len(names)), names, fontsize=7)
+        axis.set_yticks(range(len(names)), names, fontsize=7 if most is None else 9)
         axis.invert_yaxis()
         axis.margins(y=0.01)
         axis.axvline(result.threshold, color=BEFORE, lw=1, label=f"null threshold {result.threshold:.2f}")
         axis.set_xlabel("score in units of its scatter on the nulls")
         axis.legend(loc="lower right")
-    return picture(figure, "scores", "Every hypothesis of the catalogue with its score; in colour what is named.")
+    if most is None:
+        return picture(figure, "scores", "Every hypothesis of the catalogue with its score; in colour what is named.")
+    return picture(
+        figure, "leading", f"The {len(names)} leading hypotheses with their scores; in colour what is named."
+    )

@@ -27,6 +27,7 @@ class TruthFile:
         self.path = path
         self._source = source
         self._rows: deque[list[float]] = deque(maxlen=round(2.0 * HISTORY_S / GRID_S))
+        self._path = path
         self._closing = ExitStack()
         self._file = self._closing.enter_context(whole_text(path))
         self._writer = csv.writer(self._file)
@@ -53,7 +54,11 @@ class TruthFile:
 
     def write(self, time: float) -> None:
         """Put the truth of `time` into the file."""
-        self._writer.writerow([f"{value:.10g}" for value in self.at(time)])
+        try:
+            self._writer.writerow([f"{value:.10g}" for value in self.at(time)])
+        except OSError as error:
+            error.filename = str(self._path)  # a write names no file
+            raise
 
     def close(self) -> None:
         """End the file."""

@@ -177,8 +177,11 @@ def test_modes_of_a_known_matrix() -> None:
 
 def test_check_page_has_table_2_beside_the_published_one(tmp_path: Path) -> None:
     f = kinematic_flight()
-    page = write_check_report([f], [quality_report(f)], [(f.name, compatibility(f))], tmp_path)
+    agreed = "level: the instruments agree"
+    page = write_check_report([f], [quality_report(f)], [(f.name, compatibility(f))], tmp_path, agreement=[agreed])
     text = page.read_text(encoding="utf-8")
+    first = text[: text.index("<details")]  # what is seen at once
+    assert all(words in first for words in (agreed, "<table", "<b>Next</b>"))
     assert outside_references(text) == []
     assert "1.1001 (0.0068)" in text  # K_beta of UFP_LD2
     assert "Figure 7" in text

@@ -1,6 +1,7 @@
 """Whole simulated flights through the real logger: reproducible, true to the truth, and accounted for under faults."""
 
 import csv
+import errno
 import math
 from pathlib import Path
 
@@ -103,10 +104,17 @@ def test_truth_between_grid_points_is_straight_and_headings_go_the_short_way(tmp
             psi = math.remainder(math.pi - 0.1 + 0.4 * to_time, 2.0 * math.pi)
             return bench_truth(to_time, Pose(load=2.0 * to_time, attitude=(0.0, 0.0, psi)), SensorModels())
 
+    class FullDisk:
+        def writerow(self, row: list[str]) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
     log, file = TruthLog(Turning()), TruthFile(Turning(), tmp_path / "truth.csv")
     for k in range(100):
         log.advance(0.005 * k)
         file.advance(0.005 * k)
+    file._writer = FullDisk()  # type: ignore[assignment]
+    with pytest.raises(OSError, match=r"truth\.csv"):  # which file it was
+        file.write(0.3)
     times = np.array([0.0012, 0.2488, 0.2511, 0.4])
     file.close()
     together = log.at(times)

@@ -111,6 +111,8 @@ def test_status_help_nonsense_and_the_end(desktop: Desktop) -> None:
     for nonsense in ("fly higher", "rate fast", "rate -3", "backfill some", "2", "7 mark", "fetch x"):
         said = desktop.type(nonsense, scans=0)
         assert "not understood" in said or "heard" in said, nonsense
+    assert "did you mean logs?" in desktop.type("lgs", scans=0)
+    assert "type rate HZ" in desktop.type("rate fast", scans=0)
     os.write(desktop.write_end, b"mark\nqu")
     assert desktop.console.poll()
     os.write(desktop.write_end, b"it\n")

@@ -68,6 +68,7 @@ def test_ports_that_cannot_be_are_named(
     assert code == 2
     assert words in said
     assert "\n" not in said
+    assert not Path("o").exists()
 
 
 def test_a_model_to_be_held_against_flight_is_looked_for_at_the_start(

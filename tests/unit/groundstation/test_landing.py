@@ -2,7 +2,14 @@
 
 import math
 
+from daq.contract.recordings.reading import read_recording
+from groundstation.calibration.calibration_set import load_calibration
+from groundstation.calibration.facts import reported
+from groundstation.calibration.recording import embedded_calibration
+from groundstation.live.aircraft_monitor import AircraftMonitor
+from groundstation.live.config import GroundConfig
 from groundstation.live.watches import LandingLimits, LandingWatch, Phase
+from tests.support.paths import RECORDINGS
 
 
 def run(watch: LandingWatch, start: float, seconds: float, speed: float, rate: float = 0.0) -> int:
@@ -48,3 +55,21 @@ def test_nothing_measured_decides_nothing() -> None:
     watch = LandingWatch(LandingLimits())
     run(watch, 0, 10, 17.0)
     assert not any(watch.update(10 + i, {}) for i in range(100))
+
+
+def test_a_calibration_that_comes_in_flight_ends_neither_the_flight_nor_the_watch_over_its_radio() -> None:
+    recording = read_recording(RECORDINGS / "cdfp_ld1_raw.mcap")
+    said: list[str] = []
+    monitor = AircraftMonitor(
+        GroundConfig(), load_calibration("cdfp"), None, lambda time, level, text: said.append(text), utc_ns=lambda: 0
+    )
+    flown = list(recording.scans())[:120]
+    for scan in flown:
+        monitor.scan(scan, received_ns=round(scan.time * 1e9))
+    assert monitor.phase is Phase.FLYING
+    monitor.use_calibration(embedded_calibration(recording), reported(recording.info.details).facts)
+    assert monitor.phase is Phase.FLYING
+    monitor.silence(round((flown[-1].time + 3.5) * 1e9))
+    assert any("no telemetry" in text for text in said)
+    monitor.use_calibration(load_calibration("cdfp"), {"pitot.range_pa": "1.0"})
+    assert monitor.phase is Phase.FLYING

@@ -63,7 +63,11 @@ def test_adverse_yaw_is_named_added_and_written_down(flown: dict[str, list[Fligh
     assert step["followed_by_timing"] == {}
     page = write_gap_report(result, tmp_path / "report").read_text(encoding="utf-8")
     assert step["effect"] in page
-    assert page.count("<img") == 5
+    assert page.count("<img") == 6
+    first = page[: page.index("<details")]  # what is seen at once
+    assert all(
+        words in first for words in ("<b>Next</b>", "match models/", step["text"][1:40], 'id="leading"', 'id="found"')
+    )
     assert "C<sub>nδa</sub>" in page
     _lives_where_it_arises(result)
 
