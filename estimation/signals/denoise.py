@@ -184,7 +184,7 @@ class Fits:
         self.moments: list[list[Array]] = []  # of every length: terms of (signals, stretches)
         self.local: list[list[Array]] = []  # coefficients, alike
         grams = _grams(longest, order) + np.eye(terms) / width**2
-        self.inverses: Array = np.linalg.inv(grams)
+        self.inverses: Array = np.asarray(np.linalg.inv(grams), np.float64)
         constants = -0.5 * np.linalg.slogdet(grams)[1] - terms * np.log(width)
         for n in range(1, longest + 1):
             inverse = self.inverses[n - 1]
