@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 WIDTH = 78  # columns of the printed answer: a terminal of 80
 TWO_SIDED_95 = 1.96  # bounds from the estimate to either end of its 95 % interval
 FLY_NEXT = 3  # manoeuvres named on the first screen: the table of all is below it
+SIMPLIFIED = "lateral-simple"
+WHOLE_KINEMATICS = (
+    "Take the whole kinematics first: estimate --model lateral; lateral-simple leaves out p sin(alpha) and pitch."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +162,10 @@ def next_steps(session: "EstimationSession", answer: LeadingAnswer) -> list[str]
         if any(n in answer.undetermined for n in group.parameters)
     ][:FLY_NEXT]
     verdict = shown_verdict(session)
-    if verdict is not None and verdict.recommended.lacks:
+    refused = verdict is not None and verdict.recommended.method == "none"
+    if refused and session.model.name == SIMPLIFIED:
+        steps.append(WHOLE_KINEMATICS)
+    elif verdict is not None and verdict.recommended.lacks:
         steps.append(
             f"Let the model have what it lacks ({', '.join(verdict.recommended.lacks[:FLY_NEXT])}): estimate --structure auto."
         )

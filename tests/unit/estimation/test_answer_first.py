@@ -55,6 +55,18 @@ def test_rows_are_the_estimates_with_what_was_believed_and_published(session: Es
     assert "Cn_dr" in fly_rudder
 
 
+def test_a_simple_model_that_is_refused_is_answered_with_the_whole_one() -> None:
+    """It lacked p sin(alpha), and `Cn_da` was named for that."""
+    flight = fly(Case(noise=NOISE), np.random.default_rng(1))[0][0]
+    aircraft = load_aircraft("cdfp")
+    session = runner.estimate(load_model("lateral-simple", aircraft), [flight], aircraft, ["ml"])
+    answer = leading_answer(session)
+    assert answer.verdict.startswith("Do not use these numbers yet")
+    steps = next_steps(session, answer)
+    assert any("--model lateral;" in step for step in steps)
+    assert not any("--structure" in step for step in steps)
+
+
 def test_the_console_has_the_same_order_and_gives_no_number_for_what_cannot_be_told(session: EstimationSession) -> None:
     lines = list(session_lines(session))
     answer = leading_answer(session)
