@@ -36,6 +36,7 @@ CHANNEL_KINDS = ("measured", "computed", "assumed")
 """By a sensor, by a program of others, or by nobody at the place and time."""
 HELD, INTERVAL, BACK = "held", "interval_s", "dated_back_s"
 """Keys of a channel's entry: it is a command, which holds until the next one; how far apart its records are [s]."""
+DATED = "moves_dated_s"  # key of a channel's entry: how surely an import dated the moves of a command by the gyros [s]
 DATED_BACK = 0.5  # of its interval, a recorded command: it changed at any time since the last record, half in the mean
 RECONSTRUCTED = "reconstructed"
 """Key of a provenance's detail: which columns were not measured but found from the others, from what, how sure."""
