@@ -27,7 +27,9 @@ SHOWN_BY: Mapping[str, tuple[str, str]] = MappingProxyType(
 )
 """Surface -> the rate that it drives, and the acceleration that stands for the flow angle on which that rate depends."""
 RATES = ("p", "q", "r")
-WINDOW = 1.0  # s, over which a straight line is all that the other moments leave: short beside a turn, long beside a servo
+WINDOW = (
+    1.0  # s, over which a straight line is all that the other moments leave: short beside a turn, long beside a servo
+)
 LONGEST = 100.0  # s that share their derivatives: airspeed and height stay alike
 SHORTEST = 5.0  # s: fewer windows do not tell derivatives and times apart
 MOST = 150  # changes in one such part, the largest: smaller ones move nothing
@@ -79,7 +81,9 @@ def with_moves_dated(
         if changes is None:
             continue
         parts = [
-            d for rows in _parts(time, columns, name, needed) if (d := _dated(time, rows, columns, name, changes, origin.held))
+            d
+            for rows in _parts(time, columns, name, needed)
+            if (d := _dated(time, rows, columns, name, changes, origin.held))
         ]
         if not parts:
             continue
@@ -92,17 +96,9 @@ def with_moves_dated(
         sure = float(np.sqrt(np.average(variance, weights=weights)))
         moved[name], stated[name] = values, replace(origin, dated=sure)
         words.append(f"{count} of {name} by {rate} (+- {1e3 * sure:.1f} ms)")
-    if not words:
-        return moved, stated, []
-    interval = max(o.held or 0.0 for n, o in stated.items() if n in SHOWN_BY)
-    return (
-        moved,
-        stated,
-        [
-            f"servo outputs come every {1e3 * interval:.0f} ms, and a change of one may be that old: the gyros date "
-            f"{', '.join(words)}"
-        ],
-    )
+    interval = max((o.held or 0.0 for n, o in stated.items() if n in SHOWN_BY), default=0.0)
+    note = f"servo outputs come every {1e3 * interval:.0f} ms, and a change of one may be that old: the gyros date "
+    return moved, stated, [f"{note}{', '.join(words)}"] if words else []
 
 
 def command_changes(series: Mapping[str, TimeSeries], origin: ColumnOrigin) -> Changes | None:
@@ -160,7 +156,7 @@ class _Fit:
 
     def dated(self, interval: float) -> Dated | None:
         """Those that the gyros date better than a quarter of an even chance over the interval."""
-        sure = self.seen & (self.std < 0.5 * EVEN * interval) & (np.abs(self.later) < interval)
+        sure = np.asarray(self.seen, bool) & (self.std < 0.5 * EVEN * interval) & (np.abs(self.later) < interval)
         return Dated(self.asked.some(sure), self.later[sure], self.std[sure]) if sure.any() else None
 
 
@@ -196,7 +192,7 @@ class _Regression:
 
     def fitted(self, asked: Changes, interval: float, lag: float | None) -> _Fit:
         """Times of the changes beside the derivatives and a time by which all are late."""
-        later, late, noise = np.zeros(asked.time.size), 0.0, float(np.std(self.rate))
+        later, noise = np.zeros(asked.time.size), float(np.std(self.rate))
         base = asked.answers(self.time, 0.0, lag)
         course = _without_lines((self.power * self.surface)[:, None], self.time, self.window)
         std, seen = np.full(later.size, np.inf), np.zeros(later.size, bool)
@@ -208,19 +204,17 @@ class _Regression:
             known[:, -1] += _without_lines(shift[:, None], self.time, self.window)[:, 0]
             columns = _without_lines(self.power[:, None] * answers, self.time, self.window)
             matrix = np.column_stack([known, -theta[-1] * course, -theta[-1] * columns])
-            # around the times so far: what the prior says of a change's time is said of all of it
-            target = self.rate - (matrix[:, known.shape[1]] * 0.0)
             k = known.shape[1]
             precision = np.zeros(matrix.shape[1])
             precision[k], precision[k + 1 :] = (noise / LATE) ** 2, (noise / (EVEN * interval)) ** 2
             normal = matrix.T @ matrix + np.diag(precision)
-            right = matrix.T @ target
-            right[k + 1 :] -= precision[k + 1 :] * later
+            right = matrix.T @ self.rate
+            right[k + 1 :] -= precision[k + 1 :] * later  # the prior is of the whole time, this step but a part of it
             solution = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
-            residual = target - matrix @ solution
+            residual = self.rate - matrix @ solution
             freedom = max(residual.size - matrix.shape[1] - 2 * (self.window[-1] + 1), 1)
             noise = float(np.sqrt(residual @ residual / freedom))
-            theta, late = solution[:k], float(solution[k])
+            theta = solution[:k]
             later = np.clip(later + solution[k + 1 :], -interval, interval)
             strength = np.abs(theta[-1]) * np.sqrt(np.einsum("ij,ij->j", columns, columns))
             std = SURE * noise * np.sqrt(np.abs(np.diag(np.linalg.pinv(normal, hermitian=True))[k + 1 :]))

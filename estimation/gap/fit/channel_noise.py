@@ -1,6 +1,6 @@
 """How noisy every channel is, and which attitudes are the output of a filter: before anything is fitted."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.records.attitudes import white_share
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
+from estimation.models.base import Model
 from estimation.signals.denoise import noise_level
 from groundstation.flight.arrays import integral
 
@@ -94,6 +95,15 @@ def pitch_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter
         rate = record.z[:, q] * np.cos(bank) - yaw * np.sin(bank)
         errors.append(slow_error(record.time, record.z[:, theta], rate))
     return _widened(scatter, theta, errors)
+
+
+def wandering_inputs(model: Model, noise: Mapping[str, float], filtered: Collection[str]) -> dict[str, float]:
+    """Attitude by which a model is driven -> how far its filter is off, as bank by the same filter is.
+
+    An attitude that drives the model is not compared with it: its error shows in the motion, turn by turn, as what no model has.
+    """
+    wrong = max((noise[n] for n in filtered if n in noise), default=0.0)
+    return {s.name: wrong for s in model.inputs if s.name in RATE_OF and wrong > 0.0}
 
 
 def slow_error(time: Array, angle: Array, rate: Array) -> float | None:
