@@ -34,10 +34,11 @@ LONGEST = 100.0  # s that share their derivatives: airspeed and height stay alik
 SHORTEST = 5.0  # s: fewer windows do not tell derivatives and times apart
 MOST = 150  # changes in one such part, the largest: smaller ones move nothing
 SEEN = 2.0  # noises of the rate that a change makes, by one standard deviation of its time, to be asked about
-PASSES = 4  # of Gauss and Newton: times change by less than a tenth of a millisecond after three
+PASSES = 6  # of Gauss and Newton: times change by less than a tenth of a millisecond after five
 LATE = 0.1  # s, prior of the time by which all are late: servos and links
 SERVOS = (0.0, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, lags that are tried where the log's map states none
 SURE = 2.0  # times the bound by white residuals: those of a windowed regression follow one another
+ROUNDING = 1e-9  # rad, of a sum of servos
 EVEN = 12.0**-0.5  # standard deviation of an even chance over an interval of one
 
 
@@ -49,10 +50,12 @@ class Changes:
     size: Array
     lag: Array
 
-    def answers(self, at: Array, later: Array | float = 0.0, lag: float | None = None) -> Array:
-        """(N, m) rad of the surface by each at `at` (N,) s, each `later` [s]."""
-        lags = self.lag if lag is None else np.full_like(self.lag, lag)
-        return self.size * step_answer(at[:, None] - (self.time + later), lags)
+    def answers(self, at: Array, later: Array | float = 0.0, lag: float | None = None, step: float = 0.0) -> Array:
+        """(N, m) rad of the surface by each at `at` (N,) s, each `later` [s]. step: [s] over which one without a lag is averaged,
+        for a sample cannot say otherwise where between two it was."""
+        lags, since = self.lag if lag is None else np.full_like(self.lag, lag), at[:, None] - (self.time + later)
+        answer = step_answer(since, lags)
+        return self.size * (np.where(lags > 0.0, answer, np.clip(since / step + 0.5, 0.0, 1.0)) if step else answer)
 
     def some(self, which: Array) -> "Changes":
         return Changes(self.time[which], self.size[which], self.lag[which])
@@ -72,7 +75,7 @@ def with_moves_dated(
 ) -> tuple[dict[str, Array], dict[str, ColumnOrigin], list[str]]:
     """Columns (N,) on `time` with the surfaces that are commands moved to where the gyros date each of their changes; their
     origins, with how sure that is; and a note."""
-    moved, stated, words = dict(columns), dict(origins), list[str]()
+    moved, stated, words, step = dict(columns), dict(origins), list[str](), float(np.median(np.diff(time)))
     for name, (rate, acceleration) in SHOWN_BY.items():
         origin, needed = origins.get(name), (rate, acceleration)
         if origin is None or not origin.held or origin.rate is None or not all(c in columns for c in (name, *needed)):
@@ -89,7 +92,7 @@ def with_moves_dated(
             continue
         values, count = moved[name].copy(), 0
         for d in parts:
-            values += (d.changes.answers(time, d.later) - d.changes.answers(time)).sum(axis=1)
+            values += (d.changes.answers(time, d.later, step=step) - d.changes.answers(time)).sum(axis=1)
             count += d.later.size
         weights = np.concatenate([d.changes.size**2 for d in parts])
         variance = np.concatenate([d.std**2 for d in parts])
@@ -111,8 +114,10 @@ def command_changes(series: Mapping[str, TimeSeries], origin: ColumnOrigin) -> C
         time.append(begins)
         size.append(rises * term.factor * origin.source.sign * origin.source.factor)
         lag.append(np.full(begins.size, series[term.column].lag))
-    order = np.argsort(np.concatenate(time), kind="stable")
-    return Changes(*(np.concatenate(a)[order] for a in (time, size, lag)))
+    # outputs of one record are one change of the surface: what moves two elevons alike leaves the aileron where it is
+    each, which = np.unique(np.column_stack([np.concatenate(time), np.concatenate(lag)]), axis=0, return_inverse=True)
+    total = np.bincount(which.ravel(), np.concatenate(size), len(each))
+    return Changes(each[:, 0], np.where(np.abs(total) > ROUNDING, total, 0.0), each[:, 1])
 
 
 def _parts(time: Array, columns: Mapping[str, Array], name: str, needed: Sequence[str]) -> list[slice]:
@@ -155,8 +160,8 @@ class _Fit:
     seen: Array
 
     def dated(self, interval: float) -> Dated | None:
-        """Those that the gyros date better than a quarter of an even chance over the interval."""
-        sure = np.asarray(self.seen, bool) & (self.std < 0.5 * EVEN * interval) & (np.abs(self.later) < interval)
+        """Those that the gyros date twice as well as an even chance over the interval."""
+        sure = np.asarray(self.seen, bool) & (self.std < 0.5 * EVEN * interval)
         return Dated(self.asked.some(sure), self.later[sure], self.std[sure]) if sure.any() else None
 
 
@@ -186,37 +191,36 @@ class _Regression:
         driving += [motion[a] * motion[b] for i, a in enumerate(names) for b in names[i + 1 :]]
         driving += [v**2 * s for n, s in surfaces.items() if n != name]
         window = np.floor((at - at[0]) / WINDOW).astype(int)
-        known = np.column_stack([_integral(at, d) for d in (*driving, v**2 * surfaces[name])])
+        known = np.column_stack([_integral(at, d) for d in driving])
         parts = _without_lines(np.column_stack([columns[rate][rows], known]), at, window)
         return cls(at, parts[:, 0], parts[:, 1:], surfaces[name], v**2, window)
 
     def fitted(self, asked: Changes, interval: float, lag: float | None) -> _Fit:
         """Times of the changes beside the derivatives and a time by which all are late."""
-        later, noise = np.zeros(asked.time.size), float(np.std(self.rate))
-        base = asked.answers(self.time, 0.0, lag)
-        course = _without_lines((self.power * self.surface)[:, None], self.time, self.window)
+        later, late, noise = np.zeros(asked.time.size), 0.0, float(np.std(self.rate))
+        rest = self.surface - asked.answers(self.time, 0.0, lag).sum(axis=1)
         std, seen = np.full(later.size, np.inf), np.zeros(later.size, bool)
-        theta = np.linalg.lstsq(self.known, self.rate, rcond=None)[0]
+        k = self.known.shape[1] + 1
         for _ in range(PASSES):
-            answers = asked.answers(self.time, later, lag)
-            shift = _integral(self.time, self.power * (answers - base).sum(axis=1))
-            known = self.known.copy()
-            known[:, -1] += _without_lines(shift[:, None], self.time, self.window)[:, 0]
+            answers = asked.answers(self.time - late, later, lag)
+            surface = np.interp(self.time - late, self.time, rest) + answers.sum(axis=1)
+            courses = np.column_stack([_integral(self.time, self.power * surface), self.power * surface])
+            driven = _without_lines(courses, self.time, self.window)
             columns = _without_lines(self.power[:, None] * answers, self.time, self.window)
-            matrix = np.column_stack([known, -theta[-1] * course, -theta[-1] * columns])
-            k = known.shape[1]
+            power = np.linalg.lstsq(np.column_stack([self.known, driven[:, 0]]), self.rate, rcond=None)[0][-1]
+            matrix = np.column_stack([self.known, driven[:, 0], -power * driven[:, 1], -power * columns])
             precision = np.zeros(matrix.shape[1])
             precision[k], precision[k + 1 :] = (noise / LATE) ** 2, (noise / (EVEN * interval)) ** 2
-            normal = matrix.T @ matrix + np.diag(precision)
-            right = matrix.T @ self.rate
-            right[k + 1 :] -= precision[k + 1 :] * later  # the prior is of the whole time, this step but a part of it
+            normal, right = matrix.T @ matrix + np.diag(precision), matrix.T @ self.rate
+            right[k] -= precision[k] * late  # the prior is of the whole time, this step but a part of it
+            right[k + 1 :] -= precision[k + 1 :] * later
             solution = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
             residual = self.rate - matrix @ solution
             freedom = max(residual.size - matrix.shape[1] - 2 * (self.window[-1] + 1), 1)
             noise = float(np.sqrt(residual @ residual / freedom))
-            theta = solution[:k]
-            later = np.clip(later + solution[k + 1 :], -interval, interval)
-            strength = np.abs(theta[-1]) * np.sqrt(np.einsum("ij,ij->j", columns, columns))
+            late = float(np.clip(late + solution[k], -LATE, LATE))
+            later = np.clip(later + solution[k + 1 :], -0.5 * interval, 0.5 * interval)
+            strength = np.abs(power) * np.sqrt(np.einsum("ij,ij->j", columns, columns))
             std = SURE * noise * np.sqrt(np.abs(np.diag(np.linalg.pinv(normal, hermitian=True))[k + 1 :]))
             seen = strength * EVEN * interval > SEEN * noise
         return _Fit(noise**2, asked, later, std, seen)

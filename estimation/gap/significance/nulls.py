@@ -5,7 +5,7 @@ adds sensor noise to the outputs, takes the inputs as a de-noised noisy measurem
 the same linear algebra as the flights. Thresholds, floors and inflation factors come from here; none is assumed.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -44,10 +44,10 @@ class InputErrors:
 
 
 def with_errors(
-    records: Sequence[FlightRecord], model: Model, errors: Sequence[InputErrors]
+    records: Sequence[FlightRecord], model: Model, errors: Sequence[InputErrors], wandering: Collection[str] = ()
 ) -> tuple[FlightRecord, ...]:
-    """The records with the spectra of what is wrong with their controls and attitudes, as the nulls have it."""
-    known = [s.name for s in model.inputs if s.control or s.name in RATE_OF]
+    """The records with the spectra of what is wrong with their controls, and with inputs that wander, as the nulls have it."""
+    known = [s.name for s in model.inputs if s.control or s.name in wandering]
     return tuple(
         replace(r, left={n: spectrum(e.bank[n]) for n in known if n in e.bank})
         for r, e in zip(records, errors, strict=True)
@@ -72,7 +72,7 @@ def input_errors(
     memory: float = 1.0,
 ) -> InputErrors:
     """What may be wrong with each input: as drawn when it was prepared, and its noise where it is used as it was measured.
-    wandering: attitude among the inputs -> standard deviation of what its filter has wrong for `memory` [s]."""
+    wandering: input by an attitude filter -> standard deviation of what that has wrong for `memory` [s]."""
     bank = {}
     for signal in model.inputs:
         sigma, draws = record.input_noise.get(signal.name, 0.0), record.wrong.get(signal.name)
