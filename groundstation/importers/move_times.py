@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.flight.arrays import Array, true_runs
 from groundstation.importers.columns import ColumnOrigin
@@ -33,11 +34,13 @@ WINDOW = (
 LONGEST = 100.0  # s that share their derivatives: airspeed and height stay alike
 SHORTEST = 5.0  # s: fewer windows do not tell derivatives and times apart
 MOST = 150  # changes in one such part, the largest: smaller ones move nothing
+FEWEST = 3  # changes that have a time in common
 SEEN = 2.0  # noises of the rate that a change makes, by one standard deviation of its time, to be asked about
 PASSES = 6  # of Gauss and Newton: times change by less than a tenth of a millisecond after five
 LATE = 0.1  # s, prior of the time by which all are late: servos and links
 SERVOS = (0.0, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, lags that are tried where the log's map states none
 SURE = 2.0  # times the bound by white residuals: those of a windowed regression follow one another
+OFTENER = 1.9  # times as many readings of the gyro as commands, at least, for one to show what the other leaves out
 ROUNDING = 1e-9  # rad, of a sum of servos
 EVEN = 12.0**-0.5  # standard deviation of an even chance over an interval of one
 
@@ -57,7 +60,7 @@ class Changes:
         answer = step_answer(since, lags)
         return self.size * (np.where(lags > 0.0, answer, np.clip(since / step + 0.5, 0.0, 1.0)) if step else answer)
 
-    def some(self, which: Array) -> "Changes":
+    def some(self, which: NDArray[np.bool_ | np.int64]) -> "Changes":
         return Changes(self.time[which], self.size[which], self.lag[which])
 
 
@@ -80,7 +83,8 @@ def with_moves_dated(
         origin, needed = origins.get(name), (rate, acceleration)
         if origin is None or not origin.held or origin.rate is None or not all(c in columns for c in (name, *needed)):
             continue
-        changes = command_changes(series, origin)
+        shown = origins[rate].rate if rate in origins else None
+        changes = command_changes(series, origin) if (shown or 1.0 / step) * origin.held >= OFTENER else None
         if changes is None:
             continue
         parts = [
@@ -221,7 +225,11 @@ class _Regression:
             late = float(np.clip(late + solution[k], -LATE, LATE))
             later = np.clip(later + solution[k + 1 :], -0.5 * interval, 0.5 * interval)
             strength = np.abs(power) * np.sqrt(np.einsum("ij,ij->j", columns, columns))
-            std = SURE * noise * np.sqrt(np.abs(np.diag(np.linalg.pinv(normal, hermitian=True))[k + 1 :]))
+            covariance = np.linalg.pinv(normal, hermitian=True)[k + 1 :, k + 1 :]
+            if later.size >= FEWEST:  # against one another: what is common to all is not told from being late together
+                apart = np.eye(later.size) - 1.0 / later.size
+                covariance = apart @ covariance @ apart
+            std = SURE * noise * np.sqrt(np.abs(np.diag(covariance)))
             seen = strength * EVEN * interval > SEEN * noise
         return _Fit(noise**2, asked, later, std, seen)
 

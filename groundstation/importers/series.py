@@ -160,7 +160,7 @@ SETTLED = 4.0  # lags after which 2 % are left of where a servo stood
 
 def held_at(series: TimeSeries, time: Array) -> Array:
     """Commands at `time` (n,), as the servo behind them shows them: each holds from half an interval before its record until half
-    an interval before the next. NaN outside the series, inside its gaps, and where a servo has not yet come from wherever it stood
+    an interval before the next. NaN outside the series, inside its gaps, and while a servo comes from wherever it stood
     before the series began."""
     t, target = _finite_samples(series)
     if t.size < 2:

@@ -38,7 +38,7 @@ def test_however_servos_and_pitots_are_wired_the_flight_is_the_same(
 ) -> None:
     flight = read(truth, wiring, tmp_path)
     assert not [c.text for c in contradictions(flight) if c.stops]
-    surfaces = 0.006  # rad, what a millisecond is by an edge of 10 deg: outputs rounded otherwise have their moves dated otherwise
+    surfaces = 0.006  # rad, a millisecond by an edge of 10 deg: what is rounded otherwise is dated otherwise
     for name, within in (
         ("delta_a", surfaces),
         ("delta_e", surfaces),
