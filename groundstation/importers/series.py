@@ -155,9 +155,13 @@ def _finite_samples(series: TimeSeries) -> tuple[Array, Array]:
     return t, series.values[finite][first]
 
 
+SETTLED = 4.0  # lags after which 2 % are left of where a servo stood
+
+
 def held_at(series: TimeSeries, time: Array) -> Array:
     """Commands at `time` (n,), as the servo behind them shows them: each holds from half an interval before its record until half
-    an interval before the next. NaN outside the series and inside its gaps."""
+    an interval before the next. NaN outside the series, inside its gaps, and while a servo comes from wherever it stood
+    before the series began."""
     t, target = _finite_samples(series)
     if t.size < 2:
         return np.full_like(time, np.nan)
@@ -171,7 +175,28 @@ def held_at(series: TimeSeries, time: Array) -> Array:
     if series.lag:
         begin = lagged(begins, target, series.lag)[k]
         values = values + (begin - values) * np.exp(-np.maximum(time - begins[k], 0.0) / series.lag)
+        valid &= time >= begins[0] + SETTLED * series.lag
     return np.where(valid, values, np.nan)
+
+
+def held_changes(series: TimeSeries) -> tuple[Array, Array]:
+    """(times, sizes) of the changes of commands that `held_at` takes them for."""
+    t, target = _finite_samples(series)
+    if t.size < 2:
+        return np.zeros(0), np.zeros(0)
+    begins = t - DATED_BACK / native_rate(TimeSeries(t, target))
+    changed = np.flatnonzero(np.diff(target)) + 1
+    return begins[changed], np.diff(target)[changed - 1]
+
+
+SAME_INSTANT = 1e-6  # s, of a log's clock
+
+
+def step_answer(since: Array, lag: Array) -> Array:
+    """What a first-order servo has made of a step of one, `since` seconds after it; nothing before. Without a lag all at once."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = -np.expm1(-np.maximum(since, 0.0) / lag)
+    return np.where(lag > 0.0, share, since >= -SAME_INSTANT)
 
 
 def lagged(time: Array, commanded: Array, lag: float) -> Array:
