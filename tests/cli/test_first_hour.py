@@ -101,6 +101,16 @@ def test_after_a_flight_the_next_step_names_where_it_went(tmp_path: Path, monkey
     )
 
 
+def test_after_the_gap_workflow_the_model_found_is_named(tmp_path: Path) -> None:
+    words = ["gap", "a.mcap", "--report", str(tmp_path)]
+    assert next_line(words, failed=False) == f"open {tmp_path}/index.html: its first screen says what to fly"
+    (tmp_path / "models").mkdir()
+    for name in ("lateral", "lateral+Cn_da"):
+        (tmp_path / "models" / f"{name}.toml").touch()
+    assert next_line(words, failed=False).startswith(f"sideslip match {tmp_path}/models/lateral+Cn_da.toml FLIGHT")
+    assert "--report" in next_line(["gap", "a.mcap"], failed=False)
+
+
 def test_every_verb_says_what_to_do_next_and_quiet_does_not(capsys: pytest.CaptureFixture[str]) -> None:
     assert {*NEXT} == {*VERBS} - HELPERS - SAY_IT_THEMSELVES
     assert {*AFTER_A_FAILED_CHECK} <= {*VERBS}
