@@ -55,6 +55,7 @@ def test_doctor_names_every_extra_and_what_it_lacks(
     assert status == 0
     assert "lacks torch; pip install 'sideslip[ngn]'" in out
     assert re.search(r"estimation +installed: casadi \d", out)
+    assert re.search(r"ground +installed: .*rerun \d", out)
     facts = json.loads((tmp_path / "d.json").read_text())
     assert facts["extras"]["ngn"] == ["torch"]
     assert facts["extras"]["estimation"] == []
