@@ -65,7 +65,13 @@ def verify_lines(recording: Path, result: "Verification") -> Iterator[str]:
 @click.command(epilog="Example: sideslip recover flight_000.mcap -o recovered.mcap")
 @_RECORDING
 @click.option(
-    "-o", "--out", required=True, type=click.Path(path_type=Path), callback=tried_file, help="The new recording."
+    "-o",
+    "--out",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path),
+    callback=tried_file,
+    help="The new recording.",
 )
 @_JSON
 def recover(recording: Path, out: Path, json_path: Path | None) -> None:

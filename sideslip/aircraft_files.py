@@ -6,9 +6,18 @@ from estimation.answers.files import FileAnswer
 
 
 def new_aircraft(name: str, output: str | Path | None = None) -> Path:
-    """Write a commented file for aircraft `name`, every key explained, to `output` (by default NAME.toml); gives its path.
+    """Write a commented aircraft file, every key explained; gives its path.
 
-    Raises AircraftError for a name that is no word, and where a file is there already.
+    Args:
+        name: of the aircraft.
+        output: the file; by default NAME.toml.
+
+    Raises:
+        AircraftError: a name that is no word, or a file that is there already.
+
+    Example::
+
+        ss.new_aircraft("glider")
     """
     from daq.utilities.outputs import check_file, write_text
     from estimation.aircraft.template import template
@@ -27,8 +36,17 @@ def new_aircraft(name: str, output: str | Path | None = None) -> Path:
 
 
 def check_aircraft(file: str | Path) -> FileAnswer:
-    """What in an aircraft file (or a built-in aircraft) is missing, doubtful, or enough for which method; `passed` is False
-    where it says something impossible, or is not enough for any model."""
+    """What in an aircraft file is missing, doubtful, or enough for which method.
+
+    Args:
+        file: the file, or a built-in name.
+
+    `passed` is False where it says something impossible, or is not enough for any model.
+
+    Example::
+
+        print(ss.check_aircraft("glider.toml").summary())
+    """
     from estimation.aircraft import load_aircraft
     from estimation.session.aircraft_review import review_aircraft
 

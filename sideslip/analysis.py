@@ -21,8 +21,24 @@ def analyse(
     output: str | Path = "analysis",
     progress: Callable[[str, float], None] | None = None,
 ) -> "Analysis":
-    """What `sideslip analyse` does, with its arguments; writes the folder `output`. progress: told what is being done, and the
-    share of the whole. Raises a UserError of one sentence for a log that cannot be read."""
+    """From logs to a page with the answer: what `sideslip analyse` does.
+
+    Args:
+        logs: files of one aircraft, of any format that `import` reads.
+        aircraft: a built-in name or a file.
+        mapping: a file as for `import --map`.
+        holdout: logs kept out of every fit.
+        output: the folder to write.
+        progress: called with what is being done, and the share done.
+
+    Raises:
+        UserError: one sentence, for a log that cannot be read.
+
+    Example::
+
+        answer = ss.analyse("flight.bin", aircraft="my.toml", output="answer")
+        print(answer.summary())
+    """
     from estimation.analysis.run import Given, analyse_flights
     from estimation.analysis.stages import Stages, digest
     from estimation.prepare.stretches import unique_names

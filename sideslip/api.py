@@ -79,7 +79,19 @@ def _asking(function: Callable[P, R]) -> Callable[P, R]:
 
 @_asking
 def open(path: str | Path) -> "Flight":
-    """A flight file (.mcap, .csv, .parquet), or a raw recording, calibrated with the set it carries."""
+    """A flight of a file.
+
+    Args:
+        path: a flight (.mcap, .csv, .parquet), or a raw recording, calibrated with the set it carries.
+
+    Raises:
+        FlightError: one sentence, for a file that is none.
+
+    Example::
+
+        flight = ss.open("ld1.mcap")
+        flight["p"]  # [rad/s]
+    """
     from groundstation.calibration.recording import open_flight
 
     return open_flight(Path(path))
@@ -128,9 +140,20 @@ def import_log(
     *,
     aircraft: str | Path | None = None,
 ) -> "Flight":
-    """Somebody else's log as a flight: CSV, Parquet, MATLAB, ULog, ArduPilot .bin, .tlog.
+    """Somebody else's log as a flight.
 
-    mapping: a file as for `import --map`. aircraft: a built-in name, or a file, which then travels with the flight.
+    Args:
+        path: CSV, Parquet, MATLAB, ULog, ArduPilot .bin, .tlog, MCAP, ROS bag.
+        mapping: a file as for `import --map`, or the name of a built-in one.
+        rate_hz: resample to this [Hz].
+        aircraft: a built-in name or a file, which then travels with the flight.
+
+    Raises:
+        UserError: one sentence, for a log that cannot be read.
+
+    Example::
+
+        flight = ss.import_log("flight.bin", "surfaces.toml", aircraft="my.toml")
     """
     from groundstation.importers.records import with_aircraft
     from groundstation.importers.run import import_data
@@ -141,7 +164,18 @@ def import_log(
 
 @_asking
 def simulate(model: "AnyModel", flight: "Flight | str | Path", *, aircraft: "AnyAircraft" = None) -> "Flight":
-    """The flight with what the model shows on its measured inputs, as columns `<output>_model`."""
+    """The flight with what the model shows on its measured inputs, as columns `<output>_model`.
+
+    Args:
+        model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
+        flight: a Flight or a file.
+        aircraft: a built-in name or a file; by default what the flight carries.
+
+    Example::
+
+        both = ss.simulate("model.toml", "ld2.mcap")
+        both.plot("p", "p_model")
+    """
     from estimation.engine.simulate import simulate as simulated
     from estimation.resolve import resolve
 

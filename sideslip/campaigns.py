@@ -43,12 +43,40 @@ def campaign(
     progress: Callable[..., None] | None = None,
     notice: Callable[[str], None] = lambda sentence: None,
 ) -> "CampaignAnswer":
-    """Estimate many flights into the data set in the folder `out`; what lies there already is not done again.
+    """Estimate many flights into a data set; what lies there already is not done again.
 
-    flights: files, patterns, folders, URLs, or one PLAN.toml, which the other arguments go before. methods to time_limit: as of
-    a plan; None: the plan's, or its default. workers: processes of this machine, all processors by default; scheduler: the
-    address of a dask scheduler instead; serial: in this process. retry: `failed` tries again what failed. progress: told words
-    and the share done; notice: told what a person must know before the work. Raises CampaignError for a plan that is none.
+    Args:
+        flights: files, patterns, folders, URLs, or one PLAN.toml, which the other arguments go before.
+        out: the folder of the data set.
+        methods: as `method` of `estimate`; None, as for all up to time_limit: the plan's, or its default.
+        model: as of `estimate`.
+        aircraft: a built-in name or a file; by default what the flights carry.
+        groups: of aircraft, configuration, day, manoeuvre.
+        check: none, quality or full.
+        joint: also one estimate over all flights of a group.
+        envelope: also one model over the envelope.
+        match: also predict each flight with the others of its group.
+        bootstrap: replicates a flight.
+        each_segment: each segment of a flight as a manoeuvre of its own.
+        seed: of every random draw.
+        time_limit: of one piece of work [s].
+        workers: processes of this machine, by default one a processor.
+        scheduler: address of a dask scheduler instead.
+        serial: in this process.
+        retry: "failed" tries again what failed.
+        dashboard: of the engine; needs bokeh.
+        no_report: tables only.
+        trust_code: run the Python that a plan names.
+        progress: called with what is being done, and the share done.
+        notice: called with what a person must know before the work.
+
+    Raises:
+        CampaignError: a plan that is none.
+
+    Example::
+
+        answer = ss.campaign("flights/*.mcap", "campaign", aircraft="cdfp", methods=["ml", "ls"], serial=True)
+        print(answer.summary())
     """
     from daq.utilities.plain_words import comma_separated
     from estimation.campaign.run import Campaign

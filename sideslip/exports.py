@@ -70,11 +70,33 @@ def export(
     raw: bool = False,
     calibration: str | Path | None = None,
 ) -> FileAnswer:
-    """Write `file` for another program; arguments as the options of `export`, target as `--to`.
+    """Write a flight, recording or model for another program.
 
-    A flight, recording or model becomes `output`, whose ending chooses the format. thrust [N]; alpha_stall [rad]; rate [Hz];
-    throws: texts like `delta_e=25deg`. `passed` is False where what was written is not the model. Raises UserErrors of one
-    sentence for what cannot be written.
+    Args:
+        file: what to export.
+        output: its ending chooses the format; of target gazebo a folder.
+        target: as `--to`: ardupilot, gazebo, neutral, jsbsim or model.
+        out: of target jsbsim: the folder to write into.
+        aircraft_from: of target jsbsim: what the model was found on.
+        rate: of target jsbsim: its steps a second [Hz].
+        aircraft: with what a model lacks: beliefs, throws, thrust.
+        throws: deflections at full stick, texts like delta_e=25deg.
+        thrust: static [N]; 0 for a glider.
+        alpha_stall: angle of attack of the stall [rad].
+        force: replace files that exist.
+        prove: write nothing, compare the existing output with the file.
+        units_row: of a CSV: a second line with the units.
+        raw: of a recording: counts, not calibrated columns.
+        calibration: directory in place of the embedded set.
+
+    Raises:
+        UserError: one sentence, for what cannot be written.
+
+    `passed` is False where what was written is not the model.
+
+    Example::
+
+        ss.export("ld4.mcap", "ld4.parquet")
     """
     if target in SIMULATORS:
         if output is None or out is not None or aircraft_from is not None:

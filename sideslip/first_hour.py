@@ -37,7 +37,7 @@ NEXT: Mapping[str, str] = {
     "aircraft": "sideslip estimate FLIGHT --aircraft {rest[1]}",
     "campaign": "open {out}/report/index.html",
     "watch": "no alarm: watch the next flight with the same model",
-    "gap": "sideslip match the child model FLIGHT, on a flight that was not used",
+    "gap": "sideslip gap again with --report DIR, for the page and the model found",
     "doctor": "sideslip demo",
 }
 """Verb -> what to do after it. {file}: the first file on the command line; {flight}: the first that is no TOML file; {model}:
@@ -90,12 +90,22 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
     flight = next((w for w in files if not w.endswith(".toml")), "FLIGHT")
     model = next((w for w in rest[:1] if not w.startswith("-")), "MODEL.toml")
     line = text.format(out=out, file=file, flight=flight, model=model, rest=rest, stem=Path(file).stem)
+    if verb == "gap" and "--report" in rest[:-1]:
+        return _after_gap(Path(rest[rest.index("--report") + 1]))
     if verb == "fly" and (Path(out) / "plan.toml").is_file():
         return f"sideslip bench {out}/onboard --plan {out}/plan.toml -o calibration"
     if verb == "fly" and text == NEXT["fly"]:
         return line + _free_flight(Path(out) / "scenario.toml")
     estimates = text.startswith(("sideslip estimate {file}", "sideslip estimate {out}"))
     return line + _whose(rest, line.split()[2]) if estimates else line
+
+
+def _after_gap(report: Path) -> str:
+    """What to do with the model that the gap workflow has written, where it found one: its name is the longest."""
+    found = sorted((report / "models").glob("*+*.toml"), key=lambda p: len(p.name))
+    if not found:
+        return f"open {report}/index.html: its first screen says what to fly"
+    return f"sideslip match {found[-1]} FLIGHT, on a flight that was not used"
 
 
 def _usual_output(verb: str, rest: Sequence[str]) -> str:

@@ -15,7 +15,15 @@ if TYPE_CHECKING:
 
 
 def info(file: str | Path) -> "FileAnswer":
-    """What is in a raw recording, the directory of its segments, a flight, or a .tlog."""
+    """What is in a recording, a flight, or somebody else's log.
+
+    Args:
+        file: the file, or the directory of a recording's segments.
+
+    Example::
+
+        print(ss.info("ld1.mcap").summary())
+    """
     from sideslip.verbs.info import content_of, lines_of
 
     file = Path(file)
@@ -24,7 +32,17 @@ def info(file: str | Path) -> "FileAnswer":
 
 
 def verify(recording: str | Path) -> "FileAnswer":
-    """Every byte and every scan of a recording; `passed` is False where something is wrong."""
+    """Every byte and every scan of a recording.
+
+    Args:
+        recording: the file, or the directory of its segments.
+
+    `passed` is False where something is wrong.
+
+    Example::
+
+        assert ss.verify("recordings/cdfp_ld1_raw.mcap").passed
+    """
     from daq.commands import verify_lines
     from daq.contract.recordings.accounting import verify as checked
 
@@ -33,7 +51,18 @@ def verify(recording: str | Path) -> "FileAnswer":
 
 
 def recover(recording: str | Path, out: str | Path) -> "FileAnswer":
-    """Save everything undamaged in a recording to a new and sound one; `passed` is False where the original is not sound."""
+    """Save everything undamaged in a recording to a new and sound one.
+
+    Args:
+        recording: the file, or the directory of its segments.
+        out: the file to write.
+
+    `passed` is False where the original is not sound.
+
+    Example::
+
+        ss.recover("damaged.mcap", "sound.mcap")
+    """
     from daq.contract.recordings.recovery import recover as salvage
 
     salvaged = salvage(recording, out)
@@ -49,10 +78,18 @@ def calibrate(
     align: bool | None = None,
     salvage: bool = False,
 ) -> "Calibrated":
-    """The counts of a raw recording, or of the directory of its segments, as a flight in SI units.
+    """The counts of a raw recording as a flight in SI units.
 
-    output: the flight to write. calibration: directory of calibration files, or `cdfp`, instead of the embedded set. align:
-    bring all sensors to one time base, by default where scans have neighbours. salvage: use what is intact of a damaged one.
+    Args:
+        raw: the file, or the directory of its segments.
+        output: the flight to write.
+        calibration: directory of calibration files, or cdfp, in place of the embedded set.
+        align: bring all sensors to one time base; by default where scans have neighbours.
+        salvage: use what is intact of a damaged one.
+
+    Example::
+
+        flight = ss.calibrate("ld1_raw.mcap", "ld1.mcap").flight
     """
     from groundstation.calibration.recording import calibrate_recording
     from groundstation.flight import write_flight
@@ -72,10 +109,18 @@ def bench(
     calibration: str | Path | None = None,
     day: "date | None" = None,
 ) -> "FileAnswer":
-    """Fit calibration files from a bench recording and write them, with the rest of the set, to the folder `output`.
+    """Fit calibration files from a bench recording, and write them with the rest of the set.
 
-    plan: a TOML file of what was set, and when. calibration: directory to refine, or `cdfp`, instead of the embedded set. day:
-    of the bench, where the recording carries none.
+    Args:
+        raw: the recording.
+        plan: a TOML file of what was set, and when.
+        output: the folder to write.
+        calibration: directory to refine, or cdfp, in place of the embedded set.
+        day: of the bench, where the recording carries none.
+
+    Example::
+
+        ss.bench("bench/onboard", "bench/plan.toml", "calibration")
     """
     from groundstation.cli.data import fit_and_write
 

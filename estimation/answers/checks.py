@@ -40,10 +40,25 @@ def check(
     align: str | None = None,
     progress: Callable[..., None] | None = None,
 ) -> "Check":
-    """Data compatibility and quality. factors: as of `--factors`, or a list of names; the standard ones where none is given.
+    """Whether the instruments agree, and whether the record is sound.
 
-    joint: also one set of factors that several flights share. aircraft: whose derivatives predict what each flight can tell.
-    align: the report draws further flights laid on the first in time: auto, correlation, input, event or start.
+    Args:
+        flights: a Flight, a file, or a list of them; raw recordings are calibrated.
+        factors: names, or text as of `--factors`; the standard ones where none is given.
+        joint: also one set of factors that the flights share.
+        aircraft: whose derivatives predict what each flight can tell; by default what it carries.
+        keep_held: take repeated values of slow and stuck sensors for measurements.
+        segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
+        align: the report lays further flights on the first in time: auto, correlation, input, event or start.
+        progress: called with what is being done, and the share done.
+
+    Raises:
+        UserError: one sentence, for what cannot be found or compared.
+
+    Example::
+
+        answer = ss.check("ld1.mcap")
+        print(answer.agreement("ld1"))
     """
     from estimation.compatibility.reconstruction import compatibility
     from estimation.compatibility.records import left_out_findings

@@ -46,12 +46,35 @@ def design(
     values: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
 ) -> "DesignAnswer":
-    """An input of `time` seconds that tells most. Arguments are the options of the verb.
+    """The input of a given time that tells most.
 
-    estimate: an answer of `estimate`, or the JSON of one: its model, aircraft, values and noise go before what else is given.
-    limits: a LIMITS.toml. band: of chirps and multisines [Hz]. speed [m/s]: by default that of a lift coefficient of 0.3;
-    density [kg/m3]; rate_hz: samples a second. held: a pilot holds bank and pitch gently meanwhile. values, noise: of
-    parameters and of outputs, in place of beliefs. Raises EstimationError for what cannot be designed, with the way out.
+    Args:
+        model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
+        time: its length [s].
+        aircraft: a built-in name or a file.
+        kind: doublet, 121, 3211, chirp, multisine or optimal.
+        estimate: an answer of `estimate`, or its JSON: its model, aircraft, values and noise go before what else is
+            given.
+        limits: a LIMITS.toml.
+        separate: two effects of the gap catalogue, or parameters, to separate.
+        criterion: of kind optimal: worst, D, A, or the name of a parameter.
+        controls: those to move; by default all of the model.
+        band: of chirps and multisines [Hz].
+        speed: true airspeed [m/s]; by default that of a lift coefficient of 0.3.
+        density: of the air [kg/m3].
+        rate_hz: samples a second.
+        held: a pilot holds bank and pitch gently meanwhile.
+        seed: of the search for phases.
+        values: of parameters, in place of beliefs.
+        noise: of outputs, one sigma, in place of usual instruments'.
+
+    Raises:
+        EstimationError: what cannot be designed, with the way out.
+
+    Example::
+
+        answer = ss.design("lateral", 20.0, "cdfp", kind="multisine")
+        answer.save("multisine.toml")
     """
     from daq.utilities.constants import GRAVITY
     from estimation.design.design import DesignTask

@@ -145,20 +145,37 @@ def estimate(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> "Estimates":
-    """Aerodynamic parameters with bounds. Arguments are the options of `sideslip estimate`.
+    """Aerodynamic parameters with bounds: what `sideslip estimate` gives.
 
-    flights: a Flight, a file, or a list of them. model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file,
-    "module:Class" or a Model. method: "ml", "fem", "ls", "ngn" ..., comma-separated or a list. aircraft: a built-in name or file;
-    by default what the flights carry. joint: also one estimate over all flights. segments: stretches such as "1:9,12:20" [s],
-    "mode:FBWA" or "V > 12"; each_segment: each as a flight. hold_initial, free_initial: states whose initial values are held or
-    estimated. simulation: one of your own as base; then model is a built-in name or a model file found on a simulation. truth:
-    true derivatives by name, or the JSON file of them. profile: parameters with an interval by profile likelihood. bootstrap:
-    number of refits. structure: off, test or auto, for what the model may lack. seed: of bootstrap and networks. progress: told
-    each piece of work as it begins.
+    Args:
+        flights: a Flight, a file, or a list of them; raw recordings are calibrated.
+        model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
+        method: "ml", "fem", "fem-noise", "ml-frequency", "ngn", "ngn-improved", "ls", "live"; several with commas or as
+            a list.
+        aircraft: a built-in name or a file; by default what the flights carry.
+        simulation: one of your own as base; then the model is a built-in name or a model file found on a simulation.
+        joint: also one estimate over all flights.
+        device: of the networks: cpu or cuda.
+        segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
+        each_segment: each segment as a flight.
+        raw_inputs: measured inputs with their noise, to compare with another program.
+        keep_held: take repeated values of slow and stuck sensors for measurements.
+        hold_initial: states whose initial values are held.
+        free_initial: states whose initial values are estimated.
+        stepwise: `ls` keeps significant terms alone.
+        truth: true derivatives by name, or the JSON file of them.
+        profile: parameters with an interval by profile likelihood.
+        bootstrap: number of refits.
+        structure: what the model may lack: "off", "test" or "auto".
+        seed: of bootstrap and networks.
+        progress: called with each piece of work as it begins.
 
-    Gives Estimates: `answer["Cl_p"].estimate` [1/rad] with `.std_coloured`, its bound of one standard deviation; `summary()`,
-    `plot()`, `to_pandas()`, `report(folder)`, `model`. Raises a UserError of one sentence for what cannot be found, or
-    flights that cannot feed the model.
+    Raises:
+        UserError: one sentence, for what cannot be found, or flights that cannot feed the model.
+
+    Gives Estimates: `answer["Cl_p"].estimate` [1/rad] with `.std_coloured`, its bound of one standard deviation.
+
+    Example::
 
         result = ss.estimate("ld1.mcap", "lateral", "ml")
         print(result.summary())

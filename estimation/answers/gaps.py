@@ -32,10 +32,26 @@ def gap(
     nulls: int = 200,
     progress: Callable[[str, float], None] | None = None,
 ) -> "GapAnswer":
-    """Find what the model of the flights is missing. Arguments are the options of the verb.
+    """Find what the model of the flights is missing.
 
-    holdout: flights kept out of every fit. effects: files with effects of your own. nulls: simulated baselines from which
-    thresholds come. progress: told what is being done, and the share of the whole.
+    Args:
+        model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
+        flights: a Flight, a file, or a list of them; raw recordings are calibrated.
+        holdout: flights kept out of every fit, to confirm what is found.
+        aircraft: a built-in name or a file; by default what the flights carry.
+        simulation: one of your own as base, such as jsbsim:c172p.
+        effects: files with effects of your own.
+        seed: of every random draw.
+        nulls: simulated baselines from which thresholds come.
+        progress: called with what is being done, and the share done.
+
+    Raises:
+        UserError: one sentence, for what cannot be found, or flights that cannot feed the model.
+
+    Example::
+
+        answer = ss.gap("lateral", ["f0.mcap", "f1.mcap"], holdout=["f2.mcap"])
+        print(answer.verdict, answer.effects)
     """
     from estimation.gap.effects import catalogue
     from estimation.gap.workflow import Options, run_gap

@@ -30,9 +30,25 @@ def match(
     segments: str | None = None,
     limit: float = THEIL_LIMIT,
 ) -> "Match":
-    """Predict flights with the model's parameters frozen, but those named in `free`. Arguments are the options of the verb.
+    """Predict flights with the model's parameters frozen.
 
-    limit: of Theil's coefficient beyond what the noise of a channel alone leaves; above it the channel does not match.
+    Args:
+        model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
+        flights: a Flight, a file, or a list of them; raw recordings are calibrated.
+        free: parameters that are fitted all the same, such as CY_0.
+        aircraft: a built-in name or a file; by default what the flights carry.
+        simulation: one of your own in place of the model.
+        segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
+        limit: of Theil's coefficient beyond what the noise of a channel alone leaves; above it the channel does not
+            match.
+
+    Raises:
+        UserError: one sentence, for what cannot be found, or flights that cannot feed the model.
+
+    Example::
+
+        answer = ss.match("model.toml", "ld2.mcap", free="CY_0,Cl_0,Cn_0")
+        print(answer.passed)
     """
     from estimation.resolve import resolve
     from estimation.session.proof_of_match import predict_flight

@@ -23,10 +23,21 @@ if TYPE_CHECKING:
 def performance(
     flights: "Flights", *, aircraft: "AnyAircraft" = None, segments: str | None = None, throttle_off: bool = False
 ) -> "Performance":
-    """The polar of an aircraft, over all flights together, and what follows from it. Arguments are the options of the verb.
+    """The polar of an aircraft over all flights together, and what follows from it.
 
-    throttle_off: it was off throughout, where no column says so. Raises a UserError where thrust is unknown and not off, or the
-    aircraft's mass or area is.
+    Args:
+        flights: a Flight, a file, or a list of them; raw recordings are calibrated.
+        aircraft: a built-in name or a file; by default what the flights carry.
+        segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
+        throttle_off: it was off throughout, where no column says so.
+
+    Raises:
+        UserError: thrust is unknown and not off, or the aircraft's mass or area is unknown.
+
+    Example::
+
+        answer = ss.performance("glides.mcap", aircraft="cdfp", throttle_off=True)
+        print(answer.summary())
     """
     from estimation.performance.polar import fitted
     from estimation.performance.samples import all_stretches, usable

@@ -24,8 +24,18 @@ def reconstruct(
 ) -> "Reconstruction":
     """Airspeed, angle of attack, sideslip and wind of a flight without vanes, from GNSS velocity, IMU and pitot.
 
-    output: the flight to write, .mcap, .csv or .parquet. trim_sideslip: how far from zero the mean sideslip may be,
-    attitude_error: least slow error of the attitude, mounting included [deg, 1 sigma].
+    Args:
+        flight: a Flight or a file.
+        output: the flight to write: .mcap, .csv or .parquet.
+        trim_sideslip: how far from zero the mean sideslip may be [deg, 1 sigma].
+        attitude_error: least slow error of the attitude, mounting included [deg, 1 sigma].
+
+    Raises:
+        UserError: one sentence, for a column that is missing.
+
+    Example::
+
+        ss.reconstruct("log.mcap", "flight.mcap")
     """
     from estimation.compatibility.air_data import reconstruct_air, with_air
     from estimation.compatibility.air_filter import Assumptions

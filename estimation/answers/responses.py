@@ -36,12 +36,30 @@ def frequency(
     category: str = "B",
     aircraft: "AnyAircraft" = None,
 ) -> "Response":
-    """Response of column `output` to column `input` over one flight or several.
+    """Response of one column to another over one flight or several.
 
-    `with_`: other inputs whose share is taken off, by default all other surfaces that moved, () for none. fit: also a transfer
-    function, of `form` where one is given (roll, dutch-roll, short-period, orders like 1/2). band: [Hz]. windows: lengths [s].
-    kind, category: class of a piloted aircraft and category of the flight phase, for levels. aircraft: whose mass decides
-    whether levels apply. Raises a UserError where the input did not move, a column is missing or the flights are too short.
+    Args:
+        flights: a Flight, a file, or a list of them; raw recordings are calibrated.
+        input: the column that was moved: delta_a, cmd_a.
+        output: the column that answers: p, r, beta, ay.
+        with_: other inputs whose share is taken off, by default all other surfaces that moved; () for none.
+        fit: also a transfer function.
+        form: of the fit: roll, dutch-roll, short-period, or orders like 1/2.
+        band: frequencies from, to [Hz].
+        points: number of frequencies.
+        windows: their lengths [s].
+        segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
+        kind: class of a piloted aircraft for levels: I to IV.
+        category: of the flight phase for levels: A, B or C.
+        aircraft: whose mass decides whether levels apply.
+
+    Raises:
+        UserError: the input did not move, a column is missing or the flights are too short.
+
+    Example::
+
+        answer = ss.frequency("sweep.mcap", "delta_a", "p", fit=True)
+        print(answer.summary())
     """
     from estimation.frequency.answer import frequency_answer
     from estimation.frequency.forms import form_for

@@ -30,10 +30,24 @@ def watch(
     hours: float = 2.5,
     seed: int = 1,
 ) -> "Watching":
-    """When a linear model (of rolling and yawing, pitching, or both) stopped describing the aircraft, as it would have been said.
+    """When a linear model of rolling and yawing, of pitching, or of both stopped describing the aircraft.
 
-    rate: false alarms allowed in an hour of manoeuvring; hours: of simulated manoeuvring that thresholds come from. Raises a
-    UserError for another model, a missing column, or less than ten seconds of manoeuvring.
+    Args:
+        flight: a Flight or a file.
+        model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
+        aircraft: a built-in name or a file; by default what the flights carry.
+        segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
+        rate: false alarms allowed in an hour of manoeuvring.
+        hours: of simulated manoeuvring that thresholds come from.
+        seed: of every random draw.
+
+    Raises:
+        UserError: another model, a missing column, or less than ten seconds of manoeuvring.
+
+    Example::
+
+        answer = ss.watch("flight.mcap", "ld4.toml")
+        print(answer.passed)
     """
     from estimation.resolve import resolve
     from estimation.watch import answer, over_file

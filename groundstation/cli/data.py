@@ -93,6 +93,7 @@ OUTPUT_HELP = "Flight to write: .mcap, .csv or .parquet."
 _OUTPUT = click.option(
     "-o",
     "--output",
+    "--out",
     type=click.Path(path_type=Path),
     required=True,
     callback=tried_file,
@@ -150,6 +151,7 @@ def calibrate(
 @click.option(
     "-o",
     "--output",
+    "--out",
     type=click.Path(path_type=Path),
     required=True,
     callback=tried_folder,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @click.command("import")
 @click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="DATA...")
-@click.option("-o", "--output", type=click.Path(path_type=Path), callback=tried_file, help=OUTPUT_HELP)
+@click.option("-o", "--output", "--out", type=click.Path(path_type=Path), callback=tried_file, help=OUTPUT_HELP)
 @click.option(
     "--map",
     "mapping",

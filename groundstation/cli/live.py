@@ -47,7 +47,9 @@ Say = Callable[[str], None]
 )
 @click.option("--estimate", "with_estimate", is_flag=True, help="Estimate parameters from the finished flight.")
 @click.option(
+    "-o",
     "--out",
+    "--output",
     type=click.Path(path_type=Path),
     callback=tried_folder,
     help="Folder of this session, instead of the configured.",

@@ -57,7 +57,9 @@ class SessionViews:
                 self._windows.append(page)
                 self._say(f"{name}: {page.url}")
                 if self._config.layout == "full" and len(self._pages) == 1:
-                    self._say('if the browser lags: --layout light, or layout = "light" under [view]')
+                    self._say(
+                        "if the browser lags: --layout light, on a phone: --layout phone (or layout under [view])"
+                    )
             else:
                 self._windows.append(NativeWindow(view.url))
         except (ViewerError, OSError) as error:

@@ -16,7 +16,7 @@ def aircraft() -> None:
 
 @aircraft.command(epilog="Example: sideslip aircraft new glider -o aircraft/glider.toml")
 @click.argument("name")
-@path_option("-o", "--output", text="File to write [default: NAME.toml].")
+@path_option("-o", "--output", "--out", text="File to write [default: NAME.toml].")
 def new(name: str, output: Path | None) -> None:
     """Write a commented file for aircraft NAME, every key explained; asks nothing, replaces nothing."""
     from sideslip.aircraft_files import new_aircraft

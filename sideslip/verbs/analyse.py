@@ -17,7 +17,9 @@ _PATH = click.Path(path_type=Path)
 @path_option("--map", "mapping", text="Mapping file, as of 'sideslip import'.")
 @path_option("--holdout", text="A log used in no fit; may be repeated.", multiple=True, metavar="LOG")
 @json_option()
-@path_option("-o", "--output", text="Folder for index.html, answer.json and stages.", tried=tried_folder, required=True)
+@path_option(
+    "-o", "--output", "--out", text="Folder for index.html, answer.json and stages.", tried=tried_folder, required=True
+)
 def analyse(
     logs: tuple[Path, ...],
     aircraft: str | None,

@@ -18,7 +18,7 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
     epilog="Example: sideslip campaign 'flights/*.mcap' --aircraft cdfp --method ml,ls --out campaign --workers 2"
 )
 @click.argument("flights", nargs=-1, required=True, metavar="PLAN.toml|FLIGHT...")
-@path_option("--out", text="Folder of the data set.", tried=tried_folder, required=True)
+@path_option("-o", "--out", "--output", text="Folder of the data set.", tried=tried_folder, required=True)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes on this machine  [default: one a processor].")
 @click.option(
     "--scheduler", default="", metavar="ADDRESS", help="A dask scheduler that runs already, like tcp://host:8786."

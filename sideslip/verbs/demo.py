@@ -27,7 +27,15 @@ DEMO_RADIO = {"drop": 0.05}
 
 
 @click.command(epilog="Example: sideslip demo --out demo")
-@click.option("--out", type=click.Path(path_type=Path), callback=tried_folder, default=Path("demo"), show_default=True)
+@click.option(
+    "-o",
+    "--out",
+    "--output",
+    type=click.Path(path_type=Path),
+    callback=tried_folder,
+    default=Path("demo"),
+    show_default=True,
+)
 def demo(out: Path) -> int:
     """Fly, record, downlink, calibrate, check, estimate, match, and close a gap: the whole chain on a simulated aircraft."""
     import shutil

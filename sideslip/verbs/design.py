@@ -38,7 +38,7 @@ EXAMPLE = "Example: sideslip design --model lateral --aircraft cdfp --kind multi
 @click.option("--rate", "rate_hz", default=20.0, show_default=True, help="Samples a second of the recording [Hz].")
 @flag_option("--pilot-holds", "held", text="A pilot holds bank and pitch gently meanwhile.")
 @seed_option("Of the search for phases.")
-@path_option("-o", "--output", text="Manoeuvre file to write (.toml).", tried=tried_model, required=True)
+@path_option("-o", "--output", "--out", text="Manoeuvre file to write (.toml).", tried=tried_model, required=True)
 @json_option("Write everything as JSON.")
 @figure_option("Draw inputs, spectra, motion, bounds.")
 @report_option("Write an HTML page.")

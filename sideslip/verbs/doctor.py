@@ -4,7 +4,8 @@ import os
 import platform
 import shutil
 import sys
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,7 @@ def examined() -> dict[str, Any]:
         ours = version("sideslip")
     except PackageNotFoundError:
         ours = "unknown (run from a bare tree)"
+    distributions = packages_distributions()
     affinity = getattr(os, "sched_getaffinity", None)  # Linux alone has it
     return {
         "sideslip": ours,
@@ -58,7 +60,7 @@ def examined() -> dict[str, Any]:
         "cores": len(affinity(0)) if affinity else os.cpu_count() or 1,
         "free_gb": shutil.disk_usage(Path.cwd()).free / 1e9,
         "compiler": shutil.which("gcc") or shutil.which("cc") or "",
-        "versions": {m: v for modules in EXTRAS.values() for m in modules if (v := _version_of(m))},
+        "versions": {m: v for modules in EXTRAS.values() for m in modules if (v := _version_of(m, distributions))},
         "extras": {extra: [m for m in modules if not installed([m])] for extra, modules in EXTRAS.items()},
         "ports": [
             {
@@ -71,9 +73,9 @@ def examined() -> dict[str, Any]:
     }
 
 
-def _version_of(module: str) -> str:
-    """Of the package that a module is from, where both have one name; else ""."""
-    for name in (module, module.replace("_", "-")):
+def _version_of(module: str, distributions: Mapping[str, list[str]]) -> str:
+    """Of the package that a module is from (rerun is from rerun-sdk); else ""."""
+    for name in (*distributions.get(module, ()), module, module.replace("_", "-")):
         try:
             return version(name)
         except PackageNotFoundError:

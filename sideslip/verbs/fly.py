@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: sideslip fly nominal --out flights/first --seed 7")
 @click.argument("scenario", required=False)
-@path_option("--out", text="Folder for the flight [default: flights/SCENARIO].", tried=tried_folder)
+@path_option("-o", "--out", "--output", text="Folder for the flight [default: flights/SCENARIO].", tried=tried_folder)
 @click.option("--speed", default="max", show_default=True, help="Simulated seconds a second, or max.")
 @seed_option("Of everything random [default: the scenario's].", None)
 @flag_option("--live", text="Show the flight live in the browser; implies --speed 1 unless given.")

@@ -13,7 +13,9 @@ EXAMPLE = "Example: sideslip reconstruct log.mcap -o flight.mcap && sideslip est
 
 @click.command(epilog=EXAMPLE)
 @click.argument("flight", type=click.Path(path_type=Path))
-@path_option("-o", "--output", text="Flight to write: .mcap, .csv or .parquet.", tried=tried_file, required=True)
+@path_option(
+    "-o", "--output", "--out", text="Flight to write: .mcap, .csv or .parquet.", tried=tried_file, required=True
+)
 @json_option("Write wind and uncertainties as JSON.")
 @report_option("Write an HTML page.")
 @click.option(

@@ -1,8 +1,11 @@
 """The Python API: five lines give a table and a figure, with the numbers of the verbs."""
 
+import ast
+import inspect
 import json
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,10 +14,12 @@ import pytest
 
 import sideslip as ss
 from daq.utilities.errors import UserError
+from sideslip import api
 from sideslip.api import Estimates
 from tests.support.paths import RECORDINGS
 
 LD4 = RECORDINGS / "cdfp_ld4.mcap"
+RECORDS = ("bench", "calibrate", "info", "recover", "verify")
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +43,17 @@ def test_a_mistyped_function_or_argument_is_answered_with_the_one_meant() -> Non
         ss.estimate([], metod="ml")  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="it takes path"):
         ss.open("a.mcap", zzz=1)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("name", [n for n in ss.__all__ if n in {*api.__all__, *RECORDS}])
+def test_help_of_a_function_has_each_argument_and_an_example(name: str) -> None:
+    function = getattr(ss, name)
+    text = inspect.getdoc(function) or ""
+    for argument in inspect.signature(function).parameters:
+        assert f"\n    {argument}: " in text, argument
+    example = textwrap.dedent(text.split("Example::\n")[1])
+    ast.parse(example)
+    assert f"ss.{name}(" in example
 
 
 def test_raw_recordings_are_calibrated_when_opened() -> None:

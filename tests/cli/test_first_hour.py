@@ -55,6 +55,7 @@ def test_doctor_names_every_extra_and_what_it_lacks(
     assert status == 0
     assert "lacks torch; pip install 'sideslip[ngn]'" in out
     assert re.search(r"estimation +installed: casadi \d", out)
+    assert re.search(r"ground +installed: .*rerun \d", out)
     facts = json.loads((tmp_path / "d.json").read_text())
     assert facts["extras"]["ngn"] == ["torch"]
     assert facts["extras"]["estimation"] == []
@@ -99,6 +100,16 @@ def test_after_a_flight_the_next_step_names_where_it_went(tmp_path: Path, monkey
     assert next_line(["fly", "quiet", "--port", "udp:h:1", "--out", "f"], failed=False).endswith(
         "f/onboard -o flight.mcap"
     )
+
+
+def test_after_the_gap_workflow_the_model_found_is_named(tmp_path: Path) -> None:
+    words = ["gap", "a.mcap", "--report", str(tmp_path)]
+    assert next_line(words, failed=False) == f"open {tmp_path}/index.html: its first screen says what to fly"
+    (tmp_path / "models").mkdir()
+    for name in ("lateral", "lateral+Cn_da"):
+        (tmp_path / "models" / f"{name}.toml").touch()
+    assert next_line(words, failed=False).startswith(f"sideslip match {tmp_path}/models/lateral+Cn_da.toml FLIGHT")
+    assert "--report" in next_line(["gap", "a.mcap"], failed=False)
 
 
 def test_every_verb_says_what_to_do_next_and_quiet_does_not(capsys: pytest.CaptureFixture[str]) -> None:

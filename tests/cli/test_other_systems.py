@@ -67,18 +67,48 @@ def test_the_program_starts_where_python_keeps_compiled_modules(
     assert any((tmp_path / "compiled").rglob("cli.*.pyc"))
 
 
-def test_logs_are_imported_and_estimated(tmp_path: Path) -> None:
+RAW, OTHER = RECORDINGS / "cdfp_ld4_raw.mcap", RECORDINGS / "cdfp_ld3.mcap"
+VERBS = (
+    ("import", "log.mat", "-o", "own.mcap"),
+    ("info", RAW),
+    ("verify", RAW),
+    ("recover", RAW, "-o", "recovered.mcap"),
+    ("calibrate", RAW, "-o", "ld4.mcap"),
+    ("view", "ld4.mcap", "--view", "none", "--rrd", "view.rrd"),
+    ("check", "ld4.mcap", "--factors", "dax,day", "--write", "right"),
+    ("estimate", "ld4.mcap", "--method", "ls", "--json", "e.json", "--report", "report", "--save-model", "m.toml"),
+    ("match", "m.toml", OTHER, "--free", "CY_0,Cl_0,Cn_0", "--limit", "2"),
+    ("frequency", "ld4.mcap", "--input", "delta_a", "--output", "p"),
+    ("performance", "ld4.mcap", "--aircraft", "cdfp"),
+    ("aircraft", "new", "glider"),
+    ("aircraft", "check", "cdfp"),
+    ("export", "ld4.mcap", "-o", "ld4.csv"),
+    ("export", "e.json", "-o", "e.tex"),
+    ("campaign", "ld4.mcap", "--out", "c", "--method", "ls", "--serial", "--check", "none", "--no-report"),
+    ("completion", "bash"),
+    ("doctor",),
+)
+IN_A_ROW = """
+import sideslip
+for words in {}:
+    try:
+        sideslip.main(["--quiet", *words])
+    except SystemExit as ended:
+        assert not ended.code, words
+"""
+
+
+def test_the_verbs_of_ground_and_analysis(tmp_path: Path) -> None:
+    """In one process, which starts once. Not here, being long: gap, watch, design, reconstruct, analyse."""
     time = np.arange(0, 10, 0.05)
     savemat(tmp_path / "log.mat", {"time": time, "p": np.sin(time), "V": 15 + 0 * time})
-    for words in (
-        ("import", "log.mat", "-o", "own.mcap"),
-        ("calibrate", RECORDINGS / "cdfp_ld4_raw.mcap", "-o", "ld4.mcap"),
-        ("estimate", "ld4.mcap", "--method", "ls", "--json", "e.json", "--report", "report"),
-        ("export", "ld4.mcap", "-o", "ld4.csv"),
-        ("doctor",),
-    ):
-        done = run(tmp_path, *words)
-        assert done.returncode == 0, (words, done.stderr)
+    run(tmp_path, "--version")
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path / 'site'}{os.pathsep}{ROOT}", "SIDESLIP_TRACEBACK": "1"}
+    program = IN_A_ROW.format([[*map(str, words)] for words in VERBS])
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
     assert (tmp_path / "report" / "index.html").is_file()
 
 

@@ -216,10 +216,10 @@ def conclude(
         names = ", ".join(e.name for e in cannot[:NAMES]) + (
             f" and {len(cannot) - NAMES} more" if len(cannot) > NAMES else ""
         )
-        manoeuvres = list(dict.fromkeys(e.separate_by for e in cannot))[:MANOEUVRES]
-        parts.append(
-            f"These flights cannot tell anything about {names} at their usual size; fly {'; '.join(manoeuvres)}."
-        )
+        manoeuvres = list(dict.fromkeys(e.separate_by for e in cannot if e.separate_by))[:MANOEUVRES]
+        size = "its usual size" if len(cannot) == 1 else "their usual size"
+        fly = f"; fly {'; '.join(manoeuvres)}" if manoeuvres else ""
+        parts.append(f"These flights cannot tell anything about {names} at {size}{fly}.")
     if tied and verdict in (GapVerdict.NO_GAP, GapVerdict.CANNOT_TELL):
         hidden = "; ".join(f"{e.name} cannot be told from {', '.join(e.tied_to)}" for e in tied)
         if not any(

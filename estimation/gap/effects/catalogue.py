@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.utilities.input_files import read_toml
+from daq.utilities.plain_words import meant
 from estimation.errors import ModelError
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.errors import EffectError
@@ -127,12 +128,17 @@ def _from_toml(path: Path, may_lack_forms: bool = False) -> tuple[Effect, ...]:
         raise EffectError(f"effects {path}: write each effect as a table [[effect]]")
     try:
         return tuple(_effect(table, may_lack_forms) for table in tables)
-    except (TypeError, ValueError, KeyError, AttributeError, ModelError) as error:
+    except KeyError as error:
+        raise EffectError(f"effects {path}: the key {error} is missing in one of its tables") from error
+    except (TypeError, ValueError, AttributeError, ModelError) as error:
         raise EffectError(f"effects {path}: {error}") from error
 
 
 def _effect(table: Mapping[str, Any], may_lack_forms: bool) -> Effect:
     data = dict(table)
+    for key in ("name", "title"):
+        if key not in data:
+            raise EffectError(f"effect {data.get('name')!r}: the key {key!r} is missing{meant(key, data)}")
     forms = tuple(_form(f, data.get("name", "")) for f in data.pop("form", []))
     if not forms and not may_lack_forms:
         raise EffectError(f"effect {data.get('name')!r}: at least one [[effect.form]] is needed")

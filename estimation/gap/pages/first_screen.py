@@ -57,7 +57,9 @@ def next_steps(result: GapResult) -> list[str]:
         steps.append(f"Predict a flight that was not used: match {child} FLIGHT.")
     if result.verdict in (GapVerdict.NO_GAP, GapVerdict.CANNOT_TELL):
         manoeuvres = collected((c["separate_by"], c["effect"]) for c in result.details["cannot_tell"])
-        steps += [f"Fly {fly}: it would show {', '.join(names)}." for fly, names in manoeuvres.items()][:FLY_NEXT]
+        steps += [f"Fly {fly}: it would show {', '.join(names)}." for fly, names in manoeuvres.items() if fly][
+            :FLY_NEXT
+        ]
     if result.verdict is GapVerdict.NO_GAP:
         steps.append("Watch the next flights with this model: watch FLIGHT --model MODEL.toml.")
     if result.verdict is GapVerdict.UNKNOWN:

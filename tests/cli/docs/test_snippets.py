@@ -161,17 +161,17 @@ def test_python_of_the_hardware_page_runs(tmp_path: Path, monkeypatch: pytest.Mo
     assert list((tmp_path / "out" / "onboard").glob("*.mcap"))
 
 
-def test_completion_scripts_come_as_the_page_says(tmp_path: Path) -> None:
+def test_completion_scripts_come_as_the_page_says() -> None:
     text = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
-    shells = re.findall(r"_SIDESLIP_COMPLETE=(\w+) sideslip", text)
-    assert shells == ["bash_source", "zsh_source", "fish_source"]
-    for shell in shells:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "_SIDESLIP_COMPLETE": shell}
-        code = "from sideslip import main; main()"
+    shells = re.findall(r"`sideslip completion (\w+) >", text)
+    assert shells == ["bash", "fish"]
+    for shell in [*shells, "zsh"]:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        code = f"from sideslip import main; main(['completion', {shell!r}])"
         done = subprocess.run(
             [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
         )
-        assert "_SIDESLIP_COMPLETE" in done.stdout, done.stderr
+        assert f"_SIDESLIP_COMPLETE={shell}_complete" in done.stdout, done.stderr
 
 
 def test_what_the_page_shows_of_a_mistyped_verb_is_what_one_reads(capsys: pytest.CaptureFixture[str]) -> None:

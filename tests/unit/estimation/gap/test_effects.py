@@ -143,6 +143,8 @@ parameters = [{ name = "Cl_r2", unit = "1/rad2", typical = 0.5, lower = -5.0, up
         ("", "[[effect]]"),
         ('[[effect]]\nname="a"\ntitle="b"\n', "[[effect.form]]"),
         ("x = [", "not a TOML file"),
+        ('[[effect]]\nname="a"\ntitel="b"\n', "effect 'a': the key 'title' is missing; did you mean titel?"),
+        ('[[effect]]\nname="a"\ntitle="b"\n[[effect.form]]\n', "the key 'parameters' is missing"),
         (
             '[[effect]]\nname="a"\ntitle="b"\n' + "[[effect.form]]\nparameters=[]\n" * 2,
             "effect 'a': two forms are called 'a'; give each a label",
