@@ -43,7 +43,7 @@ class Gap:
     @property
     def share(self) -> str:
         """What is closed, as a reader sees it."""
-        return "-" if self.within_floor else f"{self.closed:.0%}"
+        return "-" if self.says_nothing else f"{self.closed:.0%}"
 
     @property
     def closed(self) -> float:

@@ -144,8 +144,10 @@ def outweighs(named: float, rest: float, share: float) -> bool:
 
 
 def closed_by(named: Sequence[Named]) -> float:
-    """Share of the gap that names close together: on the held-out flights where there are any, else on the training flights."""
+    """Share of the gap that names close together: on the held-out flights where these showed it, else on the training flights."""
     first, last = named[0], named[-1]
+    training = replace(first.gap, after=last.gap.after, floor=last.gap.floor)
     if first.held is None or last.held is None:
-        return Gap(first.gap.before, last.gap.after, last.gap.floor).closed
-    return Gap(first.held.before, last.held.after, last.held.floor).closed
+        return training.closed
+    held = replace(first.held, after=last.held.after, floor=last.held.floor)
+    return training.closed if held.says_nothing else held.closed

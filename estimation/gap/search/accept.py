@@ -72,11 +72,13 @@ def confirmed(
         words = ", ".join(f"{n} = {value:.3g} +- {bound:.2g}" for n, (value, bound) in estimates.items())
         return None, f"{words} cannot be told from no effect"
     holdout_gain = held_gain(round_.baseline, child)
+    held_support = None if holdout_gain is None else holdout_gain / own_inflation(candidate)
     sure = min(candidate.score, float(round_.standardised()[number]))
     spare = math.inf if strong or timing else to_spare(sure, round_.threshold)
-    if not holds_on_holdout(None if holdout_gain is None else holdout_gain / own_inflation(candidate), spare, criteria):
+    if not holds_on_holdout(held_support, spare, criteria):
         return None, "does not hold on the held-out flights"
-    held = None if timing or (strong and (holdout_gain or 0.0) > 0.0) else held_out_gaps(round_.baseline, child)
+    supported = held_support is not None and held_support > (0.0 if strong else criteria.held_slack)
+    held = None if timing or supported else held_out_gaps(round_.baseline, child)
     if not closes_held_out(held):
         return None, "closes nothing of the gap on the held-out flights"
     return child, ""
@@ -154,8 +156,8 @@ def holds_on_holdout(held: float | None, spare: float, criteria: Criteria) -> bo
 def closes_held_out(gaps: tuple[float, float] | None) -> bool:
     """Whether the plain gap on the held-out flights, before and after an effect, is smaller with it.
 
-    None: not asked, of an effect that the base followed by its surfaces, or a strong one that gains there by the likelihood, or
-    without held-out flights.
+    None: not asked, of an effect that the base followed by its surfaces, or one that gains there by the likelihood (one that is
+    not strong more than chance gives: a small one hardly moves the plain gap), or without held-out flights.
     """
     return gaps is None or gaps[1] < gaps[0]
 

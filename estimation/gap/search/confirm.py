@@ -241,9 +241,10 @@ def price(distance: float, bound: float, width: float, tail: float) -> float:
 
 
 def impossible(p: EffectParameter, value: float, none: float) -> str:
-    """Why an estimate is none, or nothing: it ended at a limit of what is physically possible."""
+    """Why an estimate is none, or nothing: it ended at a limit of what is physically possible. The least lag that can be flown is
+    not one: a shorter one than that leaves nearly the same."""
     edge = AT_LIMIT * (p.upper - p.lower)
-    if p.lower + edge < value < p.upper - edge:
+    if (p.lower + edge < value or none < p.lower) and value < p.upper - edge:
         return ""
     if abs(value - none) < AT_NOTHING * p.typical:
         return f"{p.name} shrinks to nothing"

@@ -88,6 +88,8 @@ def asked(
         ({"held": -19.0, "score": 7.0}, "does not hold on the held-out flights"),
         ({"held": None, "gaps": None}, ""),
         ({"gaps": (1.455, 1.478)}, "closes nothing of the gap on the held-out flights"),
+        ({"gaps": (1.340, 1.341), "held": 37.0}, ""),  # inflated four times, still more than chance gives there
+        ({"gaps": (1.340, 1.341), "held": 35.0}, "closes nothing"),
         ({"gaps": (1.455, 1.478), "score": 7.0}, ""),  # strong, and gains there by the likelihood
         ({"gaps": (1.455, 1.478), "score": 7.0, "held": -1.0}, "closes nothing"),
         ({"gaps": (1.455, 1.478), "timing": True}, ""),

@@ -164,6 +164,13 @@ def test_an_estimate_at_a_physical_limit_is_none(value: float, why: str) -> None
     assert bool(assessed(value).why_not) is bool(why)
 
 
+def test_the_least_lag_that_can_be_flown_is_possible() -> None:
+    """A vane late by 17.5 ms gained most at the least lag of 15, which was called impossible: `time_skew` got its name."""
+    lag = EffectParameter("beta_lag", "s", 0.07, 0.015, 0.8)
+    assert impossible(lag, 0.015, 0.0) == ""
+    assert "outside" in impossible(lag, 0.8, 0.0)
+
+
 def test_an_estimate_at_a_limit_that_is_no_effect_has_shrunk_to_nothing() -> None:
     assert impossible(EffectParameter("x", "s", 2.0, 0.0, 10.0), 0.0, 0.0) == "x shrinks to nothing"
 

@@ -117,6 +117,16 @@ def test_names_close_together_what_lay_before_the_first_and_after_the_last() -> 
     assert closed_by(held) == pytest.approx(1.0 - 3.0 / 8.0)
 
 
+def test_held_out_flights_that_showed_nothing_do_not_decide() -> None:
+    """`thrust_scale` and `elevator_delay`, both right: a held-out gap of 1.40, up to 1.80 with nothing hidden: `gap_reduced`."""
+    name = named(closed=0.95)
+    for unseen in (Gap(1.40, 1.38, 1.30, highest=1.80, enough=0.7), Gap(1.20, 1.25, 1.30, highest=1.80, enough=0.7)):
+        assert verdict(replace(QUIET, named=(replace(name, held=unseen),))) is GapVerdict.GAP_CLOSED
+        assert unseen.share == "-"
+    seen = Gap(1.90, 1.80, 1.30, highest=1.80, enough=0.7)
+    assert verdict(replace(QUIET, named=(replace(name, held=seen),))) is GapVerdict.GAP_REDUCED
+
+
 # ------------------------------------------------------------------------------------------------ names beside a rest
 LOUD = replace(QUIET, rest=10.0, covered=False)
 
