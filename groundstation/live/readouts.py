@@ -68,7 +68,7 @@ class FreshValues:
 
 LEVELS = ("WARN", "ERROR", "CRITICAL")
 LARGE_BANNER = 45
-"""Letters that the pane of the banner holds as a heading on a page of 820 pixels; more are set as text, or are cut off."""
+"""Letters that the pane of the banner holds as a heading on a page of 820 pixels; more are set as text, or cut off."""
 
 
 def banner(in_force: Sequence[tuple[str, str, str]]) -> tuple[str, str]:

@@ -76,7 +76,7 @@ def of_second(o: argparse.Namespace, seed: int, rate: float, gust: float) -> Flo
         other = {} if adverse else hidden
         requests = [
             second_truth.Request(
-                9000 + 100 * seed + i, 14.5 + 4.5 * i / o.flights, adverse, gust * DEG, derivatives=other
+                9000 + 100 * seed + i, 14.5 + 4.5 * i / o.flights, adverse, gust * DEG, derivatives=other, centred=True
             )
             for i in range(o.flights)
         ]

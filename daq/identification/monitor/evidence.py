@@ -99,7 +99,9 @@ WINDOWS_S = (
 ENERGY_S = 5.0  # s over which a channel's energy is looked at
 SETTLED_S = 15.0  # s of watched flight before those, which tell what the energy usually is
 MEMORY_S = 20.0  # s over which innovations tell what they are in this air: few changes stay unnoticed for as long
-LAGS = 1  # scans before one that tell of it: learning two takes longer, with twice the false alarms at 10 Hz in strong gusts
+BEFORE_S = (
+    0.05  # s before a scan that tell of it, by their mean: at 20 Hz and less the scan before; two take longer to learn
+)
 AIR_AS_IF = 40.0  # scans of simulated air that those of this flight are added to
 TELLING = 0.2  # share of the evidence from which a channel is named
 TINY = 1e-12
@@ -136,17 +138,19 @@ class InnovationsOfAir:
     changes of yawing derivatives; in calm air less would be seen than could be."""
 
     def __init__(self, channels: int, effects: int, flights: int) -> None:
-        size = channels * (LAGS + 1)
-        self._channels, self._scans = channels, np.zeros((flights, 1, 1))
+        size = 2 * channels  # those before, and the last
+        self._channels, self._scans, self._time = channels, np.zeros((flights, 1, 1)), -math.inf
         self._products = np.zeros((flights, size, size))
         self._shape = np.broadcast_to(np.eye(size)[-channels:], (flights, channels, size))
         self._innovations, self._signatures = np.zeros((flights, size, 1)), np.zeros((flights, size, effects))
 
-    def add(self, white: Array, signatures: Array) -> tuple[Array, Array]:
+    def add(self, time: float, white: Array, signatures: Array) -> tuple[Array, Array]:
         """Both anew, as they are given. Nothing is learnt of a blind scan."""
-        older = slice(self._channels, None)
-        self._innovations = np.concatenate([self._innovations[:, older], white.T[:, :, None]], axis=1)
-        self._signatures = np.concatenate([self._signatures[:, older], signatures.transpose(2, 0, 1)], axis=1)
+        older, last = slice(None, self._channels), slice(self._channels, None)
+        latest, self._time = min(1.0, (time - self._time) / BEFORE_S), time  # part of the last scan in those before
+        for past, now in ((self._innovations, white.T[:, :, None]), (self._signatures, signatures.transpose(2, 0, 1))):
+            past[:, older] += latest * (past[:, last] - past[:, older])
+            past[:, last] = now
         seen = np.any(white, axis=0)[:, None, None]
         self._products += seen * self._innovations * self._innovations.transpose(0, 2, 1)
         self._scans += seen
@@ -179,7 +183,7 @@ class MonitorEvidence:
         energy = (white**2).T
         if self._air is None:
             self._air = InnovationsOfAir(*signatures.shape)
-        white, signatures = self._air.add(white, signatures)
+        white, signatures = self._air.add(time, white, signatures)
         shares = white[:, None, :] * signatures
         b = shares.sum(axis=0).T
         C = np.einsum("cef,cgf->feg", signatures, signatures)

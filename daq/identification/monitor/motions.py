@@ -80,22 +80,27 @@ class MotionOfPlane(ABC, Generic[Measured]):
         """What of the rates does not hang on the state; fields of u: (..., 1 or models, flights)."""
 
     @abstractmethod
-    def rates(self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0) -> Array:
-        """(states, models, flights) of the state's rates. gust: angle of the vane that the air adds [rad]."""
+    def rates(
+        self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0, rolling: Array | float = 0.0
+    ) -> Array:
+        """(states, models, flights) of the state's rates. gust: angle of the vane that the air adds [rad]; rolling: rate at which
+        the air itself rolls [rad/s]."""
 
     @abstractmethod
     def forces(self, x: Array, u: Measured, gust: Array | float = 0.0) -> Array:
         """(forces, models, flights) specific forces [m/s2]."""
 
-    def advance(self, x: Array, u: Measured, dt: float, gust: Array | float = 0.0) -> Array:
+    def advance(
+        self, x: Array, u: Measured, dt: float, gust: Array | float = 0.0, rolling: Array | float = 0.0
+    ) -> Array:
         """The state `dt` seconds later: classical Runge-Kutta. u: at the `instants` of the interval, along the first axis."""
         conditions = list(zip(*self.conditions(u), strict=True))
         h = dt / (len(conditions) // 2)
         for c0, c1, c2 in zip(conditions[:-2:2], conditions[1:-1:2], conditions[2::2], strict=True):
-            k1 = self.rates(x, c0, gust)
-            k2 = self.rates(x + 0.5 * h * k1, c1, gust)
-            k3 = self.rates(x + 0.5 * h * k2, c1, gust)
-            k4 = self.rates(x + h * k3, c2, gust)
+            k1 = self.rates(x, c0, gust, rolling)
+            k2 = self.rates(x + 0.5 * h * k1, c1, gust, rolling)
+            k3 = self.rates(x + 0.5 * h * k2, c1, gust, rolling)
+            k4 = self.rates(x + h * k3, c2, gust, rolling)
             x = x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
         return x
 
@@ -146,11 +151,13 @@ class LateralMotion(MotionOfPlane[Inputs]):
         CY = CY + d["CY_dr"] * u.delta_r + d["CY_da"] * u.delta_a
         return np.asarray(0.5 * u.rho * u.V**2 * self._a.area / (self._a.mass * u.mass_ratio) * CY)[None]
 
-    def rates(self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0) -> Array:
+    def rates(
+        self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0, rolling: Array | float = 0.0
+    ) -> Array:
         fixed, by_beta, by_p, by_r, gravity, tan_theta, q = conditions
         beta, p, r, phi = x
         sin = np.sin(phi)
-        accelerations = fixed + by_beta * (beta + gust) + by_p * p + by_r * r
+        accelerations = fixed + by_beta * (beta + gust) + by_p * (p - rolling) + by_r * r
         rates = np.empty((4, *accelerations.shape[1:]))
         rates[:3] = accelerations
         rates[0] += gravity * sin
@@ -196,7 +203,9 @@ class PitchMotion(MotionOfPlane[ElevatorInputs]):
         ax, az = (q_s * (CL * sin - CD * cos) + u.thrust) / mass, q_s * (-CL * cos - CD * sin) / mass
         return np.stack(np.broadcast_arrays(ax, az))
 
-    def rates(self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0) -> Array:
+    def rates(
+        self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0, rolling: Array | float = 0.0
+    ) -> Array:
         """Across the flow lift alone acts beside thrust and weight: drag has no part in alpha's rate."""
         lift, lift_alpha, lift_q, moment, moment_alpha, moment_q, upright, sideways, forward, weight, cos_phi, turn = (
             conditions

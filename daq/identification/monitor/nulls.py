@@ -36,6 +36,9 @@ HOLD_PITCH, HOLD_RATE = 0.25, 0.05
 """rad of elevator per rad of attitude and per rad/s of pitching: a pilot holds his attitude."""
 DENSITY = 1.2  # kg/m3
 GUST_TIME = 1.0  # s, correlation time of gusts: some 17 m
+UPWARD, UPWARD_LENGTH, ROLLING = 0.7, 30.0, 1.9
+"""Gusts upwards as a share of those from the side, and their length [m], near the ground; rolling gusts are that many times them
+over the root of length and span, and last 4 / pi spans (MIL-F-8785C). Without them rolling gusts looked like `Cl_r`."""
 NO_LAG = 0.035  # s, servo where the aircraft states none
 
 
@@ -104,7 +107,9 @@ def fly(
     lag = NO_LAG if airframe.servo_lag is None else airframe.servo_lag
     fade, gust_fade = math.exp(-step / lag), math.exp(-step / GUST_TIME)
     pilot = _Leveller(speed) if plane.name == LATERAL_PLANE.name else _PitchHolder(airframe, truth, speed)
-    x, surfaces, gust = pilot.state, pilot.surfaces, np.zeros(flights)
+    rolling_gusts = ROLLING * UPWARD * gusts * speed / math.sqrt(UPWARD_LENGTH * airframe.span)
+    rolling_fade = np.exp(-step * math.pi * speed / (4.0 * airframe.span))
+    x, surfaces, gust, rolling = pilot.state, pilot.surfaces, np.zeros(flights), np.zeros(flights)
     arrives = _seen(conditions, rng, round(seconds / conditions.grid))
     scans: list[FlightsScan] = []
     motion, parts = motion_of(plane, airframe, truth), instants(step)
@@ -119,9 +124,11 @@ def fly(
         command = pilot.command(commands[k], x)
         next_surfaces = command + (surfaces - command) * fade
         driven = between(inputs, pilot.inputs(x, next_surfaces), parts)  # type: ignore[type-var]  # of the same plane
-        x = motion.advance(x, driven, step, gust)  # type: ignore[arg-type]
+        x = motion.advance(x, driven, step, gust, rolling)  # type: ignore[arg-type]
         surfaces = next_surfaces
         gust = gust * gust_fade + gusts * math.sqrt(1.0 - gust_fade**2) * rng.standard_normal(flights)
+        stirred = rolling_gusts * np.sqrt(1.0 - rolling_fade**2) * rng.standard_normal(flights)
+        rolling = rolling * rolling_fade + stirred
     return scans
 
 

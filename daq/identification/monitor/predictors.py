@@ -20,7 +20,10 @@ from daq.identification.monitor.motions import AnyInputs, between, instants, mot
 from daq.identification.monitor.surfaces import BLIND, Kinds, SurfaceBetween, SurfacesBetween, kind_of
 
 Array = NDArray[np.float64]
-GAIN = 0.3  # of the states towards what is measured; more forgets what an effect has done
+GAIN, GAIN_S = (
+    0.3,
+    0.05,
+)  # of the states towards what is measured, a scan of so long or more; more forgets what an effect has done
 SLOWEST_LAG = 1e-3  # s; a vane's lag is at least that, for an exponential's sake
 
 
@@ -106,8 +109,9 @@ class PredictorBank:
         forces = self._motion.forces(x, type(u)(*(a[-1] for a in u)))  # type: ignore[arg-type]
         predicted = np.concatenate([(vane + self._vane_bias)[None], x[1:], forces])
         innovations = scan_now.measured[:, None, :] - predicted
-        self._vane = vane + GAIN * innovations[0]
-        self._x = x + GAIN * innovations[: len(x)]
+        gain = 1.0 - (1.0 - GAIN) ** min(1.0, dt / GAIN_S)  # as much in the same time where scans are faster
+        self._vane = vane + gain * innovations[0]
+        self._x = x + gain * innovations[: len(x)]
         kind = kind_of(dt, surfaces, surfaces_before)
         self._restart_where(kind == BLIND, scan_now)
         kind = np.where(self._blind > 0, BLIND, kind)

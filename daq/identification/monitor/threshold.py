@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,16 +69,10 @@ def calibrated(
         fly(airframe, values, effects, conditions, rng, AT_ONCE, FLIGHT_S, plane=plane) for _ in range(batches)
     ]
     whitening = fitted(_innovations(PredictorBank(airframe, values, (), plane), scans) for scans in batches_of_scans)
-    z, energy = (
-        np.concatenate(v, axis=1)
-        for v in zip(
-            *(
-                _histories(PredictorBank(airframe, values, effects, plane), effects, whitening, scans)
-                for scans in batches_of_scans
-            ),
-            strict=True,
-        )
-    )
+    bank = partial(PredictorBank, airframe, values, effects, plane)
+    histories = [_histories(bank(), effects, whitening, scans) for scans in batches_of_scans]
+    times = min(len(z) for z, _ in histories)  # scans that a link loses are others in each batch
+    z, energy = (np.concatenate([h[k][:times] for h in histories], axis=1) for k in (0, 1))
     effect_scale, energy_scale = _usual(z), _usual(energy)
     seconds = FLIGHT_S - BEGIN_S
     effect_threshold = exceeded(np.abs(effect_scale.of(z)).max(axis=(0, 2, 3)), seconds, rate * (1.0 - ENERGY_SHARE))

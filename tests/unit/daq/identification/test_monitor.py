@@ -272,7 +272,7 @@ def test_innovations_of_stronger_gusts_are_white_as_well() -> None:
         last_gust = this_gust
         if k % 7 == 0:
             white[:, 1] = 0.0  # nothing is learnt of a blind scan
-        found.append(air.add(white, np.zeros((5, 1, 2)))[0])
+        found.append(air.add(0.05 * k, white, np.zeros((5, 1, 2)))[0])
         if k % 10 == 9:
             air.renew()
     last = np.array(found[300:])
@@ -281,6 +281,49 @@ def test_innovations_of_stronger_gusts_are_white_as_well() -> None:
         assert np.linalg.eigvalsh(seen.T @ seen / len(seen))[-1] < 1.5  # of 16 and more without
         together = last[1:, :, flight].T @ last[:-1, :, flight] / len(last)
         assert np.abs(together).max() < 0.25  # of 0.8 and more, were each scan made white alone
+
+
+def test_of_fast_scans_those_of_the_last_twentieth_of_a_second_tell() -> None:
+    """At 100 Hz one scan before is mostly noise of its own; a slow error shows in the mean of several."""
+    rng = np.random.default_rng(8)
+    left = {}
+    for dt in (0.05, 0.01):
+        air, slow, found = InnovationsOfAir(1, 1, 1), 0.0, []
+        for k in range(round(60.0 / dt)):
+            slow += (rng.standard_normal() * 1.5 - slow) * dt / 0.2
+            white = np.array([[slow + rng.standard_normal()]])
+            found.append(float(air.add(dt * k, white, np.zeros((1, 1, 1)))[0][0, 0]))
+            if k % round(0.5 / dt) == 0:
+                air.renew()
+        w = np.array(found[len(found) // 2 :])
+        left[dt] = float(np.mean(w[1:] * w[:-1]) / np.mean(w**2))
+    assert abs(left[0.05]) < 0.1
+    assert abs(left[0.01]) < 0.1
+
+
+def test_the_air_of_simulated_flights_rolls(airframe: Airframe, values: dict[str, float]) -> None:
+    """By MIL-F-8785C: 1.9 times the vertical gust over the root of its length and the span; the roll rate follows it."""
+    gust, flights = math.radians(1.5), 40
+    damped = {"Cl_p": values["Cl_p"]}  # so that sideslip does not roll it
+    quiet, effects = NullConditions(gust=gust, gust_spread=(1.0, 1.0), p=0.0), bank(damped, {})
+    scans = fly(airframe, damped, effects, quiet, np.random.default_rng(9), flights, 8.0)
+    still = fly(airframe, damped, effects, replace(quiet, gust=0.0), np.random.default_rng(9), flights, 8.0)
+    rolled = np.array([a.measured[1] - b.measured[1] for a, b in zip(scans, still, strict=True)])[40:]
+    sideways = math.sqrt(np.mean([(a.measured[0] - b.measured[0]) ** 2 for a, b in zip(scans, still, strict=True)]))
+    assert sideways > 0.5 * gust
+    rolling = 1.9 * 0.7 * gust * 16.5 / math.sqrt(30.0 * airframe.span)
+    assert 0.3 * rolling < float(np.sqrt(np.mean(rolled**2))) < 3.0 * rolling
+
+
+def test_thresholds_of_a_link_come_from_several_batches(
+    airframe: Airframe, values: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scans that are lost are others in each batch, so that one may have half a second less."""
+    monkeypatch.setattr(threshold, "AT_ONCE", 2)
+    monkeypatch.setattr(threshold, "FLIGHT_S", 30.0)
+    effects, link = bank(values, {})[:3], NullConditions(rate=11.5, loss=0.3)
+    found = calibrated(airframe, values, effects, link, rng=np.random.default_rng(3), hours=6 * 2 * 30.0 / 3600.0)
+    assert found.hours == pytest.approx(12 * 27.0 / 3600.0)
 
 
 def _explained(w: Array, g: Array, prior: Array) -> float:
