@@ -37,8 +37,10 @@ MOST = 150  # changes in one such part, the largest: smaller ones move nothing
 FEWEST = 3  # changes that have a time in common
 SEEN = 2.0  # noises of the rate that a change makes, by one standard deviation of its time, to be asked about
 PASSES = 6  # of Gauss and Newton: times change by less than a tenth of a millisecond after five
-LATE = 0.1  # s, prior of the time by which all are late: servos and links
+LATE = 0.02  # s, prior of the time by which all are late, and the most of it: servos stated wrongly, links
+ENOUGH = 8  # changes that the gyros date, to say by how much all are late: five of a mode of 20 ms said 45 ms
 ALIKE = 0.002  # s, by which outputs of one message are late alike: their servos differ
+STEERING = "delta_e"  # holds pitch against the motion at all times, so that its own delay shows worst
 SERVOS = (0.0, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, lags that are tried where the log's map states none
 SURE = 2.0  # times the bound by white residuals: those of a windowed regression follow one another
 OFTENER = 1.9  # times as many readings of the gyro as commands, at least, for one to show what the other leaves out
@@ -183,8 +185,9 @@ def _dated(
         if asked.time.size:
             fits[name] = _fitted(time[rows], rows, columns, name, changes, asked, origins[name].held or 0.0)
     stated = [n for n, f in fits.items() if f.asked.lag.any()]
-    if len(stated) > 1:
-        surest = min(stated, key=lambda n: fits[n].late[1])
+    steady = [n for n in stated if n != STEERING and fits[n].tells_all]
+    if steady:
+        surest = min(steady, key=lambda n: fits[n].late[1])
         expected = (fits[surest].late[0], float(np.hypot(fits[surest].late[1], ALIKE)))
         for name in (n for n in stated if n != surest):
             held, changes = origins[name].held or 0.0, commanded[name]
@@ -223,10 +226,15 @@ class _Fit:
     std: Array
     seen: Array
 
+    @property
+    def tells_all(self) -> bool:
+        """Whether they are enough to say by how much all are late."""
+        return int(np.count_nonzero(self.seen)) >= ENOUGH
+
     def dated(self, interval: float, rows: slice) -> Dated | None:
         """Those that the gyros date twice as well as an even chance over the interval."""
         sure = np.asarray(self.seen, bool) & (self.std < 0.5 * EVEN * interval)
-        together = self.late[0] if self.asked.lag.any() and self.late[1] < EVEN * interval else 0.0
+        together = self.late[0] if self.asked.lag.any() and self.tells_all else 0.0
         return Dated(self.asked.some(sure), self.later[sure], self.std[sure], together, rows) if sure.any() else None
 
 
