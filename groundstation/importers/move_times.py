@@ -8,8 +8,8 @@ damping, or as an effect that is not there.
 The gyros say when: over windows of a second each rate is the integral of what drives it, linear in the other rates, side or
 normal acceleration and the surfaces, whatever their derivatives are. The time of each change is an unknown beside those, expected
 at the middle of its interval within what an even chance over it makes. So is a time by which all are late together (the
-autopilot's latency, a servo whose lag is stated wrongly): it is not taken out here, for an estimate has an unknown of its own for
-it and knows how uncertain it is.
+autopilot's latency, a servo whose lag is stated wrongly). That is taken out too where a servo's lag is stated, or flights would
+differ by the chance mean of their moves; an estimate has an unknown of its own for what is left of it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,10 @@ MOST = 150  # changes in one such part, the largest: smaller ones move nothing
 FEWEST = 3  # changes that have a time in common
 SEEN = 2.0  # noises of the rate that a change makes, by one standard deviation of its time, to be asked about
 PASSES = 6  # of Gauss and Newton: times change by less than a tenth of a millisecond after five
-LATE = 0.1  # s, prior of the time by which all are late: servos and links
+LATE = 0.02  # s, prior of the time by which all are late, and the most of it: servos stated wrongly, links
+ENOUGH = 8  # changes that the gyros date, to say by how much all are late: five of a mode of 20 ms said 45 ms
+ALIKE = 0.002  # s, by which outputs of one message are late alike: their servos differ
+STEERING = "delta_e"  # holds pitch against the motion at all times, so that its own delay shows worst
 SERVOS = (0.0, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, lags that are tried where the log's map states none
 SURE = 2.0  # times the bound by white residuals: those of a windowed regression follow one another
 OFTENER = 1.9  # times as many readings of the gyro as commands, at least, for one to show what the other leaves out
@@ -66,11 +69,25 @@ class Changes:
 
 @dataclass(frozen=True)
 class Dated:
-    """Changes of a command that the gyros date. later, std: (m,) s against where they stood, and the bound of that."""
+    """Changes of a command that the gyros date. later, std: (m,) s against where they stood, and the bound of that; all: [s]
+    by which all of the surface is later; rows: where."""
 
     changes: Changes
     later: Array
     std: Array
+    all: float
+    rows: slice
+
+    def placed(self, time: Array, values: Array, step: float) -> Array:
+        """(N,) the surface with its changes where they were."""
+        at = time[self.rows]
+        rest = values[self.rows] - self.changes.answers(at).sum(axis=1)
+        moved = np.interp(at - self.all, at, rest) + self.changes.answers(at - self.all, self.later, step=step).sum(
+            axis=1
+        )
+        result = values.copy()
+        result[self.rows] = moved
+        return result
 
 
 def with_moves_dated(
@@ -78,31 +95,25 @@ def with_moves_dated(
 ) -> tuple[dict[str, Array], dict[str, ColumnOrigin], list[str]]:
     """Columns (N,) on `time` with the surfaces that are commands moved to where the gyros date each of their changes; their
     origins, with how sure that is; and a note."""
-    moved, stated, words, step = dict(columns), dict(origins), list[str](), float(np.median(np.diff(time)))
-    for name, (rate, acceleration) in SHOWN_BY.items():
-        origin, needed = origins.get(name), (rate, acceleration)
-        if origin is None or not origin.held or origin.rate is None or not all(c in columns for c in (name, *needed)):
+    step = float(np.median(np.diff(time)))
+    commanded = {n: c for n in SHOWN_BY if (c := _commanded(n, series, origins, columns, step)) is not None}
+    parts = [_dated(time, rows, columns, commanded, origins) for rows in _parts(time, columns, tuple(commanded))]
+    moved, stated, words = dict(columns), dict(origins), list[str]()
+    for name in commanded:
+        found = [d for part in parts if (d := part.get(name)) is not None]
+        if not found:
             continue
-        shown = origins[rate].rate if rate in origins else None
-        changes = command_changes(series, origin) if (shown or 1.0 / step) * origin.held >= OFTENER else None
-        if changes is None:
-            continue
-        parts = [
-            d
-            for rows in _parts(time, columns, name, needed)
-            if (d := _dated(time, rows, columns, name, changes, origin.held))
-        ]
-        if not parts:
-            continue
-        values, count = moved[name].copy(), 0
-        for d in parts:
-            values += (d.changes.answers(time, d.later, step=step) - d.changes.answers(time)).sum(axis=1)
-            count += d.later.size
-        weights = np.concatenate([d.changes.size**2 for d in parts])
-        variance = np.concatenate([d.std**2 for d in parts])
+        values = moved[name].copy()
+        for d in found:
+            values = d.placed(time, values, step)
+        weights, variance = (
+            np.concatenate(a) for a in zip(*((d.changes.size**2, d.std**2) for d in found), strict=True)
+        )
         sure = float(np.sqrt(np.average(variance, weights=weights)))
-        moved[name], stated[name] = values, replace(origin, dated=sure)
-        words.append(f"{count} of {name} by {rate} (+- {1e3 * sure:.1f} ms)")
+        late = float(np.mean([d.all for d in found]))
+        moved[name], stated[name] = values, replace(origins[name], dated=sure, late=late)
+        shift = f", all {1e3 * abs(late):.0f} ms {'later' if late > 0 else 'earlier'}" if late else ""
+        words.append(f"{weights.size} of {name} by {SHOWN_BY[name][0]} (+- {1e3 * sure:.1f} ms{shift})")
     interval = max((o.held or 0.0 for n, o in stated.items() if n in SHOWN_BY), default=0.0)
     note = f"servo outputs come every {1e3 * interval:.0f} ms, and a change of one may be that old: the gyros date "
     return moved, stated, [f"{note}{', '.join(words)}"] if words else []
@@ -124,11 +135,31 @@ def command_changes(series: Mapping[str, TimeSeries], origin: ColumnOrigin) -> C
     return Changes(each[:, 0], np.where(np.abs(total) > ROUNDING, total, 0.0), each[:, 1])
 
 
-def _parts(time: Array, columns: Mapping[str, Array], name: str, needed: Sequence[str]) -> list[slice]:
-    """Stretches in which a surface and what shows it are measured, none longer than LONGEST."""
-    measured = np.isfinite(np.sum([columns[c] for c in {name, *needed, *RATES} if c in columns], axis=0))
-    parts = []
-    for a, b in true_runs(measured):
+def _commanded(
+    name: str,
+    series: Mapping[str, TimeSeries],
+    origins: Mapping[str, ColumnOrigin],
+    columns: Mapping[str, Array],
+    step: float,
+) -> Changes | None:
+    """The changes of a surface that is a recorded command and drives a gyro that was read oftener; None of any other."""
+    origin, (rate, acceleration) = origins.get(name), SHOWN_BY[name]
+    if (
+        origin is None
+        or not origin.held
+        or origin.rate is None
+        or not all(c in columns for c in (name, rate, acceleration))
+    ):
+        return None
+    shown = origins[rate].rate if rate in origins else None
+    return command_changes(series, origin) if (shown or 1.0 / step) * origin.held >= OFTENER else None
+
+
+def _parts(time: Array, columns: Mapping[str, Array], names: Sequence[str]) -> list[slice]:
+    """Stretches in which surfaces and what shows them are measured, none longer than LONGEST."""
+    needed = {*names, *(c for n in names for c in SHOWN_BY[n]), *(r for r in RATES if r in columns)}
+    parts: list[slice] = []
+    for a, b in true_runs(np.isfinite(np.sum([columns[c] for c in needed], axis=0))) if names else ():
         count = max(1, int(np.ceil((time[b - 1] - time[a]) / LONGEST)))
         edges = np.linspace(a, b, count + 1).round().astype(int)
         parts += [slice(i, j) for i, j in zip(edges[:-1], edges[1:], strict=True) if time[j - 1] - time[i] >= SHORTEST]
@@ -136,37 +167,75 @@ def _parts(time: Array, columns: Mapping[str, Array], name: str, needed: Sequenc
 
 
 def _dated(
-    time: Array, rows: slice, columns: Mapping[str, Array], name: str, changes: Changes, interval: float
-) -> Dated | None:
-    """The changes of a surface within some rows that the gyros date; None where they date none."""
-    at, rate = time[rows], SHOWN_BY[name][0]
-    inside = (changes.time > at[0]) & (changes.time < at[-1]) & (changes.size != 0.0)
-    largest = np.flatnonzero(inside)[np.argsort(-np.abs(changes.size[inside]))[:MOST]]
-    asked = changes.some(np.sort(largest))
-    if not asked.time.size:
-        return None
+    time: Array,
+    rows: slice,
+    columns: Mapping[str, Array],
+    commanded: Mapping[str, Changes],
+    origins: Mapping[str, ColumnOrigin],
+) -> dict[str, Dated | None]:
+    """The changes of surfaces within some rows that the gyros date.
+
+    Outputs of one message are late alike: a rudder that rests between its pulses does not show by how much, an aileron that
+    steers does.
+    """
+    fits: dict[str, _Fit] = {}
+    for name, changes in commanded.items():
+        inside = (changes.time > time[rows][0]) & (changes.time < time[rows][-1]) & (changes.size != 0.0)
+        asked = changes.some(np.sort(np.flatnonzero(inside)[np.argsort(-np.abs(changes.size[inside]))[:MOST]]))
+        if asked.time.size:
+            fits[name] = _fitted(time[rows], rows, columns, name, changes, asked, origins[name].held or 0.0)
+    stated = [n for n, f in fits.items() if f.asked.lag.any()]
+    steady = [n for n in stated if n != STEERING and fits[n].tells_all]
+    if steady:
+        surest = min(steady, key=lambda n: fits[n].late[1])
+        expected = (fits[surest].late[0], float(np.hypot(fits[surest].late[1], ALIKE)))
+        for name in (n for n in stated if n != surest):
+            held, changes = origins[name].held or 0.0, commanded[name]
+            fits[name] = _fitted(time[rows], rows, columns, name, changes, fits[name].asked, held, expected)
+    return {n: f.dated(origins[n].held or 0.0, rows) for n, f in fits.items()}
+
+
+def _fitted(
+    at: Array,
+    rows: slice,
+    columns: Mapping[str, Array],
+    name: str,
+    changes: Changes,
+    asked: Changes,
+    interval: float,
+    expected: tuple[float, float] = (0.0, LATE),
+) -> "_Fit":
+    """Times of the changes that are asked about, with the servo that explains the rate best where none is stated."""
     fits = []
     for lag in (None,) if asked.lag.any() else SERVOS:
         surfaces = {c: columns[c][rows] for c in SHOWN_BY if c in columns and np.isfinite(columns[c][rows]).all()}
         if lag is not None:
             surfaces[name] = changes.answers(at, 0.0, lag).sum(axis=1)
-        fits.append(_Regression.of(at, columns, rows, name, surfaces).fitted(asked, interval, lag))
-    best = min(fits, key=lambda f: f.cost)
-    return best.dated(interval) if best.cost < np.var(columns[rate][rows]) else None
+        fits.append(_Regression.of(at, columns, rows, name, surfaces).fitted(asked, interval, lag, expected))
+    return min(fits, key=lambda f: f.cost)
 
 
 @dataclass(frozen=True)
 class _Fit:
+    """later, std, seen: of each change asked about; late: time by which all are, and its bound [s]."""
+
     cost: float
+    late: tuple[float, float]
     asked: Changes
     later: Array
     std: Array
     seen: Array
 
-    def dated(self, interval: float) -> Dated | None:
+    @property
+    def tells_all(self) -> bool:
+        """Whether they are enough to say by how much all are late."""
+        return int(np.count_nonzero(self.seen)) >= ENOUGH
+
+    def dated(self, interval: float, rows: slice) -> Dated | None:
         """Those that the gyros date twice as well as an even chance over the interval."""
         sure = np.asarray(self.seen, bool) & (self.std < 0.5 * EVEN * interval)
-        return Dated(self.asked.some(sure), self.later[sure], self.std[sure]) if sure.any() else None
+        together = self.late[0] if self.asked.lag.any() and self.tells_all else 0.0
+        return Dated(self.asked.some(sure), self.later[sure], self.std[sure], together, rows) if sure.any() else None
 
 
 @dataclass(frozen=True)
@@ -199,9 +268,9 @@ class _Regression:
         parts = _without_lines(np.column_stack([columns[rate][rows], known]), at, window)
         return cls(at, parts[:, 0], parts[:, 1:], surfaces[name], v**2, window)
 
-    def fitted(self, asked: Changes, interval: float, lag: float | None) -> _Fit:
-        """Times of the changes beside the derivatives and a time by which all are late."""
-        later, late, noise = np.zeros(asked.time.size), 0.0, float(np.std(self.rate))
+    def fitted(self, asked: Changes, interval: float, lag: float | None, expected: tuple[float, float]) -> _Fit:
+        """Times of the changes beside the derivatives and a time by which all are late, `expected` at so much +- so much."""
+        later, late, noise, late_std = np.zeros(asked.time.size), expected[0], float(np.std(self.rate)), np.inf
         rest = self.surface - asked.answers(self.time, 0.0, lag).sum(axis=1)
         std, seen = np.full(later.size, np.inf), np.zeros(later.size, bool)
         k = self.known.shape[1] + 1
@@ -214,9 +283,11 @@ class _Regression:
             power = np.linalg.lstsq(np.column_stack([self.known, driven[:, 0]]), self.rate, rcond=None)[0][-1]
             matrix = np.column_stack([self.known, driven[:, 0], -power * driven[:, 1], -power * columns])
             precision = np.zeros(matrix.shape[1])
-            precision[k], precision[k + 1 :] = (noise / LATE) ** 2, (noise / (EVEN * interval)) ** 2
+            precision[k], precision[k + 1 :] = (noise / expected[1]) ** 2, (noise / (EVEN * interval)) ** 2
             normal, right = matrix.T @ matrix + np.diag(precision), matrix.T @ self.rate
-            right[k] -= precision[k] * late  # the prior is of the whole time, this step but a part of it
+            right[k] -= precision[k] * (
+                late - expected[0]
+            )  # the prior is of the whole time, this step but a part of it
             right[k + 1 :] -= precision[k + 1 :] * later
             solution = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
             residual = self.rate - matrix @ solution
@@ -225,13 +296,14 @@ class _Regression:
             late = float(np.clip(late + solution[k], -LATE, LATE))
             later = np.clip(later + solution[k + 1 :], -0.5 * interval, 0.5 * interval)
             strength = np.abs(power) * np.sqrt(np.einsum("ij,ij->j", columns, columns))
-            covariance = np.linalg.pinv(normal, hermitian=True)[k + 1 :, k + 1 :]
+            inverse = np.linalg.pinv(normal, hermitian=True)
+            late_std, covariance = SURE * noise * float(np.sqrt(abs(inverse[k, k]))), inverse[k + 1 :, k + 1 :]
             if later.size >= FEWEST:  # against one another: what is common to all is not told from being late together
                 apart = np.eye(later.size) - 1.0 / later.size
                 covariance = apart @ covariance @ apart
             std = SURE * noise * np.sqrt(np.abs(np.diag(covariance)))
             seen = strength * EVEN * interval > SEEN * noise
-        return _Fit(noise**2, asked, later, std, seen)
+        return _Fit(noise**2, (late, late_std), asked, later, std, seen)
 
 
 def _integral(time: Array, values: Array) -> Array:
