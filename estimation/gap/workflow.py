@@ -23,7 +23,6 @@ from estimation.gap.fit.channel_noise import (
     filtered_attitudes,
     pitch_error,
     sample_interval,
-    wandering_inputs,
 )
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.attitudes import with_attitudes_between
@@ -135,15 +134,9 @@ def _setting(
     clean = with_nuisance(levelled, noise, interval, options.criteria, filtered, stamped)
     working = with_dormant(clean, effects, prepared.available, force_states(base))
     streams = (Stream.INPUT_ERRORS.generator(options.seed, i) for i in range(len(prepared.records)))
-    same_filter = wandering_inputs(base, noise, filtered, wide)
-    errors = tuple(
-        input_errors(r, clean, rng, same_filter, options.criteria.filter_memory)
-        for r, rng in zip(prepared.records, streams, strict=True)
-    )
+    errors = tuple(input_errors(r, clean, rng) for r, rng in zip(prepared.records, streams, strict=True))
     prepared = replace(
-        prepared,
-        records=with_errors(prepared.records, clean, errors, same_filter),
-        notes=(*prepared.notes, *control_notes),
+        prepared, records=with_errors(prepared.records, clean, errors), notes=(*prepared.notes, *control_notes)
     )
     return Setting(base, clean, working, prepared, effects, following, unasked, errors, scatter, options, tell)
 

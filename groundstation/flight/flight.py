@@ -36,8 +36,6 @@ CHANNEL_KINDS = ("measured", "computed", "assumed")
 """By a sensor, by a program of others, or by nobody at the place and time."""
 HELD, INTERVAL, BACK = "held", "interval_s", "dated_back_s"
 """Keys of a channel's entry: it is a command, which holds until the next one; how far apart its records are [s]."""
-EVEN = 12.0**0.5  # an interval over the standard deviation of an even chance within it
-DATED = "moves_dated_s"  # key of a channel's entry: how surely an import dated the moves of a command by the gyros [s]
 DATED_BACK = 0.5  # of its interval, a recorded command: it changed at any time since the last record, half in the mean
 RECONSTRUCTED = "reconstructed"
 """Key of a provenance's detail: which columns were not measured but found from the others, from what, how sure."""
@@ -222,12 +220,6 @@ class Flight:
         channel = self.channels.get(column, {})
         interval = channel.get(INTERVAL)
         return float(interval) if channel.get(HELD) is True and isinstance(interval, float | int) else None
-
-    def moved_within(self, column: str) -> float | None:
-        """Time [s] within which each move of a command lies, at even chance: the interval of its records, or what the gyros
-        leave of that (`groundstation.importers.move_times`). None as of `held`."""
-        interval, dated = self.held(column), self.channels.get(column, {}).get(DATED)
-        return float(dated) * EVEN if interval is not None and isinstance(dated, float | int) else interval
 
     def dated_back(self, column: str) -> float:
         """Time [s] by which an import dated a command back from its record; 0 where it did not, or the flight does not say."""

@@ -15,7 +15,7 @@ from groundstation.flight.arrays import Array
 from groundstation.flight.contradictions.air import air_density
 from groundstation.flight.expression import parse
 from groundstation.flight.findings import Finding, FindingKind, unknown_columns
-from groundstation.flight.flight import BACK, DATED, DATED_BACK, HELD, INTERVAL
+from groundstation.flight.flight import BACK, DATED_BACK, HELD, INTERVAL
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.mapping import ColumnSource, Kind, Map
@@ -30,8 +30,7 @@ _WRAPPED = ("phi", "psi")
 class ColumnOrigin:
     """How a flight column was made. source: the one chosen, with its unit; kind: measured, computed or assumed; rate: its own
     [Hz], None for that of the table; name: under which it stands in the flight; held: of a command, the interval of its
-    records [s]; lag: of the servo that follows it [s]; dated: how surely its moves are dated by the gyros, late: by
-    how much all of them [s]."""
+    records [s]; lag: of the servo that follows it [s]."""
 
     source: ColumnSource
     kind: Kind
@@ -39,17 +38,14 @@ class ColumnOrigin:
     name: str
     held: float | None = None
     lag: float = 0.0
-    dated: float | None = None
-    late: float = 0.0
 
     def to_json(self, rate: float) -> dict[str, object]:
         """As in `channels` of `import --json`. rate: of the time base [Hz]."""
         own_rate = self.rate if self.rate is not None else rate
         entry = {"from": self.source.formula, "kind": self.kind, "rate_hz": own_rate}
         if self.held is not None:
-            dated_back = DATED_BACK * self.held - self.late if self.rate is not None else 0.0
+            dated_back = DATED_BACK * self.held if self.rate is not None else 0.0
             entry |= {HELD: True, INTERVAL: self.held, BACK: dated_back, "servo_lag_s": self.lag}
-            entry |= {DATED: self.dated} if self.dated is not None else {}
         return entry | {"column": self.name}
 
 

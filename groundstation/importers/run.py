@@ -28,7 +28,6 @@ from groundstation.importers.formats.bags import bag_files, parts_of_one_bag
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.functions import function_contradictions
 from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, built_in_map, load_map
-from groundstation.importers.move_times import with_moves_dated
 from groundstation.importers.records import by_boot, joined_flights, joined_topics, topics_of_px4
 from groundstation.importers.series import Log, TimeSeries, even_time_base, native_rate, without_damaged_times
 from groundstation.importers.servos import outputs_elsewhere, with_servos
@@ -147,9 +146,6 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
         imported = flight_columns(log, mapping, time, resampled)
     columns, value_notes = credible_values(imported.values)
     columns, slips = without_slips(time, columns)
-    if resampled:
-        columns, origins, dated = with_moves_dated(log.series, imported.origins, time, columns)
-        imported, slips = replace(imported, origins=origins), [*slips, *dated]
     if not columns:
         raise ImportDataError(
             f"{path}: nothing in it is known as a flight column; found {listed(log.series, 12)}; "

@@ -179,26 +179,6 @@ def held_at(series: TimeSeries, time: Array) -> Array:
     return np.where(valid, values, np.nan)
 
 
-def held_changes(series: TimeSeries) -> tuple[Array, Array]:
-    """(times, sizes) of the changes of commands that `held_at` takes them for."""
-    t, target = _finite_samples(series)
-    if t.size < 2:
-        return np.zeros(0), np.zeros(0)
-    begins = t - DATED_BACK / native_rate(TimeSeries(t, target))
-    changed = np.flatnonzero(np.diff(target)) + 1
-    return begins[changed], np.diff(target)[changed - 1]
-
-
-SAME_INSTANT = 1e-6  # s, of a log's clock
-
-
-def step_answer(since: Array, lag: Array) -> Array:
-    """What a first-order servo has made of a step of one, `since` seconds after it; nothing before. Without a lag all at once."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = -np.expm1(-np.maximum(since, 0.0) / lag)
-    return np.where(lag > 0.0, share, since >= -SAME_INSTANT)
-
-
 def lagged(time: Array, commanded: Array, lag: float) -> Array:
     """What a first-order servo makes of commands that hold until the next; exact between samples."""
     response = np.empty_like(commanded)

@@ -1,6 +1,6 @@
 """How noisy every channel is, and which attitudes are the output of a filter: before anything is fitted."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,8 +10,6 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.records.attitudes import white_share
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
-from estimation.gap.records.reconstructed import ANGLES
-from estimation.models.base import Model
 from estimation.signals.denoise import noise_level
 from groundstation.flight.arrays import integral
 
@@ -96,18 +94,6 @@ def pitch_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter
         rate = record.z[:, q] * np.cos(bank) - yaw * np.sin(bank)
         errors.append(slow_error(record.time, record.z[:, theta], rate))
     return _widened(scatter, theta, errors)
-
-
-def wandering_inputs(
-    model: Model, noise: Mapping[str, float], filtered: Collection[str], reconstructed: Collection[str]
-) -> dict[str, float]:
-    """Attitude by which a model is driven, and flow angle that was found from one -> how far the filter is off, by its bank.
-
-    What drives the model is not compared with it: its error shows in the motion, turn by turn, as what no model has.
-    """
-    wrong = max((noise[n] for n in filtered if n in noise), default=0.0)
-    driving = {s.name for s in model.inputs} & {*RATE_OF, *(n for n in reconstructed if n in ANGLES)}
-    return dict.fromkeys(sorted(driving), wrong) if wrong > 0.0 else {}
 
 
 def slow_error(time: Array, angle: Array, rate: Array) -> float | None:

@@ -324,7 +324,7 @@ def _with_unseen_paths(
     for signal in (s for s in model.inputs if s.control and s.name in wrong and flight.measured(s.source)):
         rng = np.random.default_rng([PATHS, segment.first])
         course, draws = flight.columns[signal.source][span], len(wrong[signal.name])
-        paths, interval = unseen_paths(course, draws, rng, criteria), flight.moved_within(signal.source)
+        paths, interval = unseen_paths(course, draws, rng, criteria), flight.held(signal.source)
         if interval is not None and np.isfinite(course).all():
             paths = paths + command_times(course, flight.sample_interval, interval, draws, rng)
         if paths.any():

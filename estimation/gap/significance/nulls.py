@@ -5,9 +5,8 @@ adds sensor noise to the outputs, takes the inputs as a de-noised noisy measurem
 the same linear algebra as the flights. Thresholds, floors and inflation factors come from here; none is assumed.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +43,12 @@ class InputErrors:
 
 
 def with_errors(
-    records: Sequence[FlightRecord], model: Model, errors: Sequence[InputErrors], wandering: Collection[str] = ()
+    records: Sequence[FlightRecord], model: Model, errors: Sequence[InputErrors]
 ) -> tuple[FlightRecord, ...]:
-    """The records with the spectra of what is wrong with their controls, and with inputs that wander, as the nulls have it."""
-    known = [s.name for s in model.inputs if s.control or s.name in wandering]
+    """The records with the spectra of what is wrong with their controls, as the nulls have it."""
+    controls = [s.name for s in model.inputs if s.control]
     return tuple(
-        replace(r, left={n: spectrum(e.bank[n]) for n in known if n in e.bank})
+        replace(r, left={n: spectrum(e.bank[n]) for n in controls if n in e.bank})
         for r, e in zip(records, errors, strict=True)
     )
 
@@ -64,15 +63,8 @@ def spectrum(courses: Array) -> Array:
     return np.asarray((total[high] - total[low]) / (high - low))
 
 
-def input_errors(
-    record: FlightRecord,
-    model: Model,
-    rng: np.random.Generator,
-    wandering: Mapping[str, float] = MappingProxyType({}),
-    memory: float = 1.0,
-) -> InputErrors:
-    """What may be wrong with each input: as drawn when it was prepared, and its noise where it is used as it was measured.
-    wandering: input by an attitude filter -> standard deviation of what that has wrong for `memory` [s]."""
+def input_errors(record: FlightRecord, model: Model, rng: np.random.Generator) -> InputErrors:
+    """What may be wrong with each input: as drawn when it was prepared, and its noise where it is used as it was measured."""
     bank = {}
     for signal in model.inputs:
         sigma, draws = record.input_noise.get(signal.name, 0.0), record.wrong.get(signal.name)
@@ -80,20 +72,7 @@ def input_errors(
             continue
         raw = record.raw.get(signal.name, np.zeros(draws.shape[1], dtype=bool))
         bank[signal.name] = np.where(raw, sigma * rng.standard_normal(draws.shape), np.asarray(draws, float))
-    for name, size in wandering.items():
-        draws = record.wrong.get(name)
-        if draws is not None:
-            bank[name] = bank.get(name, 0.0) + size * _wandering(draws.shape, record.time, memory, rng)
     return InputErrors(bank)
-
-
-def _wandering(shape: tuple[int, ...], time: Array, memory: float, rng: np.random.Generator) -> Array:
-    """Random courses (many, N) of unit size that last `memory` [s]."""
-    keep = np.exp(-np.diff(time) / memory)
-    courses = rng.standard_normal(shape)
-    for k, share in enumerate(keep, start=1):
-        courses[:, k] = share * courses[:, k - 1] + np.sqrt(1.0 - share**2) * courses[:, k]
-    return courses
 
 
 @dataclass(frozen=True)

@@ -38,14 +38,7 @@ def test_however_servos_and_pitots_are_wired_the_flight_is_the_same(
 ) -> None:
     flight = read(truth, wiring, tmp_path)
     assert not [c.text for c in contradictions(flight) if c.stops]
-    surfaces = 0.006  # rad, a millisecond by an edge of 10 deg: what is rounded otherwise is dated otherwise
-    for name, within in (
-        ("delta_a", surfaces),
-        ("delta_e", surfaces),
-        ("delta_r", surfaces),
-        ("V", 0.5),
-        ("phi", 0.04),
-    ):
+    for name, within in (("delta_a", 0.001), ("delta_e", 0.001), ("delta_r", 0.001), ("V", 0.5), ("phi", 0.04)):
         difference = flight[name] - np.interp(flight.time, usual.time, usual[name])
         assert np.nanmax(np.abs(difference)) < within, name
     assert np.nanmin([np.nanstd(flight[n]) for n in ("delta_a", "delta_e", "delta_r")]) > 0.005
