@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daq.utilities.options import json_option
+from daq.utilities.options import json_option, path_option
 from daq.utilities.outputs import tried_file, write_json
 
 if TYPE_CHECKING:
@@ -64,15 +64,7 @@ def verify_lines(recording: Path, result: "Verification") -> Iterator[str]:
 
 @click.command(epilog="Example: sideslip recover flight_000.mcap -o recovered.mcap")
 @_RECORDING
-@click.option(
-    "-o",
-    "--out",
-    "--output",
-    required=True,
-    type=click.Path(path_type=Path),
-    callback=tried_file,
-    help="The new recording.",
-)
+@path_option("-o", "--out", "--output", text="The new recording.", tried=tried_file, required=True)
 @_JSON
 def recover(recording: Path, out: Path, json_path: Path | None) -> None:
     """Save everything undamaged in a recording, FILE or directory, to a new and sound one.

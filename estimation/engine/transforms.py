@@ -10,6 +10,7 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.models.base import InputTransform
+from estimation.signals.first_order import decaying_sum
 
 
 def _delay(time: Array, value: Array, seconds: float) -> Array:
@@ -39,7 +40,8 @@ def _lag(time: Array, value: Array, seconds: float) -> Array:
     a = np.exp(-h / seconds)
     slope = np.diff(value) / h
     # exact response to a ramp: e' = -e/T with e = u' - (u - T slope)
-    return _followed(a, value[1:] - seconds * slope - a * (value[:-1] - seconds * slope), float(value[0]))
+    drive = value[1:] - seconds * slope - a * (value[:-1] - seconds * slope)
+    return decaying_sum(np.concatenate([[0.0], a]), np.concatenate([value[:1], drive]))
 
 
 def _deadzone(time: Array, value: Array, half_width: float) -> Array:
@@ -64,20 +66,6 @@ def _rate_limit(time: Array, value: Array, slowness: float) -> Array:
         current = min(max(u, current - h / slowness), current + h / slowness)
         result[k + 1] = current
     return result
-
-
-def _followed(share: Array, drive: Array, first: float) -> Array:
-    """(N,) x[0] = first, x[k+1] = share[k] x[k] + drive[k], share and drive (N - 1,): all at once, by doubling.
-
-    Two steps in a row are one step of the same kind, (a, b) then (c, d) being (c a, c b + d).
-    """
-    a, b = share.copy(), drive.copy()
-    reach = 1
-    while reach < a.size:
-        b[reach:] += a[reach:] * b[:-reach]
-        a[reach:] = a[reach:] * a[:-reach]
-        reach *= 2
-    return np.concatenate([[first], a * first + b])
 
 
 def _clamped(lower: Array, upper: Array, first: float) -> Array:

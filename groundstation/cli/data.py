@@ -10,7 +10,7 @@ import click
 from daq.utilities import outputs
 from daq.utilities.durable import write_text
 from daq.utilities.errors import UserError
-from daq.utilities.options import json_option
+from daq.utilities.options import json_option, path_option
 from daq.utilities.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
@@ -148,15 +148,7 @@ def calibrate(
 @click.command()
 @click.argument("raw", type=click.Path(path_type=Path))
 @click.option("--plan", type=click.Path(path_type=Path), required=True, help="Bench plan: what was set, and when.")
-@click.option(
-    "-o",
-    "--output",
-    "--out",
-    type=click.Path(path_type=Path),
-    required=True,
-    callback=tried_folder,
-    help="Directory for the calibration files.",
-)
+@path_option("-o", "--output", "--out", text="Directory for the calibration files.", tried=tried_folder, required=True)
 @click.option(
     "--calibration", type=click.Path(path_type=Path), help="Set to refine, or 'cdfp'; instead of the embedded one."
 )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from daq.utilities.errors import UserError
-from daq.utilities.options import aircraft_option, json_option, model_option
+from daq.utilities.options import aircraft_option, json_option, model_option, path_option
 from daq.utilities.outputs import tried_folder
 from groundstation.cli.view import LAYOUT, VIEW, VIEW_HELP, terminated_is_interrupt
 
@@ -46,14 +46,7 @@ Say = Callable[[str], None]
     click.Path(path_type=Path),
 )
 @click.option("--estimate", "with_estimate", is_flag=True, help="Estimate parameters from the finished flight.")
-@click.option(
-    "-o",
-    "--out",
-    "--output",
-    type=click.Path(path_type=Path),
-    callback=tried_folder,
-    help="Folder of this session, instead of the configured.",
-)
+@path_option("-o", "--out", "--output", text="Folder of this session, instead of the configured.", tried=tried_folder)
 @json_option("Write the counters of the session as JSON.")
 @click.option("--duration", type=float, help="End after this many seconds.")
 @click.pass_obj

@@ -12,6 +12,7 @@ import click
 
 from daq.utilities.durable import whole, write_text
 from daq.utilities.errors import UserError
+from daq.utilities.options import path_option
 from daq.utilities.outputs import tried_folder
 from sideslip.chain import ChainFlight, fly_onboard, fly_scenario
 
@@ -27,14 +28,13 @@ DEMO_RADIO = {"drop": 0.05}
 
 
 @click.command(epilog="Example: sideslip demo --out demo")
-@click.option(
+@path_option(
     "-o",
     "--out",
     "--output",
-    type=click.Path(path_type=Path),
-    callback=tried_folder,
+    text="Folder for the flights and the report  [default: demo].",
+    tried=tried_folder,
     default=Path("demo"),
-    show_default=True,
 )
 def demo(out: Path) -> int:
     """Fly, record, downlink, calibrate, check, estimate, match, and close a gap: the whole chain on a simulated aircraft."""

@@ -99,9 +99,7 @@ WINDOWS_S = (
 ENERGY_S = 5.0  # s over which a channel's energy is looked at
 SETTLED_S = 15.0  # s of watched flight before those, which tell what the energy usually is
 MEMORY_S = 20.0  # s over which innovations tell what they are in this air: few changes stay unnoticed for as long
-BEFORE_S = (
-    0.05  # s before a scan that tell of it, by their mean: at 20 Hz and less the scan before; two take longer to learn
-)
+BEFORE_S = 0.05  # s before a scan that tell of it, by their mean: up to 20 Hz one scan; two take longer to learn
 AIR_AS_IF = 40.0  # scans of simulated air that those of this flight are added to
 TELLING = 0.2  # share of the evidence from which a channel is named
 TINY = 1e-12

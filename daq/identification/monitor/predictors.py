@@ -20,10 +20,8 @@ from daq.identification.monitor.motions import AnyInputs, between, instants, mot
 from daq.identification.monitor.surfaces import BLIND, Kinds, SurfaceBetween, SurfacesBetween, kind_of
 
 Array = NDArray[np.float64]
-GAIN, GAIN_S = (
-    0.3,
-    0.05,
-)  # of the states towards what is measured, a scan of so long or more; more forgets what an effect has done
+GAIN = 0.3  # of the states towards what is measured in GAIN_S or more; more forgets what an effect has done
+GAIN_S = 0.05  # s
 SLOWEST_LAG = 1e-3  # s; a vane's lag is at least that, for an exponential's sake
 
 

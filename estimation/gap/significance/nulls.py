@@ -20,8 +20,8 @@ from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import DISTURBANCE, RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.models.base import Model
+from estimation.signals.first_order import decaying_sum
 
-FORGOTTEN = 1e-16  # what is left of a disturbance, of which nothing is felt any more
 SMOOTHED = 0.25  # of a frequency, to either side of it: the spectrum of errors falls slowly
 
 
@@ -217,7 +217,7 @@ def _modelled(problem: LikelihoodProblem, fit: ModelFit, index: int, errors: Inp
 def _slow(white: Array, h: float, tau: float) -> Array:
     """First-order low-pass of time constant tau [s] of courses (many, N), started in its steady state of no motion."""
     a = np.exp(-h / tau)
-    return (1.0 - a) * _decaying_sum(white, float(a))
+    return np.asarray((1.0 - a) * decaying_sum(float(a), white))
 
 
 def _forgetting(rate: Array, h: float, memory: float, rng: np.random.Generator) -> Array:
@@ -227,18 +227,7 @@ def _forgetting(rate: Array, h: float, memory: float, rng: np.random.Generator) 
     begin = float(np.std(rate)) * h / np.sqrt(1.0 - keep**2) * rng.standard_normal()
     drive = h * rate
     drive[0] = begin
-    return _decaying_sum(drive, keep)
-
-
-def _decaying_sum(drive: Array, keep: float) -> Array:
-    """(..., N) y[k] = keep y[k-1] + drive[k] from rest: all at once, by doubling, as far back as it is felt. scipy.signal, which
-    has this, takes half a second to import."""
-    result = drive.copy()
-    reach = 1
-    while reach < drive.shape[-1] and keep**reach > FORGOTTEN:
-        result[..., reach:] += keep**reach * result[..., :-reach]
-        reach *= 2
-    return result
+    return decaying_sum(keep, drive)
 
 
 def fly_nulls(
