@@ -83,7 +83,9 @@ def test_a_set_ends_or_goes_on_by_what_is_known(
 ) -> None:
     calibration = NOMINAL_DIRECTORY / "cdfp"
     sequencer = {"manoeuvre": str(set_file(tmp_path / "m.toml")), "until": until, "most_sets": sets}
-    scenario = load_scenario("nominal").altered(flight={"duration_s": 34.0, "manoeuvres": "none"})
+    scenario = load_scenario("nominal").altered(
+        flight={"duration_s": 34.0, "manoeuvres": "none"}, ground={"launch_s": 8.0, "after_s": 0.0}
+    )
     scenario = scenario.altered(
         logger={"sequencer": sequencer, "identification": {}},
         sequencer={"switch": switch_for(scenario, SET_S * sets)},
