@@ -31,16 +31,16 @@ lowest:
 	$(VENV)-lowest/bin/python -m pip install -q packaging 'setuptools>=77'
 	$(VENV)-lowest/bin/python tests/support/lowest.py > $(VENV)-lowest/constraints.txt
 	$(VENV)-lowest/bin/python -m pip install -q -c $(VENV)-lowest/constraints.txt -e '.[dev]'
-	$(VENV)-lowest/bin/pytest -q -n 3 --dist worksteal -m "$(ORDINARY) and not long"
+	$(VENV)-lowest/bin/pytest -q -n 3 --dist loadfile -m "$(ORDINARY) and not long"
 
 # What takes long (tests/long_tests.txt: one test in thirteen, three quarters of the time) is left to CI and to test-all.
-# Three processes on two cores: some tests wait for a clock, a port or a page.
+# Three processes on two cores: some tests wait for a clock, a port or a page. A file stays in one process: what its tests share is made once.
 ORDINARY = not study and not benchmark
 test: $(STAMP)
-	$(BIN)/pytest -q -n 3 --dist worksteal -m "$(ORDINARY)$(if $(CI),, and not long)"
+	$(BIN)/pytest -q -n 3 --dist loadfile -m "$(ORDINARY)$(if $(CI),, and not long)"
 
 test-all: $(STAMP)
-	$(BIN)/pytest -q -n 3 --dist worksteal -m "$(ORDINARY)"
+	$(BIN)/pytest -q -n 3 --dist loadfile -m "$(ORDINARY)"
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
