@@ -22,7 +22,7 @@ from scipy.stats import norm
 from daq.identification.airframe import DERIVATIVES, SIGNALS, Airframe, Sample
 from daq.identification.monitor.bank import PLANES, MonitoredEffect, MonitoredPlane, bank
 from daq.identification.monitor.monitor import NAMED_WITHIN_S, GapMonitor
-from daq.identification.monitor.nulls import NullConditions, fly
+from daq.identification.monitor.nulls import NullConditions, fly, watched_step
 from daq.identification.monitor.predictors import FlightsScan, Innovation, PredictorBank
 from daq.identification.monitor.threshold import BEGIN_S, HOUR_S, Calibration, calibrated, scores, whitened
 from estimation.aircraft.library import load_aircraft
@@ -92,11 +92,17 @@ def made(rate: str, hours: float, plane: MonitoredPlane, noise: float = 1.0, see
         airframe = airframe_of_file(load_aircraft("cdfp"), (plane.regression,))
     values = {n: airframe.believed(n) for n in plane.regression.derivatives}
     effects, rng = bank(values, {}, plane), np.random.default_rng([seed, 1])
-    conditions = LINK if rate == "link" else NullConditions(rate=float(rate), grid=1.0 / float(rate))
+    conditions = LINK if rate == "link" else _on_board(float(rate))
     levels = {n: noise * getattr(conditions, n) for n in (*plane.channels, "surface", "V")}
     conditions = replace(conditions, **levels)  # type: ignore[arg-type]
     found = calibrated(airframe, values, effects, conditions, rng=rng, hours=hours, plane=plane)
     return Set(airframe, values, effects, conditions, found, plane, seed)
+
+
+def _on_board(rate: float) -> NullConditions:
+    """Of fast scans those that are looked at."""
+    step = watched_step(1.0 / rate)
+    return NullConditions(rate=1.0 / step, grid=step)
 
 
 def alarms(s: Set, scans: Sequence[FlightsScan]) -> tuple[Array, Array]:
