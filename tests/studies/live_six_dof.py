@@ -1,8 +1,8 @@
 """Both planes live on flights of two simulators that share no code with the estimator: rms error and coverage.
 
 `python -m tests.studies.live_six_dof [second|random] [--aircraft 20] [--first 0] [--rates 10 20 link 50] [--gust 0.1]`: aileron,
-rudder and elevator by hand. second: the second truth (20 Hz, thinned for slower rates), derivatives within 10 % of what is believed,
-a minute of two flights. random: aeroplanes of another simulator, beliefs 20 % off, a flight of 26 s in each plane, servos' lag
+rudder and elevator by hand. second: the second truth (20 Hz, thinned for slower rates), derivatives within 10 % of beliefs, a
+minute of two flights. random: aeroplanes of another simulator, beliefs 20 % off, a flight of 26 s in each plane, servos' lag
 known. link: 11.5 Hz with 5 % lost. Nothing of it was used to choose a number of the program. The last result is kept in
 docs/validation/live.md.
 """
