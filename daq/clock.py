@@ -106,6 +106,10 @@ class SimulatedClock:
         """Hold time while `busy()` is true and no thread sleeps on this clock; `busy` may be asked at any moment."""
         self._followers.append(busy)
 
+    def unpaced(self) -> None:
+        """From now on as fast as it goes."""
+        self._speed = None
+
     def drive(self) -> None:
         self._driver = threading.get_ident()
 

@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     from groundstation.receiver.receive import Receiver
     from groundstation.viewer.live import LiveView
 
+TELLS_S = 60.0  # of the radio's time within which the aircraft tells of every scan whether it was sent
+SILENT_S = 60.0
+"""Of the radio's time without a word from the aircraft, after which nobody is taken to answer: requests repeat in seconds."""
+
 
 @dataclass(frozen=True)
 class ChainFlight:
@@ -38,12 +42,13 @@ def fly_scenario(
     config_file: Path | None = None,
     calibration: Path | None = None,
     live: "Callable[[int], LiveView] | None" = None,
-    tell: Callable[[float], None] = lambda share: None,
+    tell: Callable[..., None] = lambda *words_and_share: None,
 ) -> ChainFlight:
     """Fly one scenario through the real logger, a simulated radio and the real ground station.
 
-    config_file: of the logger, calibration: set it carries; those of the CDFP by default.
-    tell: told the share of the flight that has been flown. live: makes the view of an aircraft.
+    config_file: of the logger, calibration: set it carries; those of the CDFP by default. speed: until it has landed; what
+    comes down afterwards, by a radio as slow, does so as fast as it goes.
+    tell: told the share of the flight that has been flown, then what else is done. live: makes the view of an aircraft.
     """
     from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
@@ -73,6 +78,9 @@ def fly_scenario(
             station.step()
             tell((now_ns - start_ns) * 1e-9 / flight.duration_s)
 
+        def after_landing(now_ns: int) -> None:
+            station.step()
+
         def no_room() -> bool:
             """Files that fail go on failing in simulated time: scans would be fetched again and again."""
             return any(not what.startswith("radio") for what in receiver.port_faults)
@@ -80,14 +88,20 @@ def fly_scenario(
         def agreed() -> bool:
             return all(receiver.backfill_agreed(s) for s in receiver.systems)
 
+        def silent() -> bool:
+            return flight.clock.monotonic_ns() - receiver.heard_ns > SILENT_S * 1e9
+
         flight.each_scan = in_step
         files = flight.run()
+        flight.clock.unpaced()
+        flight.each_scan = after_landing
         backfill_agreed = False
         if receiver.systems:  # the radio stays on until the aircraft has told of every scan whether it was sent
-            flight.serve(lambda: no_room() or not any(a.unknown for a in receiver.accounting()), limit_s=60.0)
+            flight.serve(lambda: no_room() or not any(a.unknown for a in receiver.accounting()), limit_s=TELLS_S)
         if backfill and receiver.systems:
+            tell("landed; fetching what the radio lost")
             receiver.set_backfill("all")
-            flight.serve(lambda: no_room() or agreed(), limit_s=3600.0)
+            flight.serve(lambda: no_room() or agreed() or silent(), limit_s=3600.0)
             backfill_agreed = agreed()
         station.close()
         summary = receiver.summary()
@@ -96,6 +110,10 @@ def fly_scenario(
     ground, lines = _received_flight(ground_folder, receiver, station, origin)
     if ground is not None:
         summary["flight"] = str(ground)
+    if backfill and receiver.systems and silent():
+        lines.append(
+            f"backfill given up: nobody answered for {SILENT_S:g} s; what is missing is in the recording on board"
+        )
     sequencer = _sequencer_words(folder / "onboard") if scenario.sequencer is not None else ()
     return ChainFlight(onboard, ground, files.truth, summary, backfill_agreed, lines, sequencer)
 

@@ -1,8 +1,8 @@
 """The quality of a test point while it is flown: what was moved, whether flight was steady before, and what spoils it.
 
 A point begins when a control moves (`movement.TRAVEL` within a second) and is over when none has for some seconds. Steadiness and
-gusts are of the seconds before: with controls at rest a vane shows its noise and the air, and its second differences the noise
-alone.
+gusts are of the seconds before. What a vane shows is noise, which second differences hold alone, the aircraft's own motion, which
+gyros and accelerometers hold whatever its aerodynamics are, and the air.
 """
 
 import math
@@ -15,6 +15,7 @@ import numpy as np
 from daq.identification.airframe import Sample
 from daq.identification.movement import TRAVEL, WITHIN
 from daq.identification.next_manoeuvre import MOST_ALPHA, MOST_BANK, MOST_SIDESLIP
+from daq.utilities.constants import GRAVITY
 
 BEFORE_S = 2.0  # s of steady flight before an input: two periods of the fastest mode that a pilot sees
 OVER_S = 3.0  # s without a movement after which a point is over: a Dutch roll has been seen to die away
@@ -23,6 +24,9 @@ STEADY_BANK = math.radians(10.0)  # beyond, gravity enters as in no level trim
 STEADY_RATE = math.radians(6.0)  # rad/s rms: a tenth of what an input makes
 STEADY_SPEED = 1.5  # m/s between least and greatest: dynamic pressure changes by a fifth
 GUSTY = math.radians(0.8)  # rad rms of a vane: five times usual air, as large as what a small input makes
+LINE_LEAVES = 0.5
+"""Of gusts' rms, what a straight line through two seconds of them leaves over (correlation time 1 s, some 17 m). The line takes
+errors of attitude, and of the gyros and accelerometers."""
 TOGETHER = 0.9  # correlation of two controls from which their derivatives are not told apart
 MOVES_TOO = math.radians(0.5)  # rad rms from which a control counts as flown
 AT_STOP = 0.98  # of a throw: a surface there does not go where it is asked to
@@ -33,8 +37,8 @@ CONTROL_WORDS = {"delta_a": "aileron", "delta_r": "rudder", "delta_e": "elevator
 @dataclass(frozen=True, slots=True)
 class FlownPoint:
     """One test point. begin [s]; seconds: from the first movement to the last; moving: it is not over yet; peaks: control ->
-    largest deflection from where it was before [rad]; gusts: vane -> rms of what the air adds [rad], and speed [m/s], before the
-    input; faults: what spoils it, with what to do, in words."""
+    largest deflection from where it was before [rad]; gusts: vane -> rms of what the air adds [rad], where it can be told, and
+    speed [m/s], before the input; faults: what spoils it, with what to do, in words."""
 
     begin: float
     seconds: float
@@ -119,14 +123,12 @@ class PointMeter:
         return any(max(v) - min(v) > TRAVEL for v in values)
 
     def _calm(self, before: Sequence[Sample]) -> _Calm:
-        columns = {
-            n: np.array([getattr(s, n) for s in before]) for n in (*self._controls, *RESPONSES, "p", "q", "r", "V")
-        }
-        trim = {n: float(np.mean(v)) for n, v in columns.items()}
+        columns = {n: np.array([getattr(s, n) for s in before]) for n in Sample._fields}
+        trim = {n: float(np.mean(columns[n])) for n in (*self._controls, *RESPONSES, "V")}
         if len(before) < FEWEST:
             return _Calm(trim, {}, trim["V"], ("no steady seconds before it: hold still for two, then begin",))
-        gusts = {n: _gust(columns[n]) for n in ("beta", "alpha")}
-        return _Calm(trim, gusts, trim["V"], tuple(_unsteady(columns)))
+        gusts = {n: _spread(columns[n] - turned) / LINE_LEAVES for n, turned in _turned(columns).items()}
+        return _Calm(trim, gusts, trim["V"], tuple(_unsteady(columns, gusts)))
 
     def _follow(self, course: _Course, sample: Sample) -> None:
         trim = course.calm.trim
@@ -167,7 +169,7 @@ class PointMeter:
                 yield f"{words} {math.degrees(change):.0f} deg from trim, a linear model is for less: fly {share:.0f} % of it"
 
 
-def _unsteady(before: Mapping[str, np.ndarray]) -> Iterator[str]:
+def _unsteady(before: Mapping[str, np.ndarray], gusts: Mapping[str, float]) -> Iterator[str]:
     bank, speeds = abs(float(np.mean(before["phi"]))), before["V"]
     if bank > STEADY_BANK:
         yield f"bank {math.degrees(bank):.0f} deg before it: level the wings first"
@@ -176,9 +178,31 @@ def _unsteady(before: Mapping[str, np.ndarray]) -> Iterator[str]:
         yield f"turning at {math.degrees(rate):.0f} deg/s before it: wait until motion has died away"
     if float(np.ptp(speeds)) > STEADY_SPEED + 4.0 * _noise(speeds):
         yield f"airspeed changed by {float(np.ptp(speeds)):.1f} m/s before it: trim first"
-    gust = max(_gust(before["beta"]), _gust(before["alpha"]))
+    gust = max(gusts.values(), default=0.0)
+    swings = {n: swing for n in ("beta", "alpha") if (swing := _spread(before[n])) > GUSTY}
     if gust > GUSTY:
         yield f"gusts of {math.degrees(gust):.1f} deg: wait for calmer air"
+    elif swings:
+        name, swing = max(swings.items(), key=lambda item: item[1])
+        part = f"{math.degrees(gusts[name]):.1f} of it gusts" if name in gusts else "its own motion or gusts"
+        yield f"{RESPONSES[name][0]} unsteady by {math.degrees(swing):.1f} deg before it ({part}): wait until it is steady"
+
+
+def _turned(before: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Vane -> angle by which the aircraft itself has turned out of still air since the first sample [rad], where inertial
+    instruments tell it (Stevens and Lewis, Aircraft Control and Simulation, 2.5; for small sideslip)."""
+    b, c, s = before, np.cos, np.sin
+    side = b["ay"] + GRAVITY * c(b["theta"]) * s(b["phi"])
+    down = b["az"] * c(b["alpha"]) - b["ax"] * s(b["alpha"])
+    down += GRAVITY * (c(b["alpha"]) * c(b["theta"]) * c(b["phi"]) + s(b["alpha"]) * s(b["theta"]))
+    rates = {"beta": side / b["V"] + b["p"] * s(b["alpha"]) - b["r"] * c(b["alpha"]), "alpha": b["q"] + down / b["V"]}
+    steps = np.diff(b["time"])
+    turned = {n: np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * steps)]) for n, v in rates.items()}
+    return {
+        n: v - np.polyval(np.polyfit(b["time"], v - b[n], 1), b["time"])
+        for n, v in turned.items()
+        if np.isfinite(v).all()
+    }
 
 
 def _noise(values: np.ndarray) -> float:
@@ -186,6 +210,6 @@ def _noise(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.diff(values, 2) ** 2) / 6.0)) if len(values) > 2 else 0.0
 
 
-def _gust(values: np.ndarray) -> float:
+def _spread(values: np.ndarray) -> float:
     """Standard deviation of what moves slower than from sample to sample."""
     return math.sqrt(max(float(np.var(values)) - _noise(values) ** 2, 0.0))

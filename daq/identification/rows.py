@@ -82,7 +82,7 @@ class RowMaker:
         if len(self._scans) < 2:
             self._simulated.restart(sample)
         scales = self._scales(sample)
-        integrands = self._integrands(sample, scales)
+        integrands = self._integrands(_flow_at_stated_cg(self._airframe, sample), scales)
         self._scans.append(MotionScan(sample, surfaces, self._simulated.motion, integrands, scales))
         if len(self._scans) >= 4:
             self._simulate()
@@ -165,3 +165,13 @@ class RowMaker:
         assert isinstance(self._simulated, SimulatedPitch)
         assert isinstance(scan.motion, PitchState)
         return 0.5 * s.rho * s.V * s.V * self._simulated.lift_coefficient(scan.motion, s.V, scan.surfaces[0]) ** 2
+
+
+def _flow_at_stated_cg(airframe: Airframe, sample: Sample) -> Sample:
+    """A sample with the flow where the aircraft file has the CG: there derivatives hold, or `CL_q` and `CY_r` are about another
+    point than the rest. sample: at the CG as it is now."""
+    ahead = airframe.cg_ahead(sample.cg_x)
+    if ahead == 0.0:
+        return sample
+    per_speed = ahead / sample.V
+    return sample._replace(alpha=sample.alpha + per_speed * sample.q, beta=sample.beta - per_speed * sample.r)

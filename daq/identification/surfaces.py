@@ -129,8 +129,10 @@ class SurfaceCurves:
     def middle(self, t: Four, y: Four) -> Between:
         """The curve between the middle two of four scans at times t [s]."""
         h, first, last = t[2] - t[1], y[1], y[2]
+        # a control that moves before and after may have gone and come back in between: such a row was 20 standard deviations off
+        rests = h <= LONG or abs(y[1] - y[0]) <= EDGE or abs(y[3] - y[2]) <= EDGE
         if self._lag is None:
-            self.sure = h <= LONG or abs(last - first) <= EDGE
+            self.sure = rests and (h <= LONG or abs(last - first) <= EDGE)
             return middle_curve(t, y)
         fade = math.exp(-h / self._lag)
         target = first if self._target is None else self._target
@@ -141,7 +143,7 @@ class SurfaceCurves:
                 return edge
             self._target, self.sure = None, h <= LONG
             return middle_curve(t, y)
-        self.sure = True
+        self.sure = rests
         if abs(first - target) > EDGE:  # still on its way
             self._target = (last - first * fade) / (1.0 - fade)
             return ServoEdge(h, self._lag, first, self._target, self._target, 0.0)

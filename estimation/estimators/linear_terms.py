@@ -11,6 +11,7 @@ from estimation.errors import EstimationError
 from estimation.models.base import Model
 from estimation.models.expressions import evaluate, names_in
 from estimation.models.numeric import FUNCTIONS
+from estimation.prepare.measured_cg import at_stated_cg
 
 PLANES = (LATERAL, LONGITUDINAL)
 OPTIONAL = ("beta", "p", "r", "phi", "ay")  # of the pitching plane by itself: zero where a flight does not have them
@@ -40,6 +41,7 @@ def linear_terms(model: Model) -> LinearTerms:
     parameters are. Raises EstimationError for a parameter that is held, stands elsewhere, or before something else.
     """
     names: dict[str, str] = {}
+    model = at_stated_cg(model)  # what has moved the rows know
     for p in model.parameters:
         place = _column_of(model, p.name)
         if place is None or place in names.values():

@@ -2,7 +2,7 @@
 
 It says how far the CG lies ahead of the aircraft file's. Derivatives stay about the file's; moments about the CG of the moment
 are those and the arm times the force, Cm + cg_x/c CZ and Cn - cg_x/b CY, and what vanes and accelerometers show is carried
-there. Inertia stays the file's.
+there; coefficients go by the flow at the file's, where it turns with the aircraft. Inertia stays the file's.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,6 +22,10 @@ from groundstation.flight import Flight
 
 ARMS: Mapping[str, tuple[str, str, str]] = {"Cm": ("+", "c", "CZ"), "Cn": ("-", "b", "CY")}
 """Moment -> sign, length and force of its arm."""
+FLOW: Mapping[str, str] = {f"{c}_alpha": f" + {c}_alpha*cg_x*q/V" for c in ("CL", "Cm")} | {
+    f"{c}_beta": f" - {c}_beta*cg_x*r/V" for c in ("CY", "Cl", "Cn")
+}
+"""Derivative by an angle -> what it makes of the angle at the file's CG beyond that at the CG of the moment."""
 
 
 def cg_history(flight: Flight, span: float) -> NDArray[np.float64]:
@@ -63,6 +67,12 @@ def with_cg_history(model: Model, flights: Sequence[Flight]) -> tuple[Model, tup
     new_lines = {
         _about_cg(m): f"{m} {sign} {COLUMN}/{length}*{force}" for m in moments for sign, length, force in [ARMS[m]]
     }
+    symbols = {*model.state_names, *model.input_names, *lines}
+    for derivative, addend in FLOW.items():
+        line = derivative.partition("_")[0]
+        turning = names_in(addend[3:]) - {COLUMN, derivative}
+        if line in lines and derivative in names_in(lines[line]) and turning <= symbols:
+            lines[line] += addend
     signal = Signal(
         COLUMN, "m", "of the centre of gravity ahead of the aircraft file's, as it was in flight", computed=True
     )
@@ -88,6 +98,8 @@ def at_stated_cg(model: Model) -> Model:
     if COLUMN not in model.input_names:
         return model
     lines = {n: text for n, text in model.definitions.items() if n not in map(_about_cg, ARMS)}
+    for addend in FLOW.values():
+        lines = {n: text.replace(addend, "") for n, text in lines.items()}
     for moment in ARMS:
         lines = {n: renamed(text, _about_cg(moment), moment) for n, text in lines.items()}
     inputs = tuple(s for s in model.inputs if s.name != COLUMN)

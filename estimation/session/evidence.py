@@ -117,6 +117,9 @@ def neighbour_correlations(result: Result) -> dict[str, float]:
     return correlations
 
 
+PREDICTABLE = 0.4  # mean of -log(1 - rho^2) of neighbouring residuals: light air up to 0.19, gusts of 0.5 deg from 0.67
+
+
 def predictability(result: Result) -> float:
     """Mean of -log(1 - rho^2) over driven outputs: what the sample before would take off the log variance of residuals."""
     outputs = driven_outputs(result.model)

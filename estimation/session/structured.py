@@ -18,6 +18,7 @@ from estimation.estimators.result import Result
 from estimation.models.base import Model, joint_model
 from estimation.models.library import WHOLE
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
+from estimation.session.evidence import PREDICTABLE, predictability
 from estimation.session.session import EstimationSession
 from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
 from estimation.structure.gusts import follows_controls, not_gusts
@@ -251,10 +252,10 @@ def _of_basis(
     if not usable:
         return StructureTest((), (), why_not="not tested: no fit to test"), ()
     basis = next((usable[m] for m in ("ml", *FILTERS) if m in usable), None)
-    model = session.model
     _, ready = without_absent_outputs(session.model, replace(task, model=session.model).data)
     if basis is None:
-        basis = output_error(model if len(ready) == 1 else joint_model(model), ready)
+        model = session.model if len(ready) == 1 else joint_model(session.model)
+        basis = _likelihood(model, ready, measured=not any(f.reconstructed for f in task.flights))
     scales = {
         f.name: {**scale_bounds(f), **attenuations(session.model, d)} for f, d in zip(task.flights, ready, strict=True)
     }
@@ -270,6 +271,18 @@ def _of_basis(
         if m in usable
     }
     return replace(structure, follows={m: text for m, text in follows.items() if text}), odd
+
+
+def _likelihood(model: Model, ready: list[FlightData], *, measured: bool) -> Result:
+    """The fit to be tested beside methods that have no likelihood: output error, in rough air filter error, for what gusts do to
+    output error looks like what a model lacks. measured: the flow angles, without which a filter is of no use."""
+    result = output_error(model, ready)
+    if not measured or predictability(result) <= PREDICTABLE:
+        return result
+    from estimation.estimators.filter_error import filter_error
+
+    filtered = filter_error(model, ready)
+    return filtered if filtered.converged else result
 
 
 def _moved_result(recommended: Result, basis: Result) -> Result:
@@ -294,8 +307,8 @@ def _of_result(
     vanes (reconstructed angles follow the motion as one does: scores of 10 with nothing behind the record) or where the record
     of a control is a command. scales: what instruments may be off.
     """
-    filtered = recommended.method in FILTERS
-    linearised_result = recommended if filtered else basis
+    linearised_result = recommended if recommended.method in FILTERS else basis
+    filtered = linearised_result.method in FILTERS
     linear = linearise_fit(*first_part(linearised_result, ready))
     if linear is None:
         return StructureTest((), (), why_not="not tested: the motion runs away from the smallest change"), ()

@@ -16,6 +16,7 @@ from estimation.estimators.result import Estimate, Result
 from estimation.models.base import ParameterRole
 from estimation.session.aircraft_review import NOTHING, AircraftObjections
 from estimation.session.evidence import (
+    PREDICTABLE,
     ProcessNoise,
     beneath_instruments,
     corrected_states,
@@ -44,7 +45,6 @@ TRUSTED_RECONSTRUCTED = ("ml",)
 """Methods that do not take reconstructed angles for the ones flown; docs/compatibility.md has what gusts do to the others."""
 
 NOISY = 0.6  # mean log ratio of variances, ml over fem: calm and light air up to 0.35, gusts of 0.5 deg from 0.96
-PREDICTABLE = 0.4  # mean of -log(1 - rho^2) of neighbouring residuals: light air up to 0.19, gusts of 0.5 deg from 0.67
 COLOURED = 0.3  # correlation of neighbouring innovations: a right model leaves 0.2 at most in 60 flights
 FEW = 8.0
 """Measured numbers for each unknown of a filter error, its gains among them, below which the gains take up noise of the outputs:

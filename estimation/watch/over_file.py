@@ -11,7 +11,7 @@ from daq.identification.airframe import Airframe, Sample
 from daq.identification.monitor import FALSE_ALARMS
 from daq.identification.monitor.bank import PLANES, MonitoredPlane, bank
 from daq.identification.monitor.monitor import Alarm, GapMonitor, GapMonitors, MonitorState
-from daq.identification.monitor.nulls import NullConditions
+from daq.identification.monitor.nulls import FINEST_S, GRID_S, NEARLY, NullConditions, watched_step
 from daq.identification.monitor.threshold import Calibration, calibrated
 from daq.identification.movement import ManoeuvreDetector
 from estimation.aircraft import Aircraft
@@ -26,7 +26,6 @@ from groundstation.flight.quality.noise import noise
 Array = NDArray[np.float64]
 
 FLYING, FLYING_S = 9.0, 2.0  # m/s and s from which on the aircraft flies, as the ground station has them
-GRID_S, FINEST_S = 0.05, 0.045  # s between scans that are looked at, as on board; faster ones are left out in between
 EVEN, EVEN_SHARE = 0.1, 0.8  # of the usual step, and of all steps: what is even differs by less in more of them
 FEWEST_S = 10.0  # s of manoeuvring below which nothing was watched to speak of
 
@@ -126,7 +125,7 @@ def grid_of(flight: Flight) -> float:
     """Seconds between scans that are looked at: of fast ones a whole number of intervals, about those on board."""
     step = float(np.median(_steps(flight)))
     if step < FINEST_S:
-        return step * max(1, round(GRID_S / step))
+        return watched_step(step)
     return step / max(1, round(step / GRID_S)) if _even(flight) else GRID_S
 
 
@@ -139,7 +138,7 @@ def _even(flight: Flight) -> bool:
 
 def _manoeuvring(flight: Flight, grid: float, terms: LinearTerms, airframe: Airframe) -> tuple[list[Sample], float]:
     """Samples of the stretches about movements, and how long those are [s]: at least what can be watched."""
-    shortest = 0.9 * grid
+    shortest = NEARLY * grid
     stretches, last = ManoeuvreDetector(FLYING, FLYING_S, terms.regressions), -math.inf
     samples: list[Sample] = []
     for part in flight.segments:

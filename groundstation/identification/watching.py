@@ -3,6 +3,7 @@
 Its thresholds come from simulated flights, half a minute of processor time, so they are made in a thread; samples wait for them.
 """
 
+import math
 import threading
 
 import numpy as np
@@ -12,7 +13,7 @@ from daq.identification.airframe import Sample
 from daq.identification.monitor import FALSE_ALARMS
 from daq.identification.monitor.bank import PLANES, MonitoredPlane, bank
 from daq.identification.monitor.monitor import Alarm, GapMonitor, GapMonitors
-from daq.identification.monitor.nulls import NullConditions
+from daq.identification.monitor.nulls import FINEST_S, NEARLY, NullConditions, watched_step
 from daq.identification.monitor.threshold import calibrated
 from daq.identification.regression import LiveAircraft
 
@@ -24,16 +25,16 @@ AT_ONCE = 60  # samples that have waited, worked off at a call
 
 
 def conditions_at(rate: float) -> NullConditions:
-    """What thresholds are simulated for, by the scans a second that are seen: on board all of them, from 20 a second on; fewer
-    are what a radio delivers of 20."""
+    """What thresholds are simulated for, by the scans a second that come: on board 20 or some more; fewer are what a radio
+    delivers of 20."""
     if rate < SLOWER_HZ:
         return NullConditions(rate=rate, loss=LOST)
-    whole = max(ON_BOARD_HZ, round(rate))
-    return NullConditions(rate=whole, grid=1.0 / whole)
+    grid = watched_step(1.0 / max(ON_BOARD_HZ, round(rate)))
+    return NullConditions(rate=1.0 / grid, grid=grid)
 
 
 class LiveWatch:
-    """Give it samples of manoeuvring flight; `alarms` are those told so far. rate: scans a second that are seen."""
+    """Give it samples of manoeuvring flight; `alarms` are those told so far. rate: scans a second that come."""
 
     def __init__(self, aircraft: LiveAircraft, rate: float) -> None:
         self._airframe = aircraft.airframe if aircraft.modelled is None else aircraft.modelled
@@ -41,14 +42,18 @@ class LiveWatch:
         self._planes = [PLANES[r.name] for r in aircraft.regressions]
         self._monitor: GapMonitors | None = None
         self._waiting: list[Sample] = []
+        self._last = -math.inf
+        self._shortest = NEARLY * self._conditions.grid if rate * FINEST_S > 1.0 else 0.0
         self._told: list[str] = []  # what each alarm was last said to be
         self.trouble = ""
         self._thread = threading.Thread(target=self._calibrate, name="gap monitor", daemon=True)
         self._thread.start()
 
     def add(self, sample: Sample) -> None:
-        """One sample, in order of time."""
-        self._waiting.append(sample)
+        """One sample, in order of time; one that comes sooner after the last than is looked at is left out."""
+        if sample.time - self._last >= self._shortest:
+            self._last = sample.time
+            self._waiting.append(sample)
 
     def step(self, *, finish: bool = False) -> list[Alarm]:
         """Alarms that are new, or may be something else than was said. finish: wait for the thresholds, and go through all."""

@@ -71,6 +71,7 @@ class Receiver:
         self._next_report_ns = 0
         self._written: list[Path] = []
         self._closed = False
+        self.heard_ns = 0  # when an aircraft last said something
 
     @classmethod
     def open(cls, config: LinkConfig, clock: GroundClock, *, folder: Path | None = None) -> "Receiver":
@@ -123,7 +124,7 @@ class Receiver:
         speaking = self._aircraft.get(frame.system) or self._new_aircraft(frame, sender)
         if speaking is None or not self._may_speak(speaking, frame, sender, now_ns):
             return
-        speaking.port = port
+        speaking.port, self.heard_ns = port, now_ns
         events += speaking.decoder.decode_frame(frame, now_ns, utc)
         if frame.msg_id in SCAN_IDS:
             return

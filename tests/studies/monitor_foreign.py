@@ -19,6 +19,7 @@ from daq.identification.airframe import Airframe, Belief
 from daq.identification.monitor.bank import LATERAL_PLANE, bank
 from daq.identification.monitor.monitor import NAMED_WITHIN_S
 from daq.identification.monitor.motions import inputs_of
+from daq.identification.monitor.nulls import watched_step
 from daq.identification.monitor.predictors import FlightsScan
 from daq.identification.monitor.threshold import BEGIN_S, HOUR_S, calibrated
 from estimation.estimators.recursive import airframe_of
@@ -100,7 +101,8 @@ SOURCES = {"random": of_random, "second": of_second, "sim": of_sim}
 
 
 def side_by_side(flights: Sequence[Flight]) -> list[FlightsScan]:
-    """Their scans, which are at the same times."""
+    """Their scans that are looked at, which are at the same times."""
+    step = flights[0].sample_interval
     driving = inputs_of(LATERAL_PLANE)
     table = {n: np.stack([f[n] for f in flights], axis=1) for n in (*LATERAL_PLANE.channels, *driving._fields[:-2])}
     return [
@@ -110,6 +112,7 @@ def side_by_side(flights: Sequence[Flight]) -> list[FlightsScan]:
             driving(*(table[n][k] for n in driving._fields[:-2])),
         )
         for k, time in enumerate(flights[0].time)
+        if k % round(watched_step(step) / step) == 0
     ]
 
 

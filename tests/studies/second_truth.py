@@ -346,6 +346,7 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
     post = servo[:2].copy()  # surface after any lag
     loose = servo[:2].copy()  # backlash
     pilot = np.zeros((2, n))
+    elevator_before = servo[2].copy()
     delay = np.round((np.stack([e["aileron_delay"], e["rudder_delay"]]) + e["servo_delay"]) * RATE).astype(int)
     line = np.zeros((2, steps, n))
     thrust, pull = T0.copy(), T0.copy()
@@ -395,7 +396,8 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
             out[name][k] = x[i]
         before = line[:, max(k - 1, 0)]
         out["delta_a"][k], out["delta_r"][k] = np.where(centred, 0.5 * (servo[:2] + before), servo[:2])
-        out["delta_e"][k], out["thrust"][k] = servo[2], thrust
+        out["delta_e"][k] = np.where(centred, 0.5 * (servo[2] + elevator_before), servo[2])
+        out["thrust"][k], elevator_before = thrust, servo[2].copy()
         x = made[0].T.copy()
     return out
 

@@ -40,6 +40,9 @@ UPWARD, UPWARD_LENGTH, ROLLING = 0.7, 30.0, 1.9
 """Gusts upwards as a share of those from the side, and their length [m], near the ground; rolling gusts are that many times them
 over the root of length and span, and last 4 / pi spans (MIL-F-8785C). Without them rolling gusts looked like `Cl_r`."""
 NO_LAG = 0.035  # s, servo where the aircraft states none
+GRID_S, FINEST_S = 0.05, 0.045
+"""Seconds between scans that are looked at; of those closer than the second some are left out: at 100 Hz the constant `Cl_0` had
+a wrong name first in two of three, and costs are five times those at 20 Hz."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,14 @@ class NullConditions:
     rate: float = 20.0
     loss: float = 0.0
     grid: float = 0.05
+
+
+NEARLY = 0.9  # of that step, from which a scan is the next one: times are not exact
+
+
+def watched_step(step: float) -> float:
+    """Seconds between scans that are looked at, of an even record with so many between all."""
+    return step * max(1, round(GRID_S / step)) if step < FINEST_S else step
 
 
 PEAKS: Mapping[str, tuple[tuple[float, float], ...]] = {

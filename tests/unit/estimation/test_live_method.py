@@ -10,18 +10,21 @@ import pytest
 from click.testing import CliRunner
 
 from daq.identification.live import LiveEstimator
+from estimation.aircraft import Aircraft
 from estimation.aircraft.library import load_aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.linear_terms import linear_terms
 from estimation.estimators.recursive import airframe_of, estimate_recursively, samples_of
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter, joint_model
+from estimation.session import runner
 from firmware_sim.runs.direct import direct_flights
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.errors import MissingColumnError
 from sideslip.verbs.estimate import estimate
+from tests.studies.random_aeroplanes import DEG, Aeroplane, Situation, fly
 from tests.support.paths import RECORDINGS
 
 TRUE = {"Cl_beta": -0.0894, "Cl_p": -0.4951, "Cl_da": -0.0948, "Cn_beta": 0.0263, "Cn_r": -0.0472, "Cn_p": 0.0245}
@@ -157,3 +160,18 @@ def test_a_term_of_ones_own_is_estimated_by_its_place(flight: Flight, model: Mod
     craft = load_aircraft("cdfp")
     found = estimate_recursively(own, [flight], craft).parameters["yaw_by_aileron"]
     assert abs(found.estimate) < 3.5 * found.std_coloured < 0.01  # it flew without
+
+
+@pytest.mark.parametrize("late", [0.0, 0.05])
+def test_gusts_are_not_taken_for_what_the_model_lacks(late: float) -> None:
+    """In gusts of a degree output error scores 6.1 for a rudder that is not late, which would move `Cn_beta` by five of these
+    bounds; an aileron that is late stays named."""
+    rng = np.random.default_rng([47, 112])
+    craft = Aeroplane.drawn(rng)
+    (gusty,) = fly(craft, Situation("", gust=DEG, aileron_late=late), rng, flights=1)
+    aircraft = Aircraft("drawn", craft.span, craft.area, craft.chord, craft.mass, *craft.inertia)
+    (estimates,) = runner.estimate(load_model("lateral", aircraft), [gusty], aircraft, ("live",)).flights
+    assert estimates.structure is not None
+    assert estimates.verdict is not None
+    assert [lack.names[0] for lack in estimates.structure.lacks] == ["delay_delta_a"] * (late > 0.0)
+    assert estimates.verdict.recommended.method == "live"

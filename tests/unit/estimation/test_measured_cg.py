@@ -109,6 +109,7 @@ def test_yawing_moments_are_about_the_cg_of_the_moment(method: str, lateral: Fli
     assert any("centre of gravity as measured, -0.25 to +0 m" in line for line in answer.lines())
     assert answer["Cn_beta"].estimate == pytest.approx(TRUTH["Cn_beta"], rel=0.02)
     assert answer["Cn_dr"].estimate == pytest.approx(TRUTH["Cn_dr"], rel=0.02)
+    assert answer["Cl_r"].estimate == pytest.approx(TRUTH["Cl_r"], rel=0.012)  # by the flow at the moved CG 2 % off
     assert other["Cn_beta"].estimate < 0.95 * TRUTH["Cn_beta"]
     assert "cg_x" not in answer.model.input_names
 
@@ -121,6 +122,7 @@ def test_pitching_moments_are_about_the_cg_of_the_moment(method: str, longitudin
     other = ss.estimate(bare(longitudinal), "longitudinal", method, aircraft=craft, structure="off")
     for name in ("Cm_alpha", "Cm_de", "Cm_0"):
         assert answer[name].estimate == pytest.approx(PITCH[name], rel=0.03), name
+    assert answer["CL_q"].estimate == pytest.approx(PITCH["CL_q"], rel=0.08)  # by the flow at the moved CG 15 % off
     assert max(abs(other[n].estimate / PITCH[n] - 1.0) for n in ("Cm_alpha", "Cm_de", "Cm_0")) > 0.1
 
 
@@ -151,6 +153,7 @@ def test_every_verb_is_given_the_cg_by_the_front_door(lateral: Flight) -> None:
     assert "cg_x" in problem.model.input_names
     np.testing.assert_allclose(problem.flights[1]["cg_x"], 0.0)
     plain = load_model("lateral", JET)
+    assert "CY_beta*cg_x*r/V" in problem.model.definitions["CY"]
     assert at_stated_cg(problem.model).definitions == plain.definitions
     untouched = with_cg_history(plain, [bare(lateral)])
     assert untouched[0] is plain

@@ -134,6 +134,19 @@ def test_an_early_edge_in_a_long_interval_makes_no_row() -> None:
     assert not curves.sure
 
 
+@pytest.mark.parametrize("lag", [None, 0.035])
+def test_a_control_that_may_have_gone_and_come_back_between_two_scans_is_not_known(lag: float | None) -> None:
+    """Scans of a 3-2-1-1 of 0.2 s steps from which those in between are lost; then the same in a manoeuvre that is over."""
+    times, flown = (10.05, 10.1, 10.3, 10.35), tuple(np.radians((-1.52, -0.18, -0.12, -1.48)).tolist())
+    for values, sure in ((flown, False), ((*flown[:3], flown[2]), True)):
+        curves = SurfaceCurves(lag)
+        curves.middle(times, values)
+        assert curves.sure is sure
+    curves = SurfaceCurves(lag)
+    curves.middle((10.05, 10.1, 10.2, 10.25), flown)  # at the usual pace nobody is there and back
+    assert curves.sure
+
+
 def test_a_resting_control_has_not_moved_and_a_moved_one_has() -> None:
     rng = np.random.default_rng(1)
     signal, noise = ControlSignal(), math.radians(0.07)

@@ -27,7 +27,7 @@ from groundstation.flight import Flight
 from groundstation.identification.alignment import NEIGHBOURS, ScanAlignment
 from groundstation.identification.session import LiveIdentification, LiveState
 from groundstation.identification.wanted import TimeToBound, wanted_bounds
-from groundstation.identification.watching import conditions_at
+from groundstation.identification.watching import LiveWatch, conditions_at
 from groundstation.identification.words import lines, short_line
 from sideslip.live_aircraft import airframe_of_file, live_aircraft
 
@@ -234,11 +234,22 @@ def test_a_centre_of_gravity_that_a_sensor_of_ones_own_measures_is_taken(
         assert now[name].estimate == pytest.approx(expected, rel=0.05 if arm else 1e-9), name
 
 
-@pytest.mark.parametrize(("rate", "seen", "grid"), [(11.5, 11.5, 0.05), (19.6, 20.0, 0.05), (50.2, 50.0, 0.02)])
+@pytest.mark.parametrize(
+    ("rate", "seen", "grid"), [(11.5, 11.5, 0.05), (19.6, 20.0, 0.05), (50.2, 25.0, 0.04), (100.0, 20.0, 0.05)]
+)
 def test_thresholds_are_simulated_for_the_scans_that_come(rate: float, seen: float, grid: float) -> None:
-    """They were those of 20 a second on board, whatever the logger did."""
+    """Of fast ones some are left out, as over a file."""
     conditions = conditions_at(rate)
-    assert (conditions.rate, conditions.grid) == (seen, grid)
+    assert (conditions.rate, conditions.grid) == (pytest.approx(seen), pytest.approx(grid))
+
+
+def test_of_fast_scans_the_watch_looks_at_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LiveWatch, "_calibrate", lambda self: None)
+    for rate, left in ((19.6, 98), (50.0, 125), (100.0, 100)):
+        watch = LiveWatch(live_aircraft("cdfp"), rate)
+        for k in range(round(5.0 * rate)):
+            watch.add(Sample(k / rate, *[0.0] * 12))
+        assert len(watch._waiting) == left
 
 
 def test_numbers_that_cannot_be_end_identification_and_nothing_else(

@@ -1,7 +1,8 @@
-"""A simulated flight whose disk is full from the landing on ends, instead of fetching the same scans for a simulated hour."""
+"""A simulated flight ends soon after it has landed, whatever keeps the ground from what is still on board."""
 
 import errno
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -44,3 +45,13 @@ def test_a_disk_that_is_full_from_the_landing_on_ends_the_flight(
     assert sum(served) < 30.0
     assert not flown.agreed
     assert flown.summary["scans_on_disk"] == flown.summary["scans_received"]  # what came before the landing
+
+
+def test_nobody_who_answers_after_landing_is_told_and_waited_for_no_longer(tmp_path: Path) -> None:
+    lost = [{"kind": "radio_lost", "start_s": 3.0, "stop_s": 1e5}]
+    scenario = Scenario.model_validate({"title": "short", "flight": {"duration_s": 4.0}, "faults": lost})
+    begun = time.monotonic()
+    flown = fly_scenario(scenario, tmp_path / "flown", seed=11, speed=2.0)
+    assert time.monotonic() - begun < 30.0  # two simulated minutes of radio, which at this speed would be one
+    assert not flown.agreed
+    assert [line for line in flown.lines if line.startswith("backfill given up: nobody answered for 60 s")]
