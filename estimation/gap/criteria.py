@@ -210,6 +210,9 @@ class Criteria:
         "what chance may take from an effect on held-out flights, if it is strong or has as much to spare above the "
         "threshold",
         "by hand; equals three standard deviations of one unknown")
+    held_chance: float = criterion(4.0, "2 log likelihood",
+        "an effect that is not strong and gains more on held-out flights need not make the plain gap there smaller",
+        "theory: two standard deviations of one unknown; one that is none gets it in 1 of 44")
     followed_gain: float = criterion(0.4, "gain",
         "more of it from surfaces freed in time: the base had followed the effect that way",
         "delays of the second truth .44 to .61, a lag .31, Cn_da and beta_lag .01 and .07, 2026-11-28")
