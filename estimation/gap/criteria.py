@@ -158,9 +158,6 @@ class Criteria:
     many_derivatives: int = criterion(3, "derivatives",
         "a base that holds its derivatives is refitted in all of them where so many, one beside the other, are off",
         "by hand: one that is wrong is an answer; with all derivatives off by up to 10 % six stand out")
-    wrong_number: float = criterion(0.15, "1",
-        "of a derivative's number: where so few are off by more, each is an answer, and nothing is refitted before",
-        "by hand: simulations that are refitted first have numbers off by up to 10 %; a quarter is a wrong one")
     noise_held: float = criterion(100.0, "2 log likelihood",
         "flights that are likelier by more with a hypothesis and its own noise are asked again with that noise",
         "between nothing hidden and effects that the noise had swallowed; see estimation.gap.search.sharper")
