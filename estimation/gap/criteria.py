@@ -158,9 +158,6 @@ class Criteria:
     many_derivatives: int = criterion(3, "derivatives",
         "a base that holds its derivatives is refitted in all of them where so many, one beside the other, are off",
         "by hand: one that is wrong is an answer; with all derivatives off by up to 10 % six stand out")
-    wrong_number: float = criterion(0.15, "1",
-        "of a derivative's number: where so few are off by more, each is an answer, and nothing is refitted before",
-        "by hand: simulations that are refitted first have numbers off by up to 10 %; a quarter is a wrong one")
     noise_held: float = criterion(100.0, "2 log likelihood",
         "flights that are likelier by more with a hypothesis and its own noise are asked again with that noise",
         "between nothing hidden and effects that the noise had swallowed; see estimation.gap.search.sharper")
@@ -210,6 +207,9 @@ class Criteria:
         "what chance may take from an effect on held-out flights, if it is strong or has as much to spare above the "
         "threshold",
         "by hand; equals three standard deviations of one unknown")
+    held_chance: float = criterion(4.0, "2 log likelihood",
+        "an effect that is not strong and gains more on held-out flights need not make the plain gap there smaller",
+        "theory: two standard deviations of one unknown; one that is none gets it in 1 of 44")
     followed_gain: float = criterion(0.4, "gain",
         "more of it from surfaces freed in time: the base had followed the effect that way",
         "delays of the second truth .44 to .61, a lag .31, Cn_da and beta_lag .01 and .07, 2026-11-28")

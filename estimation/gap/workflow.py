@@ -32,7 +32,7 @@ from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
 from estimation.gap.records.sampling import at_own_rates, flown_apart, with_lost_rows, without_unseen_moves
-from estimation.gap.search.free_base import derivatives_off, many, moved_in_words, with_free_derivatives, wrong_numbers
+from estimation.gap.search.free_base import derivatives_off, far_off, many, moved_in_words, with_free_derivatives
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AS_USUAL, LOOK, Options, Setting
 from estimation.gap.significance.kinematic_check import kinematic_check
@@ -93,8 +93,7 @@ def run_gap(
             setting, baseline = begun(model)
         if off := derivatives_off(setting, baseline):
             freed = begun(with_free_derivatives(model, off))
-            wrong = wrong_numbers(off, model.starts(), freed[1])
-            if not wrong or many(wrong, options.criteria):
+            if many(far_off(off, model.starts(), freed[1].fit, options.criteria), options.criteria):
                 setting, baseline = freed
                 moved = moved_in_words(off, model.starts(), baseline)
         doubts += turned_signs(baseline)

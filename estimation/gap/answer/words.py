@@ -29,7 +29,7 @@ def describe_step(step: EffectStep) -> str:
     if step.followed:
         shifts = " and ".join(f"{n} by {1e3 * v:.0f} ms" for n, v in step.followed.items())
         text += f" Without it the base moves {shifts} to follow; the gap before it is counted without that."
-    if step.gap.within_floor:
+    if step.gap.says_nothing:
         text += course_stands_out(step.gap)
     if step.holdout is not None and step.holdout.says_nothing:
         before, highest = step.holdout.before, step.holdout.highest
@@ -78,9 +78,10 @@ def describe_unknown(step: EffectStep) -> str:
 
 def course_stands_out(gap: Gap) -> str:
     """A sentence on what is certain though the gap is one that flights have with nothing hidden."""
+    usual = f"{gap.floor:.3g}" if gap.within_floor else f"up to {gap.highest:.3g}"
     return (
         f" Its size is no larger than gusts and errors of the inputs leave (a gap of {gap.before:.3g}, "
-        f"{gap.floor:.3g} with nothing hidden): its course stands out."
+        f"{usual} with nothing hidden): its course stands out."
     )
 
 

@@ -64,7 +64,7 @@ def decide(facts: VerdictFacts, criteria: Criteria) -> Decision:
     """The verdict that the facts give."""
     rest = rest_matters(facts, criteria)
     count, withdrawn = standing(facts, criteria) if rest else (len(facts.named), ())
-    closed = count > 0 and closed_by(facts.named[:count]) >= criteria.closed_share
+    closed = count > 0 and closed_by(facts.named[:count], facts.covered) >= criteria.closed_share
     blind = facts.blind > criteria.blind_share * max(facts.asked, 1)
     answers = (rest, count > 0, closed, blind)
     verdict = next(row[-1] for row in TABLE if all(w is ANY or w == f for w, f in zip(row[:-1], answers, strict=True)))
@@ -143,11 +143,14 @@ def outweighs(named: float, rest: float, share: float) -> bool:
     return named**2 >= share * (named**2 + rest**2)
 
 
-def closed_by(named: Sequence[Named]) -> float:
-    """Share of the gap that names close together: on the held-out flights where these showed it, else on the training flights."""
+def closed_by(named: Sequence[Named], covered: bool) -> float:
+    """Share of the gap that names close together: on the held-out flights where these showed it, else on the training flights;
+    all of it where neither did and what is left is `covered`, a gap that nothing hidden leaves: they are certain by their course.
+    """
     first, last = named[0], named[-1]
-    training = replace(first.gap, after=last.gap.after, floor=last.gap.floor)
-    if first.held is None or last.held is None:
-        return training.closed
-    held = replace(first.held, after=last.held.after, floor=last.held.floor)
-    return training.closed if held.says_nothing else held.closed
+    training = replace(first.gap, after=last.gap.after, floor=last.gap.floor, highest=last.gap.highest)
+    if first.held is not None and last.held is not None:
+        held = replace(first.held, after=last.held.after, floor=last.held.floor)
+        if not held.says_nothing:
+            return held.closed
+    return 1.0 if covered and training.says_nothing else training.closed

@@ -77,7 +77,7 @@ def confirmed(
     spare = math.inf if strong or timing else to_spare(sure, round_.threshold)
     if not holds_on_holdout(held_support, spare, criteria):
         return None, "does not hold on the held-out flights"
-    supported = held_support is not None and held_support > (0.0 if strong else criteria.held_slack)
+    supported = held_support is not None and held_support > (0.0 if strong else criteria.held_chance)
     held = None if timing or supported else held_out_gaps(round_.baseline, child)
     if not closes_held_out(held):
         return None, "closes nothing of the gap on the held-out flights"

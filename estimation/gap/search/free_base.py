@@ -13,6 +13,7 @@ import numpy as np
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Group
 from estimation.gap.fit.baseline import Baseline, fit_from
+from estimation.gap.fit.problem import ModelFit
 from estimation.gap.search.state import Setting
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for
 from estimation.gap.significance.tangent import Tangent
@@ -29,7 +30,7 @@ def derivatives_off(setting: Setting, baseline: Baseline) -> tuple[str, ...]:
     held = [e for e in setting.effects if e.group is Group.DERIVATIVE and any(f.frees for f in e.forms)]
     hypotheses = hypotheses_for(baseline.clean, held, setting.prepared.available)
     problem, found, off = baseline.problem, baseline.fit, list[str]()
-    while not many(off, baseline.criteria):
+    while not many([*off, *factors_off(found, baseline.criteria)] if off else (), baseline.criteria):
         rest = [h for h in hypotheses if h.form.frees[0] not in off]
         if found.diverged or not rest:
             return ()
@@ -48,16 +49,18 @@ def many(off: Sequence[str], criteria: Criteria) -> bool:
     return len(off) >= criteria.many_derivatives
 
 
-def wrong_numbers(names: Sequence[str], before: Mapping[str, float], baseline: Baseline) -> tuple[str, ...]:
-    """Of derivatives that were set free, those whose number is wrong: further off than bounds allow, and than numbers of a
-    simulation usually are. One of them bends what its neighbours have to be, so that these look off as well."""
-    std, values, criteria = baseline.fit.std(), baseline.fit.values, baseline.criteria
-    moved = {n: abs(values[n] - before[n]) for n in names}
-    return tuple(
-        n
-        for n, move in moved.items()
-        if move > criteria.migrated_bounds * std[n] and move > criteria.wrong_number * abs(before[n])
-    )
+def factors_off(found: ModelFit, criteria: Criteria) -> list[str]:
+    """Factors on coefficients of a simulation that are off: each says that what it multiplies is, beside the derivatives that are
+    free. All are where mass or air density is wrong, which is no derivative's."""
+    factors = [n for n in found.values if n.startswith(FACTOR)]
+    return far_off(factors, dict.fromkeys(factors, 1.0), found, criteria)
+
+
+def far_off(names: Sequence[str], before: Mapping[str, float], found: ModelFit, criteria: Criteria) -> list[str]:
+    """Those that a fit moved by more than their bounds allow. Freed one by one more look off: a wrong one bends what
+    its neighbours have to be."""
+    std = found.std()
+    return [n for n in names if n in std and abs(found.values[n] - before[n]) > criteria.migrated_bounds * std[n]]
 
 
 def largest(screen: Screen, criteria: Criteria) -> str | None:
@@ -91,7 +94,6 @@ def with_free_derivatives(model: Model, names: Sequence[str]) -> Model:
 def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: Baseline) -> str:
     """A sentence on the derivatives that were set free and moved by more than their bounds allow."""
     std, values = baseline.fit.std(), baseline.fit.values
-    far = baseline.criteria.migrated_bounds
-    moved = [n for n in names if abs(values[n] - before[n]) > far * std[n]]
+    moved = far_off(names, before, baseline.fit, baseline.criteria)
     words = ", ".join(f"{n} from {before[n]:.4g} to {values[n]:.4g} +- {std[n]:.2g}" for n in moved)
     return f"Several derivatives of the base are off, so that all {len(names)} were refitted first: {words or 'none moved far'}."

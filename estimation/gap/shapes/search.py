@@ -127,8 +127,12 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
     swing = find_swing(motion, round_)
     minimum = swing.gain if swing is not None else 0.0
     shape, attempts = _best(round_, task, motion, ranking, minimum)
-    if shape is not None or not at_length:
-        return ShapeSearch(shape, tuple(attempts), swing if shape is None else None)
+    if shape is not None:
+        return ShapeSearch(shape, tuple(attempts))
+    if not at_length:  # nothing else stands out
+        return ShapeSearch(
+            None, tuple(attempts), swing if swing is not None and alone(swing, round_.criteria) else None
+        )
     if ranking.order:
         line = ranking.places[ranking.order[0]].line
         products = [p for p in products_of(task.prepared.base) if p.line == line]
@@ -137,6 +141,11 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
     memory = find_memory(motion, round_, singles) if shape is None else None
     followers = [f for f in (memory, swing) if f is not None and shape is None]
     return ShapeSearch(shape, tuple(attempts), max(followers, key=lambda f: f.gain, default=None))
+
+
+def alone(swing: SwingingTerm, criteria: Criteria) -> bool:
+    """Whether a swing is an unknown effect by itself, as a nameless term is."""
+    return swing.score > criteria.unknown_margin * swing.threshold
 
 
 def _best(

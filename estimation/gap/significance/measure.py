@@ -96,12 +96,19 @@ class Floors:
 
     def covers(self, gap: float) -> bool:
         """Whether a training gap is one that nothing hidden would leave."""
-        return gap <= float(np.quantile(self.training, self.criteria.floor_level))
+        return gap <= self.training_highest
+
+    @property
+    def training_highest(self) -> float:
+        """Gap on the training flights that nothing hidden would leave at the most."""
+        return float(np.quantile(self.training, self.criteria.floor_level))
 
     @property
     def highest(self) -> float:
-        """Gap on the held-out flights (training flights where there are none) that nothing hidden would leave."""
-        return float(np.quantile(self.holdout if self.holdout.size else self.training, self.criteria.floor_level))
+        """The same on the held-out flights, on the training flights where there are none."""
+        return (
+            float(np.quantile(self.holdout, self.criteria.floor_level)) if self.holdout.size else self.training_highest
+        )
 
     @property
     def training_median(self) -> float:
@@ -114,15 +121,17 @@ class Floors:
 
 def gaps(before: Baseline, after: Baseline, floor: Floors) -> tuple[Gap, Gap | None]:
     """Gap of two fitted models on the training flights, and on the held-out ones where there are any."""
-    scatter, held = after.scatter, held_out_gaps(before, after)
+    scatter, held, enough = after.scatter, held_out_gaps(before, after), before.criteria.closed_share
     training = Gap(
         rms_over_noise(before.problem, before.fit, scatter),
         rms_over_noise(after.problem, after.fit, scatter),
         floor.training_median,
+        floor.training_highest,
+        enough,
     )
     if held is None or floor.holdout_median is None:
         return training, None
-    return training, Gap(*held, floor.holdout_median, floor.highest, before.criteria.closed_share)
+    return training, Gap(*held, floor.holdout_median, floor.highest, enough)
 
 
 def held_out_gaps(before: Baseline, after: Baseline) -> tuple[float, float] | None:

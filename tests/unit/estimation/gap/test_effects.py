@@ -14,7 +14,9 @@ from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.errors import EffectError
 from estimation.gap.records.candidate_model import awakened, with_dormant
 from estimation.models.base import Model
+from estimation.models.expressions import evaluate
 from estimation.models.load import load_model, read_model, write_model
+from estimation.models.numeric import FUNCTIONS
 from estimation.prepare.flight_data import FlightData, Segment
 
 moved = partial(simulate, compile_="never")  # each model is asked once: compiling it would take longest
@@ -173,3 +175,14 @@ def test_a_device_shows_a_model_what_the_model_asks_of_it() -> None:
     assert delayed == {"six-dof": {"p", "q"}, "lateral": {"p"}, "longitudinal": {"q"}}
     elsewhere = replace(form, output_delays={"alpha": "t"}, optional=("alpha",))
     assert elsewhere.obstacle(load_model("lateral", "cdfp")) == "the model has no alpha"
+
+
+@pytest.mark.parametrize(("label", "pair"), [("about y", ("p", "r")), ("about x", ("r", "q"))])
+def test_a_gyro_turned_in_its_mount_shows_rates_turned_and_not_longer(label: str, pair: tuple[str, str]) -> None:
+    """Turned by 14 deg it had needed a scale of the gyro beside it."""
+    effect = next(e for e in catalogue() if e.name == "gyro_misalignment")
+    form = next(f for f in effect.forms if f.label == label)
+    rates = {"p": 0.7, "q": -0.2, "r": 0.4, form.parameters[0].name: 0.24}
+    shown = [float(evaluate(form.outputs[n], rates, FUNCTIONS)) for n in pair]
+    assert np.hypot(*shown) == pytest.approx(np.hypot(*(rates[n] for n in pair)))
+    assert shown[0] == pytest.approx(rates[pair[0]] - 0.24 * rates[pair[1]], abs=0.03)

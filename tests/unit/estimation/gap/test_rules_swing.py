@@ -18,6 +18,7 @@ from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import fit_baseline
 from estimation.gap.shapes.lag_swing import DAMPING, SLOWEST, find_swing, frequencies, oscillator, rings
 from estimation.gap.shapes.places import ModelMotion
+from estimation.gap.shapes.search import alone
 from estimation.gap.significance.calibration import name_threshold, screen_round
 from estimation.gap.workflow import Options, _setting, prepare_flights, run_gap
 from estimation.models.load import load_model
@@ -47,6 +48,14 @@ def test_frequencies_asked_are_between_a_swing_in_three_seconds_and_half_of_what
     width = 2.0 * DAMPING  # of a resonance at half its power, over its frequency
     assert np.all(np.diff(asked) / asked[:-1] <= width + 1e-9)
     assert frequencies(0.25 * np.arange(200))[0] == SLOWEST  # 2 Hz shows hardly one
+
+
+@pytest.mark.parametrize(("score", "unknown"), [(4.7, False), (5.0, True)])
+def test_a_swing_with_nothing_else_left_is_unknown_as_far_above_its_threshold_as_a_nameless_term(
+    score: float, unknown: bool
+) -> None:
+    """Quantised instruments gave one of 3.90 with nothing hidden, of a threshold of 3.73; fuel and booms that swing 10 to 14."""
+    assert alone(replace(FOUND, score=score, threshold=3.73), AS_SET) is unknown
 
 
 @pytest.mark.parametrize(("damping", "swings"), [(0.02, True), (0.39, True), (0.41, False), (0.8, False)])
