@@ -169,8 +169,9 @@ def changed(s: Set, name: str, size: float, n: int) -> Changed:
 
 def ideal(s: Set, c: Changed) -> str:
     """Share of the flights that a detector notices within five seconds which is told what to look for: effect, size and onset,
-    with the flight without it beside it; then of one that is told the onset alone, by the monitor's rate. It has to allow for
-    the model's own errors and for one false alarm an hour, as all have; by Neyman and Pearson's lemma none does better."""
+    with the flight without it beside it. It has to allow for the model's own errors and for one false alarm an hour, as all
+    have; by Neyman and Pearson's lemma none does better. Then, as a yardstick, of one that is told the onset alone and looks
+    once, by the monitor's rate for any of its effects."""
     with_it, without = _white(s, c.scans), _white(s, c.without)
     times = np.array([t for t, _, _ in with_it])
     prior = np.array([e.prior / e.step for e in s.effects])
