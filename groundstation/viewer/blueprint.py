@@ -157,8 +157,9 @@ def save_blueprint(path: Path, layout: Layout = "full") -> None:
         write_bytes(path, scratch.read_bytes())
 
 
-TOP, LIGHT_TOP = 0.10, 0.13
-"""Of the height: a line of read-outs from 720 lines of screen on, and two on the smaller screen that the light page is for."""
+TOP, LIVE_TOP = 0.10, 0.13
+"""Of the height: a line of read-outs from 720 lines of screen on; live and on a light page two, the time of day on the second
+where a screen has 1280 columns or less."""
 NARROW_TOP = 0.30  # of a phone's: four lines of read-outs, and the alarms in words below them
 CONTAINERS = (rrb.Vertical, rrb.Horizontal, rrb.Tabs, rrb.Grid)
 
@@ -174,7 +175,7 @@ def fitted(
     body = page.root_container if filled is None else _without_empty(page.root_container, filled)
     narrow = layout == "phone"
     top = _top(live=live, narrow=narrow) if filled is None or e.READOUTS in filled else None
-    wide = LIGHT_TOP if layout == "light" else TOP
+    wide = LIVE_TOP if live or layout == "light" else TOP
     height = NARROW_TOP * (1.0 if live else 0.5) if narrow else wide  # a recorded flight has no alarms there
     rows = [(part, share) for part, share in ((top, height), (body, 1.0 - height)) if part is not None]
     if rows:
