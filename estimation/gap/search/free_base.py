@@ -72,20 +72,24 @@ def largest(screen: Screen, criteria: Criteria) -> str | None:
 
 
 def with_free_derivatives(model: Model, names: Sequence[str]) -> Model:
-    """A base with derivatives free, and the factors on its coefficients held.
+    """A base with derivatives free, and the factors on their coefficients held.
 
     What the simulation has by a control for which the model has no derivative (yawing moment by the aileron) is off as the others
-    are: with it held, a product of inertia stood for 6 % of a `Cn_da`.
+    are: with it held, a product of inertia stood for 6 % of a `Cn_da`. So is all of a coefficient without derivatives: drag of a
+    lift that is off was a nameless function of alpha.
     """
     coefficients = [n.removesuffix(SIMULATED) for n in model.definitions if n.endswith(SIMULATED)]
+    with_derivatives = {c for c in coefficients if any(n.startswith(f"{c}_") for n in names)}
     controls = {s.name for s in model.inputs if s.control}
-    free = model.freed(*names).fixed(*(FACTOR + c for c in coefficients if FACTOR + c in model.free_names))
+    signals = {s.name for s in (*model.states, *model.inputs)}
+    free = model.freed(*names).fixed(*(FACTOR + c for c in with_derivatives if FACTOR + c in model.free_names))
     for c in coefficients:
+        without = (controls if c in with_derivatives else signals) - names_in(model.definitions[c])
         for piece in model.definitions[c + SIMULATED].split(" + "):
-            control = piece.rpartition("*")[2]
-            if control in controls - names_in(model.definitions[c]):
+            signal = piece.rpartition("*")[2]
+            if signal in without:
                 share = Parameter(
-                    f"off_{c}_{control}", "1", 0.0, prior_mean=0.0, prior_std=OFF, role=ParameterRole.NUISANCE
+                    f"off_{c}_{signal}", "1", 0.0, prior_mean=0.0, prior_std=OFF, role=ParameterRole.NUISANCE
                 )
                 free = free.plus(terms={c: f"{share.name}*{piece}"}, parameters=[share])
     return free

@@ -431,6 +431,11 @@ def test_free_derivatives_stand_for_the_factor_on_their_coefficient() -> None:
         "what has no parameter may be off as the others are"
     )
     assert (free.parameter("off_Cl_delta_a").prior_std, "off_Cl_p" in free.parameter_names) == (0.1, False)
+    drag = base.plus(parameters=[Parameter("k_CD", start=1.0)])
+    drag = replace(drag, equations=("CD_sim = 0.3*p", "CD = k_CD*CD_sim", *base.equations))
+    free = with_free_derivatives(drag, ["Cl_p"])
+    assert "k_CD" in free.free_names
+    assert free.definitions["CD"].endswith("off_CD_p*0.3*p"), "none of what it has has a parameter"
     moved = stub(fit=stub(values={"Cl_p": -0.44, "L_p": -6.1}, std=lambda: {"Cl_p": 0.01, "L_p": 0.2}), criteria=AS_SET)
     words = moved_in_words(["Cl_p", "L_p"], {"Cl_p": -0.4, "L_p": -6.0}, moved)
     assert "all 2 were refitted first: Cl_p from -0.4 to -0.44 +- 0.01." in words
