@@ -48,6 +48,37 @@ def many(off: Sequence[str], criteria: Criteria) -> bool:
     return len(off) >= criteria.many_derivatives
 
 
+def outstanding(setting: Setting, baseline: Baseline, names: Sequence[str]) -> str | None:
+    """The one of several derivatives whose number alone explains most of what all of them free do; None where there is none.
+
+    Where surfaces are known by commands that a log has at intervals, their times bend every derivative by some per cent: many
+    look off beside the one that is.
+    """
+    problem, held = baseline.problem, baseline.fit
+    hypotheses = [
+        h
+        for h in hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
+        if h.effect.group is Group.DERIVATIVE and h.form.frees and h.form.frees[0] in names
+    ]
+    first = largest(build_screen(Tangent(problem, held), hypotheses), baseline.criteria) if hypotheses else None
+    if first is None:
+        return None
+    alone = fit_from(replace(problem, model=problem.model.freed(first)), held)
+    every = fit_from(replace(problem, model=with_free_derivatives(problem.model, names)), held)
+    if alone.diverged or every.diverged:
+        return None
+    before, costs = problem.model.starts()[first], (held.cost, alone.cost, every.cost)
+    return first if stands_out(before, alone.values[first], costs, baseline.criteria) else None
+
+
+def stands_out(before: float, after: float, costs: tuple[float, float, float], criteria: Criteria) -> bool:
+    """Whether the number of one derivative is wrong, and what freeing it gains is most of what freeing all does. costs: of the
+    fits with all held, with it free, with all free."""
+    held, alone, every = costs
+    wrong = abs(after - before) > criteria.wrong_number * abs(before)
+    return wrong and held - alone >= criteria.closed_share * (held - every) > 0.0
+
+
 def wrong_numbers(names: Sequence[str], before: Mapping[str, float], baseline: Baseline) -> tuple[str, ...]:
     """Of derivatives that were set free, those whose number is wrong: further off than bounds allow, and than numbers of a
     simulation usually are. One of them bends what its neighbours have to be, so that these look off as well."""

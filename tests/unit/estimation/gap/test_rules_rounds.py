@@ -24,7 +24,14 @@ from estimation.gap.search.accept import (
     repeats_on_flights,
 )
 from estimation.gap.search.confirm import FittedHypothesis
-from estimation.gap.search.free_base import largest, many, moved_in_words, with_free_derivatives, wrong_numbers
+from estimation.gap.search.free_base import (
+    largest,
+    many,
+    moved_in_words,
+    stands_out,
+    with_free_derivatives,
+    wrong_numbers,
+)
 from estimation.gap.search.rounds import better_rivals, idle, questioners, run_rounds
 from estimation.gap.search.select import Choice
 from estimation.gap.search.sharper import holds_an_effect
@@ -423,6 +430,23 @@ def test_a_number_is_wrong_that_is_off_by_a_seventh_and_by_three_bounds(
     """A number that the simulation leaves out is wrong as soon as it is seen."""
     freed: Any = stub(fit=stub(values={"Cl_p": value}, std=lambda: {"Cl_p": std}), criteria=AS_SET)
     assert wrong_numbers(["Cl_p"], {"Cl_p": before}, freed) == (("Cl_p",) if wrong else ())
+
+
+@pytest.mark.parametrize(
+    ("after", "costs", "stands"),
+    [
+        (-0.448, (7235.0, 5609.0, 5212.0), True),  # Cl_p of a SITL file times 1.4, by logs with servo outputs at 25 Hz
+        (-0.174, (6101.0, 6076.0, 6050.0), False),  # the right file: half of what all gain
+        (-0.55, (7235.0, 5609.0, 5212.0), False),  # a number that is right stays so, whatever it gains
+        (-0.448, (7235.0, 5900.0, 5212.0), False),
+        (-0.448, (7235.0, 7235.0, 7235.0), False),
+    ],
+)
+def test_one_wrong_number_stands_out_of_many_that_surfaces_bend(
+    after: float, costs: tuple[float, float, float], stands: bool
+) -> None:
+    """By the times of recorded commands three more derivatives looked off by a quarter and more, and all were refitted."""
+    assert stands_out(-0.609, after, costs, AS_SET) is stands
 
 
 def test_free_derivatives_stand_for_the_factor_on_their_coefficient() -> None:
