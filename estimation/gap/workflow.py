@@ -105,7 +105,7 @@ def run_gap(
             wrong = wrong_numbers(off, model.starts(), freed[1])
             if not wrong or many(wrong, options.criteria):
                 setting, baseline = freed
-                moved = moved_in_words(off, model.starts(), baseline)
+                moved = moved_in_words(off, model.starts(), baseline, bool(setting.commanded))
         doubts += turned_signs(baseline)
         search = run_rounds(setting, baseline)
     except GapError as error:

@@ -119,10 +119,12 @@ def with_free_derivatives(model: Model, names: Sequence[str]) -> Model:
     return free
 
 
-def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: Baseline) -> str:
-    """A sentence on the derivatives that were set free and moved by more than their bounds allow."""
+def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: Baseline, bent: bool = False) -> str:
+    """A sentence on the derivatives that were set free and moved by more than their bounds allow. bent: the times of commands may
+    be why."""
     std, values = baseline.fit.std(), baseline.fit.values
     far = baseline.criteria.migrated_bounds
     moved = [n for n in names if abs(values[n] - before[n]) > far * std[n]]
     words = ", ".join(f"{n} from {before[n]:.4g} to {values[n]:.4g} +- {std[n]:.2g}" for n in moved)
-    return f"Several derivatives of the base are off, so that all {len(names)} were refitted first: {words or 'none moved far'}."
+    off = "look off, as times of commands bend them" if bent else "are off"
+    return f"Several derivatives of the base {off}, so that all {len(names)} were refitted first: {words or 'none moved far'}."
