@@ -158,6 +158,10 @@ class Criteria:
     many_derivatives: int = criterion(3, "derivatives",
         "a base that holds its derivatives is refitted in all of them where so many, one beside the other, are off",
         "by hand: one that is wrong is an answer; with all derivatives off by up to 10 % six stand out")
+    wrong_number: float = criterion(0.15, "1",
+        "of one derivative's number: off by more, and most of what all of them gain, it is searched by itself where surfaces are "
+        "recorded commands",
+        "by hand: simulations that are refitted first have numbers off by up to 10 %; a quarter is a wrong one")
     noise_held: float = criterion(100.0, "2 log likelihood",
         "flights that are likelier by more with a hypothesis and its own noise are asked again with that noise",
         "between nothing hidden and effects that the noise had swallowed; see estimation.gap.search.sharper")

@@ -26,13 +26,20 @@ from estimation.gap.fit.channel_noise import (
 )
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.attitudes import with_attitudes_between
-from estimation.gap.records.candidate_model import stamped_attitudes, with_dormant, with_nuisance
+from estimation.gap.records.candidate_model import rare_commands, stamped_attitudes, with_dormant, with_nuisance
 from estimation.gap.records.doubts import doubts_of, refuse_twice, sample_notes, stale_channels
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
 from estimation.gap.records.sampling import at_own_rates, flown_apart, with_lost_rows, without_unseen_moves
-from estimation.gap.search.free_base import derivatives_off, far_off, many, moved_in_words, with_free_derivatives
+from estimation.gap.search.free_base import (
+    derivatives_off,
+    far_off,
+    many,
+    moved_in_words,
+    one_explains,
+    with_free_derivatives,
+)
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AS_USUAL, LOOK, Options, Setting
 from estimation.gap.significance.kinematic_check import kinematic_check
@@ -81,6 +88,7 @@ def run_gap(
         prepared = prepare_flights(base, candidates, training_flights, holdout_flights, options.criteria)
         prepared = replace(prepared, notes=(*comparison_notes, *prepared.notes, *fault_notes), stale=stale)
         setting = _setting(prepared, candidates, levels(base, flights), stamped_attitudes(base, flights), options, tell)
+        setting = replace(setting, commanded=rare_commands(base, training_flights))
         tell("fitting the baseline", 0.05)
         return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
 
@@ -91,11 +99,12 @@ def run_gap(
         except GapError as error:
             model = _estimated(model, training_flights, error)
             setting, baseline = begun(model)
-        if off := derivatives_off(setting, baseline):
+        off = derivatives_off(setting, baseline)
+        if off and not (setting.commanded and one_explains(setting, baseline, off)):
             freed = begun(with_free_derivatives(model, off))
             if many(far_off(off, model.starts(), freed[1].fit, options.criteria), options.criteria):
                 setting, baseline = freed
-                moved = moved_in_words(off, model.starts(), baseline)
+                moved = moved_in_words(off, model.starts(), baseline, bool(setting.commanded))
         doubts += turned_signs(baseline)
         search = run_rounds(setting, baseline)
     except GapError as error:

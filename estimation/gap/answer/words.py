@@ -174,10 +174,11 @@ def conclude(
     following: Sequence[str] = (),
     left: str = "",
     flights: int = 0,
+    inputs: str = "",
 ) -> str:
     """The paragraph of the verdict. odd: training flights, of so many `flights`, that do not repeat the others. stale: outputs
     that repeat their last value in many samples. following: controls that only follow the motion. left: how what is left beside
-    a shape shows."""
+    a shape shows. inputs: what of the rest may be errors of the inputs, as of `rest_of_inputs`."""
     parts = []
     if verdict is GapVerdict.NO_GAP:
         parts.append(
@@ -188,10 +189,11 @@ def conclude(
             if examples:
                 parts.append(f"Anything larger than for example {', '.join(examples)} would have been seen.")
     elif verdict is GapVerdict.CANNOT_TELL:
-        parts.append(
-            "No effect found, but these flights could not have shown many of them: they hardly excite the motion."
-        )
+        why = inputs or "but these flights could not have shown many of them: they hardly excite the motion."
+        parts.append(f"No effect found{':' if inputs else ','} {why}")
     parts += [s.text for s in steps]
+    if inputs and verdict is not GapVerdict.CANNOT_TELL:
+        parts.append(f"Beside this, {inputs}")
     if left:
         parts.append(f"Beside all this something is left that is not explained ({left}).")
     if steps and not holdout:
@@ -230,6 +232,18 @@ def conclude(
             hidden += " and cannot be told from them"
         parts.append(f"Not visible in any flight: {hidden}.")
     return " ".join(parts)
+
+
+def rest_of_inputs(commanded: Mapping[str, float], place: str, score: float, threshold: float) -> str:
+    """What of a rest without a name cannot be told from errors of surfaces that are known by commands. commanded: control ->
+    interval [s] of its records."""
+    are = "are known by commands" if len(commanded) > 1 else "is known by commands"
+    return (
+        f"{' and '.join(commanded)} {are} that the log has every {1e3 * max(commanded.values()):.0f} ms, each move at an unknown "
+        f"time within that, and what this leaves wrong looks like what is left in {place} (score {score:.1f} where "
+        f"{threshold:.1f} is chance): no coefficient is accused of that, and nothing smaller can be told. Log the servo outputs "
+        "as often as the gyros, or measure the surfaces."
+    )
 
 
 def odd_in_words(odd: Sequence[str], none_repeats: bool) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from estimation.gap.answer.result import EffectStep, Gap, GapResult, GapVerdict, Histories, Rejected
 from estimation.gap.answer.shape import Happened, HeldInstrument, LaggedTerm, SwingingTerm
-from estimation.gap.answer.words import conclude, describe_step
+from estimation.gap.answer.words import conclude, describe_step, rest_of_inputs
 from estimation.gap.decision.beside import ShapeContinuation, in_its_place, names_beside, without_doubted
 from estimation.gap.decision.decide import (
     Decision,
@@ -16,6 +16,7 @@ from estimation.gap.decision.decide import (
     as_unknown,
     decide,
     only_steered,
+    rest_matters,
     with_names,
     with_shape,
 )
@@ -78,6 +79,7 @@ class _Standing:
     model: Baseline
     rest: Omnibus
     gap: float
+    doubted: bool = False
     found: ShapeSearch = NOT_SEARCHED
     event: Happened | None = None
 
@@ -86,14 +88,14 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     """Verdict, steps and words from what the rounds left."""
     state = _decided(setting, search)
     replaced = None
-    if not setting.steered:
+    if not setting.steered and not state.doubted:
         replaced = without_doubted(setting, search, state.kept, state.named, state.decision)
     continuation = None
     if replaced is not None:
         state.decision, state.kept, state.model, state.found, continuation = replaced
-    elif not setting.steered:
+    elif not setting.steered and not state.doubted:
         _search_unnamed(state)
-    if replaced is None and state.event is None:
+    if replaced is None and state.event is None and not state.doubted:
         continuation = names_beside(setting, search, state.model, state.found, state.decision)
     if continuation is not None:
         renewed = in_its_place(setting, search, state.kept, continuation)
@@ -112,10 +114,12 @@ def _decided(setting: Setting, search: SearchState) -> _Standing:
     gap = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
     cannot = [*undetectable(first), *setting.untold]
     facts = facts_of(search, steps, floor.covers(gap), cannot, len(setting.untold))
-    decision = decide(only_steered(facts) if setting.steered else facts, setting.options.criteria)
+    facts = only_steered(facts) if setting.steered else facts
+    doubted = bool(setting.commanded) and rest_matters(facts, setting.options.criteria)
+    decision = decide(facts, setting.options.criteria, doubted)
     standing = search.findings[: decision.kept]
     model = standing[-1].child if standing else first.baseline
-    return _Standing(setting, search, floor, cannot, steps, decision, standing, model, search.omnibus, gap)
+    return _Standing(setting, search, floor, cannot, steps, decision, standing, model, search.omnibus, gap, doubted)
 
 
 def _search_unnamed(state: _Standing) -> None:
@@ -165,7 +169,7 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
         rest, remainder = still_left(last, rest)
     elif state.event is not None:
         decision, unnamed = as_unknown(decision), event_step(state.event, unchanged_gap)
-    elif decision.verdict in EXPLAINED and (stale := find_held_instrument(state.model, prepared)):
+    elif not state.doubted and decision.verdict in EXPLAINED and (stale := find_held_instrument(state.model, prepared)):
         decision, unnamed = as_unknown(decision), held_step(stale, unchanged_gap)
     effect_steps = [with_final_estimates(s, f, final) for s, f in zip(state.named, state.kept, strict=False)]
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
@@ -190,6 +194,9 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
             setting.following,
             remainder,
             len(repeats),
+            rest_of_inputs(setting.commanded, rest.leading[0].place if rest.leading else "", rest.score, rest.threshold)
+            if state.doubted
+            else "",
         ),
         minimum_detectable=detectable,
         steps=steps,

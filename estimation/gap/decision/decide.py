@@ -60,13 +60,14 @@ class Decision:
     withdrawn: tuple[tuple[str, str], ...]
 
 
-def decide(facts: VerdictFacts, criteria: Criteria) -> Decision:
-    """The verdict that the facts give."""
+def decide(facts: VerdictFacts, criteria: Criteria, doubted: bool = False) -> Decision:
+    """The verdict that the facts give. doubted: a nameless rest may be what errors of the inputs leave, so that it is no effect;
+    names fall beside it all the same, and where none stands nobody can tell."""
     rest = rest_matters(facts, criteria)
     count, withdrawn = standing(facts, criteria) if rest else (len(facts.named), ())
     closed = count > 0 and closed_by(facts.named[:count], facts.covered) >= criteria.closed_share
-    blind = facts.blind > criteria.blind_share * max(facts.asked, 1)
-    answers = (rest, count > 0, closed, blind)
+    blind = facts.blind > criteria.blind_share * max(facts.asked, 1) or (rest and doubted)
+    answers = (rest and not doubted, count > 0, closed, blind)
     verdict = next(row[-1] for row in TABLE if all(w is ANY or w == f for w, f in zip(row[:-1], answers, strict=True)))
     return Decision(verdict, count, withdrawn)
 

@@ -15,7 +15,7 @@ from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.result import Estimate
 from estimation.gap.answer.result import EffectStep, GapResult
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.records.candidate_model import GYROS, TIMING, TOGETHER, timing_of
+from estimation.gap.records.candidate_model import GYROS, TIMING, TOGETHER, rare_commands, timing_of
 from estimation.gap.search.state import AcceptedEffect
 from estimation.gap.shapes.search import CoefficientShape
 from estimation.models.base import Model
@@ -27,8 +27,6 @@ from estimation.session.sanity_checks import (
     turned_side_force,
 )
 from groundstation.flight import Flight
-
-RARE = 0.9  # of a sample: a command recorded more rarely than that is late by a time to tell
 
 
 def with_values(model: Model, values: Mapping[str, float]) -> Model:
@@ -107,14 +105,10 @@ def turned_signs(baseline: Baseline) -> list[str]:
 def late_commands(flights: Sequence[Flight], baseline: Baseline) -> str:
     """A sentence on controls that are commands a log has no oftener than the motion: how long before their record they moved, by
     what the gyros show; nothing where there are none."""
-    fit, shift = baseline.fit, dict[str, float]()
-    intervals, back = list[float](), list[float]()
-    for signal in (s for s in baseline.clean.inputs if s.control and not s.computed):
-        interval = max((f.held(signal.source) or 0.0 for f in flights), default=0.0)
-        if interval > RARE * max(f.sample_interval for f in flights):
-            intervals.append(interval)
-            back.append(float(np.mean([f.dated_back(signal.source) for f in flights])))
-            shift[signal.name] = timing_of(signal.name, fit.values)
+    fit, intervals = baseline.fit, rare_commands(baseline.clean, flights)
+    signals = [s for s in baseline.clean.inputs if s.name in intervals]
+    back = [float(np.mean([f.dated_back(s.source) for f in flights])) for s in signals]
+    shift = {s.name: timing_of(s.name, fit.values) for s in signals}
     if not shift:
         return ""
     weight = {TOGETHER: -1.0, GYROS: 1.0} | {f"{TIMING}{n}": -1.0 / len(shift) for n in shift}
@@ -123,7 +117,7 @@ def late_commands(flights: Sequence[Flight], baseline: Baseline) -> str:
     bound = np.sqrt(max(share @ pseudo_inverse(fit.hessian)[0] @ share, 0.0))
     are, they = ("are commands", "they") if len(shift) > 1 else ("is a command", "it")
     return (
-        f"{' and '.join(shift)} {are} that the log has every {1e3 * max(intervals):.0f} ms, recorded "
+        f"{' and '.join(shift)} {are} that the log has every {1e3 * max(intervals.values()):.0f} ms, recorded "
         f"{1e3 * before:.0f} +- {1e3 * bound:.0f} ms after {they} moved by what the gyros show, each move by another time "
         "within that interval: counted."
     )

@@ -32,6 +32,7 @@ GYROS, MOMENTS = TIMING + "gyros", TIMING + "moments"
 STATIC_MOMENTS = {"Cl": "beta", "Cn": "beta", "Cm": "alpha"}  # coefficient -> the angle by which it holds the aircraft
 RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it
 DISTURBANCE = "disturbance_{}"
+RARE = 0.9  # of a sample: a command recorded more rarely than that is late by a time to tell
 
 
 def with_nuisance(
@@ -77,6 +78,15 @@ def stamped_attitudes(model: Model, flights: Iterable[Flight]) -> dict[str, floa
             if rate is not None:
                 intervals[signal.name] = max(intervals.get(signal.name, 0.0), 1.0 / rate)
     return intervals
+
+
+def rare_commands(model: Model, flights: Sequence[Flight]) -> dict[str, float]:
+    """Controls that flights have as commands, no oftener than the motion -> the longest interval [s] between these, within
+    which it is not known when each move began."""
+    step = max(f.sample_interval for f in flights)
+    controls = [s for s in model.inputs if s.control and not s.computed]
+    intervals = {s.name: max(f.held(s.source) or 0.0 for f in flights) for s in controls}
+    return {n: i for n, i in intervals.items() if i > RARE * step}
 
 
 def _timed(model: Model, sample_interval: float, criteria: Criteria) -> Model:

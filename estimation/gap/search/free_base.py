@@ -63,6 +63,37 @@ def far_off(names: Sequence[str], before: Mapping[str, float], found: ModelFit, 
     return [n for n in names if n in std and abs(found.values[n] - before[n]) > criteria.migrated_bounds * std[n]]
 
 
+def one_explains(setting: Setting, baseline: Baseline, names: Sequence[str]) -> bool:
+    """Whether the number of one of several derivatives alone explains most of what all of them free do.
+
+    Where surfaces are known by commands that a log has at intervals, their times bend every derivative by some per cent: many
+    look off beside the one that is.
+    """
+    problem, held = baseline.problem, baseline.fit
+    hypotheses = [
+        h
+        for h in hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
+        if h.effect.group is Group.DERIVATIVE and h.form.frees and h.form.frees[0] in names
+    ]
+    first = largest(build_screen(Tangent(problem, held), hypotheses), baseline.criteria) if hypotheses else None
+    if first is None:
+        return False
+    alone = fit_from(replace(problem, model=problem.model.freed(first)), held)
+    every = fit_from(replace(problem, model=with_free_derivatives(problem.model, names)), held)
+    if alone.diverged or every.diverged:
+        return False
+    before, costs = problem.model.starts()[first], (held.cost, alone.cost, every.cost)
+    return stands_out(before, alone.values[first], costs, baseline.criteria)
+
+
+def stands_out(before: float, after: float, costs: tuple[float, float, float], criteria: Criteria) -> bool:
+    """Whether the number of one derivative is wrong, and what freeing it gains is most of what freeing all does. costs: of the
+    fits with all held, with it free, with all free."""
+    held, alone, every = costs
+    wrong = abs(after - before) > criteria.wrong_number * abs(before)
+    return wrong and held - alone >= criteria.closed_share * (held - every) > 0.0
+
+
 def largest(screen: Screen, criteria: Criteria) -> str | None:
     """The derivative that gains most, by linear theory; None where none gains clearly."""
     projected = screen.projected()
@@ -95,9 +126,11 @@ def with_free_derivatives(model: Model, names: Sequence[str]) -> Model:
     return free
 
 
-def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: Baseline) -> str:
-    """A sentence on the derivatives that were set free and moved by more than their bounds allow."""
+def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: Baseline, bent: bool = False) -> str:
+    """A sentence on the derivatives that were set free and moved by more than their bounds allow. bent: the times of commands may
+    be why."""
     std, values = baseline.fit.std(), baseline.fit.values
     moved = far_off(names, before, baseline.fit, baseline.criteria)
     words = ", ".join(f"{n} from {before[n]:.4g} to {values[n]:.4g} +- {std[n]:.2g}" for n in moved)
-    return f"Several derivatives of the base are off, so that all {len(names)} were refitted first: {words or 'none moved far'}."
+    off = "look off, as times of commands bend them" if bent else "are off"
+    return f"Several derivatives of the base {off}, so that all {len(names)} were refitted first: {words or 'none moved far'}."

@@ -1,7 +1,7 @@
 """State of the search: what its rounds share (options, the setting) and what they leave (findings, the rest)."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
@@ -61,7 +61,7 @@ class SearchState:
 @dataclass(frozen=True)
 class Setting:
     """What stays the same over all rounds. following: controls that only follow the motion; untold: effects not asked for that
-    reason."""
+    reason. commanded: controls of which a log has commands -> their interval [s], as of `rare_commands`."""
 
     base: Model
     clean: Model
@@ -74,6 +74,7 @@ class Setting:
     scatter: Array
     options: Options
     tell: LOOK
+    commanded: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def steered(self) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Where
-from estimation.gap.answer.words import conclude, describe_step
+from estimation.gap.answer.words import conclude, describe_step, rest_of_inputs
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision import beside as beside_shape
 from estimation.gap.decision import conclusion as concluding
@@ -337,6 +337,15 @@ class _Setting:
     clean: Any
     options: Options
     tell: Any
+
+
+def test_a_rest_that_times_of_commands_may_have_made_accuses_nothing() -> None:
+    words = rest_of_inputs({"delta_a": 0.04, "delta_r": 0.04}, "p_dot", 43.5, 4.12)
+    assert "delta_a and delta_r are known by commands that the log has every 40 ms" in words
+    alone = conclude(GapVerdict.CANNOT_TELL, (), {}, (), (), True, inputs=words)
+    assert alone.startswith("No effect found: delta_a and delta_r are known")
+    assert "hardly excite" not in alone
+    assert f"Beside this, {words}" in conclude(GapVerdict.GAP_CLOSED, (), {}, (), (), True, inputs=words)
 
 
 @pytest.mark.parametrize(

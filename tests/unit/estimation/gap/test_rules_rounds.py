@@ -24,7 +24,15 @@ from estimation.gap.search.accept import (
     repeats_on_flights,
 )
 from estimation.gap.search.confirm import FittedHypothesis
-from estimation.gap.search.free_base import factors_off, far_off, largest, many, moved_in_words, with_free_derivatives
+from estimation.gap.search.free_base import (
+    factors_off,
+    far_off,
+    largest,
+    many,
+    moved_in_words,
+    stands_out,
+    with_free_derivatives,
+)
 from estimation.gap.search.rounds import better_rivals, idle, questioners, run_rounds
 from estimation.gap.search.select import Choice
 from estimation.gap.search.sharper import holds_an_effect
@@ -419,6 +427,24 @@ def test_a_number_is_off_by_more_than_three_bounds_and_a_factor_as_it_is() -> No
     found: Any = stub(values=values, std=lambda: {**std, "k_Cl": 0.02, "k_Cn": 0.01})
     assert far_off(["Cl_p", "Cl_r"], {"Cl_p": -0.4, "Cl_r": 0.1}, found, AS_SET) == ["Cl_p"]
     assert factors_off(found, AS_SET) == ["k_Cl"]
+
+
+@pytest.mark.parametrize(
+    ("after", "costs", "stands"),
+    [
+        (-0.448, (7235.0, 5609.0, 5212.0), True),  # Cl_p of a SITL file times 1.4, by logs with servo outputs at 25 Hz
+        (-0.174, (6101.0, 6076.0, 6050.0), False),  # the right file: half of what all gain
+        (-0.516, (7235.0, 5609.0, 5212.0), True),
+        (-0.519, (7235.0, 5609.0, 5212.0), False),  # a number as far off as usual stays so, whatever it gains
+        (-0.448, (7235.0, 5900.0, 5212.0), False),
+        (-0.448, (7235.0, 7235.0, 7235.0), False),
+    ],
+)
+def test_one_wrong_number_stands_out_of_many_that_surfaces_bend(
+    after: float, costs: tuple[float, float, float], stands: bool
+) -> None:
+    """By the times of recorded commands three more derivatives looked off by a quarter and more, and all were refitted."""
+    assert stands_out(-0.609, after, costs, AS_SET) is stands
 
 
 def test_free_derivatives_stand_for_the_factor_on_their_coefficient() -> None:

@@ -74,6 +74,15 @@ def test_where_every_control_only_follows_the_motion_no_rest_counts_and_names_do
     assert verdict(only_steered(replace(loud, named=(named(),)))) is GapVerdict.GAP_CLOSED
 
 
+def test_a_rest_that_errors_of_the_inputs_may_have_left_is_no_effect_and_names_fall_beside_it_all_the_same() -> None:
+    loud = replace(QUIET, rest=60.0)
+    assert decide(loud, AS_SET, doubted=True).verdict is GapVerdict.CANNOT_TELL
+    assert decide(QUIET, AS_SET, doubted=True).verdict is GapVerdict.NO_GAP
+    certain = replace(loud, named=(named(),), rest=7.0)
+    assert decide(certain, AS_SET, doubted=True).kept == decide(certain, AS_SET).kept
+    assert decide(certain, AS_SET, doubted=True).verdict is not GapVerdict.UNKNOWN
+
+
 @pytest.mark.parametrize(("rest", "word"), [(6.2, GapVerdict.NO_GAP), (6.8, GapVerdict.UNKNOWN)])
 def test_a_rest_well_above_its_threshold_is_an_unknown_effect(rest: float, word: GapVerdict) -> None:
     assert verdict(replace(QUIET, rest=rest)) is word
