@@ -46,10 +46,15 @@ def estimate_recursively(model: Model, flights: Sequence[Flight], aircraft: Airc
     """Estimates with bounds after the last scan, and how they came about.
 
     model: linear in its parameters, as `linear_terms` asks. Several flights are taken one after the other, as one aircraft; the
-    history is that of a single flight. Raises EstimationError for another model, parameters that are held or an airframe that
-    cannot be, MissingColumnError for a flight without the measured motion.
+    history is that of a single flight. Raises EstimationError for another model, parameters that are held, an airframe that
+    cannot be or one of which nothing is believed, MissingColumnError for a flight without the measured motion.
     """
     airframe, terms = airframe_of(model, aircraft), linear_terms(model)
+    if not any(b.value for b in airframe.beliefs.values()):
+        raise EstimationError(
+            f"method live needs a rough value of each derivative to begin with, and nothing is believed of {aircraft.name}: state"
+            " [derivatives] in its file, or take method ls or ml"
+        )
     for flight in flights:
         flight.require(list(terms.signals), "method live")
     compared_model, data = without_absent_outputs(model, prepare_all(model, flights, FOR_REGRESSION))

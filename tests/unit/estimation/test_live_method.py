@@ -10,7 +10,6 @@ import pytest
 from click.testing import CliRunner
 
 from daq.identification.live import LiveEstimator
-from estimation.aircraft import Aircraft
 from estimation.aircraft.library import load_aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.linear_terms import linear_terms
@@ -24,6 +23,7 @@ from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.errors import MissingColumnError
 from sideslip.verbs.estimate import estimate
+from tests.studies.live_foreign import aircraft_of
 from tests.studies.random_aeroplanes import DEG, Aeroplane, Situation, fly
 from tests.support.paths import RECORDINGS
 
@@ -169,9 +169,16 @@ def test_gusts_are_not_taken_for_what_the_model_lacks(late: float) -> None:
     rng = np.random.default_rng([47, 112])
     craft = Aeroplane.drawn(rng)
     (gusty,) = fly(craft, Situation("", gust=DEG, aileron_late=late), rng, flights=1)
-    aircraft = Aircraft("drawn", craft.span, craft.area, craft.chord, craft.mass, *craft.inertia)
+    aircraft = aircraft_of(craft, rng, 0.2, 0.035)
     (estimates,) = runner.estimate(load_model("lateral", aircraft), [gusty], aircraft, ("live",)).flights
     assert estimates.structure is not None
     assert estimates.verdict is not None
     assert [lack.names[0] for lack in estimates.structure.lacks] == ["delay_delta_a"] * (late > 0.0)
-    assert estimates.verdict.recommended.method == "live"
+    assert estimates.verdict.recommended.method == ("none" if late else "live")
+
+
+def test_an_aircraft_of_which_nothing_is_believed_is_refused(flight: Flight) -> None:
+    """Its instruments would be simulated with nothing, and each number told to need more flying."""
+    bare = replace(load_aircraft("cdfp"), derivatives={})
+    with pytest.raises(EstimationError, match="needs a rough value of each derivative"):
+        estimate_recursively(load_model("lateral", bare), [flight], bare)
