@@ -78,8 +78,8 @@ def confirmed(
     if not holds_on_holdout(held_support, spare, criteria):
         return None, "does not hold on the held-out flights"
     supported = held_support is not None and held_support > (0.0 if strong else criteria.held_chance)
-    held = None if timing or supported else held_out_gaps(round_.baseline, child)
-    if not closes_held_out(held):
+    held = None if timing else held_out_gaps(round_.baseline, child)
+    if not closes_held_out(held, criteria.null_energy if supported else 1.0):
         return None, "closes nothing of the gap on the held-out flights"
     return child, ""
 
@@ -153,13 +153,13 @@ def holds_on_holdout(held: float | None, spare: float, criteria: Criteria) -> bo
     return held is None or held > -min(spare, criteria.held_slack)
 
 
-def closes_held_out(gaps: tuple[float, float] | None) -> bool:
-    """Whether the plain gap on the held-out flights, before and after an effect, is smaller with it.
+def closes_held_out(gaps: tuple[float, float] | None, energy: float) -> bool:
+    """Whether the plain gap on the held-out flights, before and after an effect, has less than `energy` times the energy with it.
 
-    None: not asked, of an effect that the base followed by its surfaces, or one that gains there by the likelihood (one that is
-    not strong more than chance gives: a small one hardly moves the plain gap), or without held-out flights.
+    One that gains there by the likelihood (one that is not strong more than chance gives) need not make it smaller: a small one
+    hardly moves it. None: not asked, of an effect that the base followed by its surfaces, or without held-out flights.
     """
-    return gaps is None or gaps[1] < gaps[0]
+    return gaps is None or gaps[1] ** 2 < energy * gaps[0] ** 2
 
 
 def to_spare(score: float, threshold: float) -> float:

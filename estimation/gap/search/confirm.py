@@ -26,6 +26,7 @@ STEPS = 30  # in all, along a narrow valley (a slow servo against roll damping):
 ENOUGH = 0.02  # of the log-likelihood: rivals are weighed by whole units of it
 NEAREST, FARTHEST = 0.3, 3.0  # usual sizes from no effect, between which a fit starts: at none a play has no slope
 SHORTER = (0.3, 0.03)  # of the first start, where the motion runs away from it
+WEIGHED = 4.0  # times less or more than stated: no mass and no moment of inertia is so wrong
 AT_LIMIT = 1e-6  # of a parameter's range: an estimate so near its end was stopped there
 AT_NOTHING = 1e-3  # usual sizes: so near to none it has shrunk to nothing, and the words say so
 ABOVE = 1.0  # of the log-likelihood: a fit that ends so far above the base, which it holds, is lost
@@ -243,12 +244,15 @@ def price(distance: float, bound: float, width: float, tail: float) -> float:
 def impossible(p: EffectParameter, value: float, none: float) -> str:
     """Why an estimate is none, or nothing: it ended at a limit of what is physically possible. The least lag that can be flown is
     not one: a shorter one than that leaves nearly the same."""
-    edge = AT_LIMIT * (p.upper - p.lower)
-    if (p.lower + edge < value or none < p.lower) and value < p.upper - edge:
+    lower, upper = p.lower, p.upper
+    if isinstance(p.none, str) and 0.0 < lower < none:  # a mass or inertia that the model states
+        lower, upper = max(lower, none / WEIGHED), min(upper, none * WEIGHED)
+    edge = AT_LIMIT * (upper - lower)
+    if (lower + edge < value or none < lower) and value < upper - edge:
         return ""
     if abs(value - none) < AT_NOTHING * p.typical:
         return f"{p.name} shrinks to nothing"
-    return f"{p.name} = {value:.3g} {p.unit} is outside what is physically possible ({p.lower:g} to {p.upper:g})"
+    return f"{p.name} = {value:.3g} {p.unit} is outside what is physically possible ({lower:g} to {upper:g})"
 
 
 def leading(screen: Screen, gains: Array, criteria: Criteria, further: Collection[int] = ()) -> list[int]:

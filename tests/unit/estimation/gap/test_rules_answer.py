@@ -93,6 +93,10 @@ def asked(
         ({"gaps": (1.455, 1.478), "score": 7.0}, ""),  # strong, and gains there by the likelihood
         ({"gaps": (1.455, 1.478), "score": 7.0, "held": -1.0}, "closes nothing"),
         ({"gaps": (1.455, 1.478), "timing": True}, ""),
+        (
+            {"gaps": (684.0, 1638.0), "score": 7.0},
+            "closes nothing",
+        ),  # an inertia of a model aeroplane, 46 times what it is
         ({"bounds": 3.05}, ""),
         ({"bounds": 2.95}, "x = -1.95 +- 1 cannot be told from no effect"),  # the states it begins anew gained the rest
     ],

@@ -171,6 +171,13 @@ def test_the_least_lag_that_can_be_flown_is_possible() -> None:
     assert "outside" in impossible(lag, 0.8, 0.0)
 
 
+@pytest.mark.parametrize(("value", "possible"), [(0.027, False), (1e-4, False), (1.2e-3, True)])
+def test_no_moment_of_inertia_is_four_times_what_is_stated(value: float, possible: bool) -> None:
+    """A model aeroplane of 63 g had 46 times its own."""
+    inertia = EffectParameter("Iyy", "kg m2", 9e-5, 3e-6, 30.0, none="Iyy")
+    assert (impossible(inertia, value, 6e-4) == "") is possible
+
+
 def test_an_estimate_at_a_limit_that_is_no_effect_has_shrunk_to_nothing() -> None:
     assert impossible(EffectParameter("x", "s", 2.0, 0.0, 10.0), 0.0, 0.0) == "x shrinks to nothing"
 
