@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from estimation.aircraft import Aircraft
 from estimation.models.base import InputTransform, Model
-from estimation.models.expressions import parse
+from estimation.models.expressions import names_in, parse
 from estimation.models.library import BUILDERS
 from estimation.simulation.along_flight import coefficients_in
 from estimation.simulation.base_model import DESCRIPTION
@@ -23,6 +23,9 @@ class Addend:
     line: str
     text: str
     name: str
+
+
+SLOPE = "sim_"  # of a coefficient of the simulation by a signal, at every instant: no property of an aircraft
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,13 @@ def increments_of(model: Model) -> Increments:
     coefficients = coefficients_in(built_in)
     lines, left_out, addends = dict(model.definitions), [], []
     for line in coefficients:
-        addends += [_named_addend(line, text, model) for text in addends_of(model.definitions[line])]
+        texts = addends_of(model.definitions[line])
+        by_slope = [t for t in texts if any(n.startswith(SLOPE) for n in names_in(t))]
+        if by_slope:
+            texts = [t for t in texts if t not in by_slope]
+            lines[line] = " + ".join(texts)
+            left_out += [f"{t} in {line}: a share of what the simulation has itself" for t in by_slope]
+        addends += [_named_addend(line, text, model) for text in texts]
     for line, text in built_in.definitions.items():
         added_text = _added_text(model, line, text) if line not in coefficients else ""
         if added_text and line in (*MOMENTS, "CX", "CZ"):
