@@ -128,3 +128,8 @@ def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: 
     words = ", ".join(f"{n} from {before[n]:.4g} to {values[n]:.4g} +- {std[n]:.2g}" for n in moved)
     off = "look off, as times of commands bend them" if bent else "are off"
     return f"Several derivatives of the base {off}, so that all {len(names)} were refitted first: {words or 'none moved far'}."
+
+
+def beside(count: int) -> str:
+    """A sentence on so many derivatives that were free while the one that stands out was asked for."""
+    return f"The {count} other derivatives of the base were free beside it, as times of commands bend them."
