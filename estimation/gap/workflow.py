@@ -33,11 +33,12 @@ from estimation.gap.records.own_motion import only_following, without_hardware_o
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
 from estimation.gap.records.sampling import at_own_rates, flown_apart, with_lost_rows, without_unseen_moves
 from estimation.gap.search.free_base import (
+    beside,
     derivatives_off,
     far_off,
     many,
     moved_in_words,
-    one_explains,
+    outstanding,
     with_free_derivatives,
 )
 from estimation.gap.search.rounds import run_rounds
@@ -99,12 +100,15 @@ def run_gap(
         except GapError as error:
             model = _estimated(model, training_flights, error)
             setting, baseline = begun(model)
-        off = derivatives_off(setting, baseline)
-        if off and not (setting.commanded and one_explains(setting, baseline, off)):
-            freed = begun(with_free_derivatives(model, off))
-            if many(far_off(off, model.starts(), freed[1].fit, options.criteria), options.criteria):
+        if off := derivatives_off(setting, baseline):
+            # the one that stands out is for the search, which has to confirm it
+            asked = outstanding(setting, baseline, off) if setting.commanded else None
+            freely = tuple(n for n in off if n != asked)
+            freed = begun(with_free_derivatives(model, freely))
+            if asked or many(far_off(freely, model.starts(), freed[1].fit, options.criteria), options.criteria):
                 setting, baseline = freed
-                moved = moved_in_words(off, model.starts(), baseline, bool(setting.commanded))
+                bent = bool(setting.commanded)
+                moved = beside(len(freely)) if asked else moved_in_words(off, model.starts(), baseline, bent)
         doubts += turned_signs(baseline)
         search = run_rounds(setting, baseline)
     except GapError as error:

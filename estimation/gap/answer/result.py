@@ -48,20 +48,26 @@ class Gap:
     @property
     def closed(self) -> float:
         """1 - (after^2 - floor^2)/(before^2 - floor^2), in 0..1."""
-        excess = self.before**2 - self.floor**2
+        if self.within_floor:
+            return self._closed_of_nothing
         remaining = max(self.after**2 - self.floor**2, 0.0)
-        if (
-            excess <= 0.0
-        ):  # nothing above the floor to close: what made it smaller closed it, what did not closed nothing
-            return 1.0 if self.after < self.before else 0.0
-        return min(max(1.0 - remaining / excess, 0.0), 1.0)
+        return min(max(1.0 - remaining / (self.before**2 - self.floor**2), 0.0), 1.0)
+
+    @property
+    def counted(self) -> float:
+        """The same as it counts for the verdict: of a gap that says nothing, what made it smaller closed it."""
+        return self._closed_of_nothing if self.says_nothing else self.closed
+
+    @property
+    def _closed_of_nothing(self) -> float:
+        return 1.0 if self.after < self.before else 0.0
 
     def to_json(self) -> dict[str, float]:
         return {
             "before": rounded(self.before),
             "after": rounded(self.after),
             "floor": rounded(self.floor),
-            "closed": rounded(self.closed),
+            "closed": rounded(self.counted),
         }
 
 

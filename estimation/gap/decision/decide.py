@@ -65,7 +65,7 @@ def decide(facts: VerdictFacts, criteria: Criteria, doubted: bool = False) -> De
     names fall beside it all the same, and where none stands nobody can tell."""
     rest = rest_matters(facts, criteria)
     count, withdrawn = standing(facts, criteria) if rest else (len(facts.named), ())
-    closed = count > 0 and closed_by(facts.named[:count], facts.covered) >= criteria.closed_share
+    closed = count > 0 and closed_by(facts.named[:count]) >= criteria.closed_share
     blind = facts.blind > criteria.blind_share * max(facts.asked, 1) or (rest and doubted)
     answers = (rest and not doubted, count > 0, closed, blind)
     verdict = next(row[-1] for row in TABLE if all(w is ANY or w == f for w, f in zip(row[:-1], answers, strict=True)))
@@ -144,14 +144,12 @@ def outweighs(named: float, rest: float, share: float) -> bool:
     return named**2 >= share * (named**2 + rest**2)
 
 
-def closed_by(named: Sequence[Named], covered: bool) -> float:
-    """Share of the gap that names close together: on the held-out flights where these showed it, else on the training flights;
-    all of it where neither did and what is left is `covered`, a gap that nothing hidden leaves: they are certain by their course.
-    """
+def closed_by(named: Sequence[Named]) -> float:
+    """Share of the gap that names close together: on the held-out flights; where these show no gap, the training flights may say
+    less."""
     first, last = named[0], named[-1]
     training = replace(first.gap, after=last.gap.after, floor=last.gap.floor, highest=last.gap.highest)
-    if first.held is not None and last.held is not None:
-        held = replace(first.held, after=last.held.after, floor=last.held.floor)
-        if not held.says_nothing:
-            return held.closed
-    return 1.0 if covered and training.says_nothing else training.closed
+    if first.held is None or last.held is None:
+        return training.counted
+    held = replace(first.held, after=last.held.after, floor=last.held.floor)
+    return min(held.counted, training.counted) if held.says_nothing else held.closed

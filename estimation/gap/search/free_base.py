@@ -63,8 +63,8 @@ def far_off(names: Sequence[str], before: Mapping[str, float], found: ModelFit, 
     return [n for n in names if n in std and abs(found.values[n] - before[n]) > criteria.migrated_bounds * std[n]]
 
 
-def one_explains(setting: Setting, baseline: Baseline, names: Sequence[str]) -> bool:
-    """Whether the number of one of several derivatives alone explains most of what all of them free do.
+def outstanding(setting: Setting, baseline: Baseline, names: Sequence[str]) -> str | None:
+    """The one of several derivatives whose number alone explains most of what all of them free do; None where there is none.
 
     Where surfaces are known by commands that a log has at intervals, their times bend every derivative by some per cent: many
     look off beside the one that is.
@@ -77,13 +77,13 @@ def one_explains(setting: Setting, baseline: Baseline, names: Sequence[str]) -> 
     ]
     first = largest(build_screen(Tangent(problem, held), hypotheses), baseline.criteria) if hypotheses else None
     if first is None:
-        return False
+        return None
     alone = fit_from(replace(problem, model=problem.model.freed(first)), held)
     every = fit_from(replace(problem, model=with_free_derivatives(problem.model, names)), held)
     if alone.diverged or every.diverged:
-        return False
+        return None
     before, costs = problem.model.starts()[first], (held.cost, alone.cost, every.cost)
-    return stands_out(before, alone.values[first], costs, baseline.criteria)
+    return first if stands_out(before, alone.values[first], costs, baseline.criteria) else None
 
 
 def stands_out(before: float, after: float, costs: tuple[float, float, float], criteria: Criteria) -> bool:
@@ -134,3 +134,8 @@ def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: 
     words = ", ".join(f"{n} from {before[n]:.4g} to {values[n]:.4g} +- {std[n]:.2g}" for n in moved)
     off = "look off, as times of commands bend them" if bent else "are off"
     return f"Several derivatives of the base {off}, so that all {len(names)} were refitted first: {words or 'none moved far'}."
+
+
+def beside(count: int) -> str:
+    """A sentence on so many derivatives that were free while the one that stands out was asked for."""
+    return f"The {count} other derivatives of the base were free beside it, as times of commands bend them."
