@@ -18,6 +18,7 @@ from estimation.prepare.pipeline import prepare
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
 from groundstation.flight import Flight
 
+SIMULATION_PREFIX = "sim_"  # begins columns of what the simulation has at every instant: no property of an aircraft
 STEPS: Mapping[str, float] = {
     "alpha": 0.005, "beta": 0.005, "delta_e": 0.005, "delta_a": 0.005, "delta_r": 0.005,
     "p": 0.05, "q": 0.05, "r": 0.05, ALPHA_RATE: 0.05,
@@ -110,7 +111,7 @@ def _of_states(states: States, variable: str) -> Array:
 
 def column_name(coefficient: str, variable: str = "0") -> str:
     """Name of a column: of a slope, or of the coefficient itself where all variables are zero."""
-    return f"sim_{coefficient}_{variable}"
+    return f"{SIMULATION_PREFIX}{coefficient}_{variable}"
 
 
 def coefficients_in(model: Model) -> tuple[str, ...]:

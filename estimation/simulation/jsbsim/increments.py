@@ -7,7 +7,7 @@ from estimation.aircraft import Aircraft
 from estimation.models.base import InputTransform, Model
 from estimation.models.expressions import names_in, parse
 from estimation.models.library import BUILDERS
-from estimation.simulation.along_flight import coefficients_in
+from estimation.simulation.along_flight import SIMULATION_PREFIX, coefficients_in
 from estimation.simulation.base_model import DESCRIPTION
 from estimation.simulation.oracle import SURFACES, SimulationError
 
@@ -23,9 +23,6 @@ class Addend:
     line: str
     text: str
     name: str
-
-
-SLOPE = "sim_"  # of a coefficient of the simulation by a signal, at every instant: no property of an aircraft
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ def increments_of(model: Model) -> Increments:
     lines, left_out, addends = dict(model.definitions), [], []
     for line in coefficients:
         texts = addends_of(model.definitions[line])
-        by_slope = [t for t in texts if any(n.startswith(SLOPE) for n in names_in(t))]
+        by_slope = [t for t in texts if any(n.startswith(SIMULATION_PREFIX) for n in names_in(t))]
         if by_slope:
             texts = [t for t in texts if t not in by_slope]
             lines[line] = " + ".join(texts)

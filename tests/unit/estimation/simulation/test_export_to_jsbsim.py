@@ -15,9 +15,10 @@ pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
 from estimation.engine.trace import CASADI_FUNCTIONS
 from estimation.gap.effects import catalogue
 from estimation.models import load_model, write_model
-from estimation.models.base import Model
+from estimation.models.base import Model, Parameter
 from estimation.models.expressions import evaluate
 from estimation.prepare.pipeline import prepare
+from estimation.simulation.along_flight import column_name
 from estimation.simulation.attach import Attached, attach, simulation_of
 from estimation.simulation.conversion import export_to_jsbsim
 from estimation.simulation.jsbsim import flying
@@ -235,6 +236,16 @@ def test_what_is_no_aircraft_s_is_left_out_and_said(attached: Attached, tmp_path
     made, _, found = export_aircraft(with_effect(model, "beta_lag", beta_lag=0.07), CESSNA, tmp_path, "", 120.0)
     assert made.terms == ()
     assert [w.split()[0] for w in found.left_out] == ["beta", "delay"]
+
+
+def test_a_share_of_what_the_simulation_has_is_left_out_and_said(attached: Attached) -> None:
+    """A base that was refitted in all derivatives has such shares; a rudder that lags beside them ended the export."""
+    share = column_name("Cn", "delta_a")
+    refitted = attached.model.plus(terms={"Cn": f"off_Cn_delta_a*{share}"}, parameters=[Parameter("off_Cn_delta_a")])
+    found = increments_of(with_effect(refitted, "rudder_lag", rudder_lag=0.06))
+    (words,) = [w for w in found.left_out if share in w]
+    assert words.endswith("in Cn: a share of what the simulation has itself")
+    assert all(share not in a.text for a in found.addends)
 
 
 @pytest.mark.parametrize(
