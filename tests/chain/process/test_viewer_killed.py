@@ -32,7 +32,9 @@ def test_viewer_killed_and_hanging_in_flight(tmp_path: Path) -> None:
             assert time.monotonic() < deadline, "the view does not draw what it was given"
             time.sleep(0.01)
         assert shows(viewers, 55.0), "the viewer started anew shows nothing of what came since"
-        reception.fly(300, scan=False)
+        reception.fly(
+            1200, scan=False
+        )  # a scan that was lost is asked for again every few seconds, and may be lost again
         assert "all fetched; log and recording complete" in reception.check()
     finally:
         viewers.close()
