@@ -234,14 +234,14 @@ def conclude(
     return " ".join(parts)
 
 
-def rest_of_inputs(commanded: Mapping[str, float], place: str, score: float, threshold: float) -> str:
-    """What of a rest without a name cannot be told from errors of surfaces that are known by commands. commanded: control ->
-    interval [s] of its records."""
+def rest_of_inputs(commanded: Mapping[str, float], what: str, score: float, threshold: float) -> str:
+    """That `what` cannot be told from errors of surfaces that are known by commands. commanded: control -> interval [s] of its
+    records."""
     are = "are known by commands" if len(commanded) > 1 else "is known by commands"
     return (
         f"{' and '.join(commanded)} {are} that the log has every {1e3 * max(commanded.values()):.0f} ms, each move at an unknown "
-        f"time within that, and what this leaves wrong looks like what is left in {place} (score {score:.1f} where "
-        f"{threshold:.1f} is chance): no coefficient is accused of that, and nothing smaller can be told. Log the servo outputs "
+        f"time within that, and what this leaves wrong looks like {what} (score {score:.1f} where "
+        f"{threshold:.1f} is chance): nothing is accused of that, and nothing smaller can be told. Log the servo outputs "
         "as often as the gyros, or measure the surfaces."
     )
 

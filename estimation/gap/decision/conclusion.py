@@ -16,7 +16,6 @@ from estimation.gap.decision.decide import (
     as_unknown,
     decide,
     only_steered,
-    rest_matters,
     with_names,
     with_shape,
 )
@@ -79,7 +78,6 @@ class _Standing:
     model: Baseline
     rest: Omnibus
     gap: float
-    doubted: bool = False
     found: ShapeSearch = NOT_SEARCHED
     event: Happened | None = None
 
@@ -88,14 +86,14 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     """Verdict, steps and words from what the rounds left."""
     state = _decided(setting, search)
     replaced = None
-    if not setting.steered and not state.doubted:
+    if not setting.steered and not state.decision.doubted:
         replaced = without_doubted(setting, search, state.kept, state.named, state.decision)
     continuation = None
     if replaced is not None:
         state.decision, state.kept, state.model, state.found, continuation = replaced
-    elif not setting.steered and not state.doubted:
+    elif not setting.steered and not state.decision.doubted:
         _search_unnamed(state)
-    if replaced is None and state.event is None and not state.doubted:
+    if replaced is None and state.event is None and not state.decision.doubted:
         continuation = names_beside(setting, search, state.model, state.found, state.decision)
     if continuation is not None:
         renewed = in_its_place(setting, search, state.kept, continuation)
@@ -115,11 +113,10 @@ def _decided(setting: Setting, search: SearchState) -> _Standing:
     cannot = [*undetectable(first), *setting.untold]
     facts = facts_of(search, steps, floor.covers(gap), cannot, len(setting.untold))
     facts = only_steered(facts) if setting.steered else facts
-    doubted = bool(setting.commanded) and rest_matters(facts, setting.options.criteria)
-    decision = decide(facts, setting.options.criteria, doubted)
+    decision = decide(facts, setting.options.criteria, bool(setting.commanded))
     standing = search.findings[: decision.kept]
     model = standing[-1].child if standing else first.baseline
-    return _Standing(setting, search, floor, cannot, steps, decision, standing, model, search.omnibus, gap, doubted)
+    return _Standing(setting, search, floor, cannot, steps, decision, standing, model, search.omnibus, gap)
 
 
 def _search_unnamed(state: _Standing) -> None:
@@ -157,6 +154,17 @@ def _add_names(state: _Standing, beside: ShapeContinuation) -> None:
     state.decision = with_names(state.decision, [s.effect for s in state.named])
 
 
+def _of_inputs(state: _Standing, rest: Omnibus) -> str:
+    """A sentence on what the times of recorded commands may have made: the first name withdrawn, or the nameless rest."""
+    if not state.decision.doubted:
+        return ""
+    if state.decision.withdrawn:
+        first = state.named[state.decision.kept]
+        return rest_of_inputs(state.setting.commanded, first.effect, first.score, first.threshold)
+    place = rest.leading[0].place if rest.leading else "the motion"
+    return rest_of_inputs(state.setting.commanded, f"what is left in {place}", rest.score, rest.threshold)
+
+
 def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, ...]) -> GapResult:
     """The answer in which all that stands is told."""
     setting, search, shapes = state.setting, state.search, state.found
@@ -169,7 +177,11 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
         rest, remainder = still_left(last, rest)
     elif state.event is not None:
         decision, unnamed = as_unknown(decision), event_step(state.event, unchanged_gap)
-    elif not state.doubted and decision.verdict in EXPLAINED and (stale := find_held_instrument(state.model, prepared)):
+    elif (
+        not state.decision.doubted
+        and decision.verdict in EXPLAINED
+        and (stale := find_held_instrument(state.model, prepared))
+    ):
         decision, unnamed = as_unknown(decision), held_step(stale, unchanged_gap)
     effect_steps = [with_final_estimates(s, f, final) for s, f in zip(state.named, state.kept, strict=False)]
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
@@ -194,9 +206,7 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
             setting.following,
             remainder,
             len(repeats),
-            rest_of_inputs(setting.commanded, rest.leading[0].place if rest.leading else "", rest.score, rest.threshold)
-            if state.doubted
-            else "",
+            _of_inputs(state, rest),
         ),
         minimum_detectable=detectable,
         steps=steps,

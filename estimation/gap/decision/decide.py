@@ -53,23 +53,38 @@ class VerdictFacts:
 
 @dataclass(frozen=True)
 class Decision:
-    """The verdict; the first `kept` names stand, each of the others is withdrawn for a reason."""
+    """The verdict; the first `kept` names stand, each of the others is withdrawn for a reason. doubted: what is left, or was
+    withdrawn, may be what errors of the inputs leave."""
 
     verdict: GapVerdict
     kept: int
     withdrawn: tuple[tuple[str, str], ...]
+    doubted: bool = False
 
 
-def decide(facts: VerdictFacts, criteria: Criteria, doubted: bool = False) -> Decision:
-    """The verdict that the facts give. doubted: a nameless rest may be what errors of the inputs leave, so that it is no effect;
-    names fall beside it all the same, and where none stands nobody can tell."""
+OF_INPUTS = "no larger than what the unknown times of recorded commands leave"
+
+
+def decide(facts: VerdictFacts, criteria: Criteria, commanded: bool = False) -> Decision:
+    """The verdict that the facts give. commanded: surfaces are known by recorded commands, whose unknown times leave a nameless
+    rest that is no effect, and names of a gap that nothing hidden leaves too; where no other name stands nobody can tell."""
     rest = rest_matters(facts, criteria)
     count, withdrawn = standing(facts, criteria) if rest else (len(facts.named), ())
+    if commanded:
+        seen = next((k for k, name in enumerate(facts.named[:count]) if unseen(name)), count)
+        withdrawn = (*withdrawn, *((n.effect, OF_INPUTS) for n in facts.named[seen:count]))
+        count = seen
     closed = count > 0 and closed_by(facts.named[:count]) >= criteria.closed_share
-    blind = facts.blind > criteria.blind_share * max(facts.asked, 1) or (rest and doubted)
-    answers = (rest and not doubted, count > 0, closed, blind)
+    doubted = commanded and (rest or bool(withdrawn))
+    blind = facts.blind > criteria.blind_share * max(facts.asked, 1) or doubted
+    answers = (rest and not commanded, count > 0, closed, blind)
     verdict = next(row[-1] for row in TABLE if all(w is ANY or w == f for w, f in zip(row[:-1], answers, strict=True)))
-    return Decision(verdict, count, withdrawn)
+    return Decision(verdict, count, withdrawn, doubted)
+
+
+def unseen(name: Named) -> bool:
+    """Whether no share of a gap can be told of a name, on the training or the held-out flights: its course alone stands out."""
+    return name.gap.says_nothing and (name.held is None or name.held.says_nothing)
 
 
 def only_steered(facts: VerdictFacts) -> VerdictFacts:

@@ -344,7 +344,7 @@ class _Setting:
 
 
 def test_a_rest_that_times_of_commands_may_have_made_accuses_nothing() -> None:
-    words = rest_of_inputs({"delta_a": 0.04, "delta_r": 0.04}, "p_dot", 43.5, 4.12)
+    words = rest_of_inputs({"delta_a": 0.04, "delta_r": 0.04}, "what is left in p_dot", 43.5, 4.12)
     assert "delta_a and delta_r are known by commands that the log has every 40 ms" in words
     alone = conclude(GapVerdict.CANNOT_TELL, (), {}, (), (), True, inputs=words)
     assert alone.startswith("No effect found: delta_a and delta_r are known")

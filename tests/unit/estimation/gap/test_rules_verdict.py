@@ -76,11 +76,26 @@ def test_where_every_control_only_follows_the_motion_no_rest_counts_and_names_do
 
 def test_a_rest_that_errors_of_the_inputs_may_have_left_is_no_effect_and_names_fall_beside_it_all_the_same() -> None:
     loud = replace(QUIET, rest=60.0)
-    assert decide(loud, AS_SET, doubted=True).verdict is GapVerdict.CANNOT_TELL
-    assert decide(QUIET, AS_SET, doubted=True).verdict is GapVerdict.NO_GAP
+    assert decide(loud, AS_SET, commanded=True).verdict is GapVerdict.CANNOT_TELL
+    assert decide(QUIET, AS_SET, commanded=True).verdict is GapVerdict.NO_GAP
     certain = replace(loud, named=(named(),), rest=7.0)
-    assert decide(certain, AS_SET, doubted=True).kept == decide(certain, AS_SET).kept
-    assert decide(certain, AS_SET, doubted=True).verdict is not GapVerdict.UNKNOWN
+    assert decide(certain, AS_SET, commanded=True).kept == decide(certain, AS_SET).kept
+    assert decide(certain, AS_SET, commanded=True).verdict is not GapVerdict.UNKNOWN
+
+
+def test_where_commands_are_recorded_a_name_of_a_gap_that_nothing_hidden_leaves_is_withdrawn_with_all_after_it() -> (
+    None
+):
+    """A `Cn_r` 1.4 times too large in a SITL file was an `imu_lever_arm`: a gap of 6.00 of 6.00, held out 5.94 of up to 8.23."""
+    gap, held = Gap(5.999, 5.485, 6.0, 6.3, 0.7), Gap(5.94, 5.74, 6.2, 8.23, 0.7)
+    lever = replace(named(), effect="imu_lever_arm", gap=gap, held=held)
+    facts = replace(QUIET, named=(lever, replace(named(), effect="time_skew")))
+    assert decide(facts, AS_SET).kept == 2
+    told = decide(facts, AS_SET, commanded=True)
+    assert (told.verdict, told.kept, told.doubted) == (GapVerdict.CANNOT_TELL, 0, True)
+    assert [effect for effect, _ in told.withdrawn] == ["imu_lever_arm", "time_skew"]
+    seen = decide(replace(facts, named=facts.named[::-1]), AS_SET, commanded=True)
+    assert (seen.verdict, seen.kept) == (GapVerdict.GAP_CLOSED, 1)
 
 
 @pytest.mark.parametrize(("rest", "word"), [(6.2, GapVerdict.NO_GAP), (6.8, GapVerdict.UNKNOWN)])
