@@ -3,7 +3,6 @@
 What a fast record costs beyond a slow one of the same motion is to be reading and thinning it: limits are ratios to 50 Hz.
 """
 
-import resource
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight, write_flight
-from tests.benchmarks.bench_estimation import command_time
+from tests.benchmarks.bench_long_logs import spent
 from tests.unit.estimation.truth import NOISE, Case, fly
 
 FASTEST = 1000  # Hz
@@ -19,6 +18,13 @@ STRETCHES = 20  # of 30 s, a second apart
 MOST = {50: 1.0, 200: 2.0, FASTEST: 6.0}
 """Rate [Hz] -> times what 50 Hz cost. Watched at a loaded machine: 200 Hz 18 s and 546 MB, 1 kHz 23 s and 724 MB."""
 MOST_MB = {200: 600.0}
+ESTIMATE = """
+from sideslip.entry import main
+try:
+    main(["estimate", sys.argv[1], "--aircraft", "cdfp"])
+except SystemExit as ended:
+    assert not ended.code
+"""
 
 
 def records() -> Iterator[tuple[int, Flight]]:
@@ -42,8 +48,8 @@ def test_ten_minutes_at_any_rate(tmp_path: Path) -> None:
     for rate, flight in records():
         path = tmp_path / f"hz{rate}.csv"
         write_flight(flight, path)
-        seconds[rate] = command_time(path, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
-        memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024  # the largest so far; rates ascend
+        seconds[rate], most = spent(ESTIMATE, path)
+        memory = most / 2**20
         ratio = seconds[rate] / seconds[50]
         print(
             f"10 minutes at {rate:4} Hz: {seconds[rate]:6.1f} s, {ratio:.1f} times 50 Hz, {memory:.0f} MB", flush=True
