@@ -33,11 +33,11 @@ from estimation.gap.records.own_motion import only_following, without_hardware_o
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
 from estimation.gap.records.sampling import at_own_rates, flown_apart, with_lost_rows, without_unseen_moves
 from estimation.gap.search.free_base import (
-    beside,
     derivatives_off,
     far_off,
     many,
     moved_in_words,
+    others_freed_in_words,
     outstanding,
     with_free_derivatives,
 )
@@ -88,8 +88,8 @@ def run_gap(
         candidates += missing_derivatives(base, {e.name for e in candidates})
         prepared = prepare_flights(base, candidates, training_flights, holdout_flights, options.criteria)
         prepared = replace(prepared, notes=(*comparison_notes, *prepared.notes, *fault_notes), stale=stale)
-        setting = _setting(prepared, candidates, levels(base, flights), stamped_attitudes(base, flights), options, tell)
-        setting = replace(setting, commanded=rare_commands(base, training_flights))
+        stamped, commanded = stamped_attitudes(base, flights), rare_commands(base, training_flights)
+        setting = _setting(prepared, candidates, levels(base, flights), stamped, commanded, options, tell)
         tell("fitting the baseline", 0.05)
         return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
 
@@ -108,7 +108,7 @@ def run_gap(
             if asked or many(far_off(freely, model.starts(), freed[1].fit, options.criteria), options.criteria):
                 setting, baseline = freed
                 bent = bool(setting.commanded)
-                moved = beside(len(freely)) if asked else moved_in_words(off, model.starts(), baseline, bent)
+                moved = others_freed_in_words(freely) if asked else moved_in_words(off, model.starts(), baseline, bent)
         doubts += turned_signs(baseline)
         search = run_rounds(setting, baseline)
     except GapError as error:
@@ -128,11 +128,13 @@ def _setting(
     effects: tuple[Effect, ...],
     wide: Mapping[str, float],
     stamped: Mapping[str, float],
+    commanded: Mapping[str, float],
     options: Options,
     tell: LOOK,
 ) -> Setting:
     """The base model with what every fit carries along and all candidates dormant, and what is wrong with the inputs. wide: how
-    uncertain the level of a signal is that was found from the motion; stamped: attitude -> interval of its own times."""
+    uncertain the level of a signal is that was found from the motion; stamped: attitude -> interval of its own times;
+    commanded: as `Setting` has it."""
     base, records = prepared.base, prepared.of(prepared.training)
     following = only_following(records, base, options.criteria)
     effects, unasked = without_hardware_of(effects, following)
@@ -150,7 +152,9 @@ def _setting(
     prepared = replace(
         prepared, records=with_errors(prepared.records, clean, errors), notes=(*prepared.notes, *control_notes)
     )
-    return Setting(base, clean, working, prepared, effects, following, unasked, errors, scatter, options, tell)
+    return Setting(
+        base, clean, working, prepared, effects, following, unasked, commanded, errors, scatter, options, tell
+    )
 
 
 def _estimated(model: Model, flights: Sequence[Flight], runs_away: GapError) -> Model:

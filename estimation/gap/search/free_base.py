@@ -136,6 +136,6 @@ def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: 
     return f"Several derivatives of the base {off}, so that all {len(names)} were refitted first: {words or 'none moved far'}."
 
 
-def beside(count: int) -> str:
-    """A sentence on so many derivatives that were free while the one that stands out was asked for."""
-    return f"The {count} other derivatives of the base were free beside it, as times of commands bend them."
+def others_freed_in_words(names: Sequence[str]) -> str:
+    """A sentence on the derivatives that were free while the one that stands out was asked for."""
+    return f"The {len(names)} other derivatives of the base were free beside it, as times of commands bend them."

@@ -1,7 +1,7 @@
 """State of the search: what its rounds share (options, the setting) and what they leave (findings, the rest)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
@@ -70,11 +70,11 @@ class Setting:
     effects: tuple[Effect, ...]
     following: tuple[str, ...]
     untold: tuple[Effect, ...]
+    commanded: Mapping[str, float]
     errors: tuple[InputErrors, ...]
     scatter: Array
     options: Options
     tell: LOOK
-    commanded: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def steered(self) -> bool:

@@ -130,9 +130,8 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
     if shape is not None:
         return ShapeSearch(shape, tuple(attempts))
     if not at_length:  # nothing else stands out
-        return ShapeSearch(
-            None, tuple(attempts), swing if swing is not None and alone(swing, round_.criteria) else None
-        )
+        stands_alone = swing is not None and alone(swing, round_.criteria)
+        return ShapeSearch(None, tuple(attempts), swing if stands_alone else None)
     if ranking.order:
         line = ranking.places[ranking.order[0]].line
         products = [p for p in products_of(task.prepared.base) if p.line == line]

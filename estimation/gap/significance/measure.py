@@ -106,9 +106,9 @@ class Floors:
     @property
     def highest(self) -> float:
         """The same on the held-out flights, on the training flights where there are none."""
-        return (
-            float(np.quantile(self.holdout, self.criteria.floor_level)) if self.holdout.size else self.training_highest
-        )
+        if not self.holdout.size:
+            return self.training_highest
+        return float(np.quantile(self.holdout, self.criteria.floor_level))
 
     @property
     def training_median(self) -> float:

@@ -67,7 +67,7 @@ def screened(bend: float, control: float, every: int = 1) -> Round:
     flights = [f.with_columns(p=np.where(k, f.columns["p"], np.nan)) for f, k in pairs]
     options = Options(seed=1, nulls=40)
     prepared = prepare_flights(ROLL, (), flights, (), options.criteria)
-    setting = _setting(prepared, (), {}, {}, options, lambda what, share: None)
+    setting = _setting(prepared, (), {}, {}, {}, options, lambda what, share: None)
     baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
     return screen_round(baseline, setting.prepared, (), setting.errors, 40, 1, name_threshold)
 

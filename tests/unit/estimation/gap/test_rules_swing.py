@@ -128,7 +128,7 @@ def test_a_part_of_a_coefficient_changes_the_outputs_as_a_small_step_of_it_does(
     model, options = load_model("longitudinal", "cdfp"), Options(seed=1, nulls=40)
     near = tuple(e for e in catalogue(model=model) if e.name in NEAR)
     prepared = prepare_flights(model, near, flights({}, 5200)[:2], (), options.criteria)
-    setting = _setting(prepared, near, {}, {}, options, lambda what, share: None)
+    setting = _setting(prepared, near, {}, {}, {}, options, lambda what, share: None)
     baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
     flown = ModelMotion.of(baseline.problem, baseline.fit)
     course = oscillator(flown.courses[1]["q_dot"], flown.segments[1].time, 9.0, 0.05)
