@@ -10,6 +10,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 from estimation.errors import ModelError
@@ -87,6 +88,27 @@ def products_in(expression: str) -> tuple[frozenset[str], ...]:
             if not any(isinstance(n, ast.BinOp) and isinstance(n.op, ast.Add | ast.Sub) for n in inner):
                 products.append(frozenset(n.id for n in inner if isinstance(n, ast.Name)))
     return tuple(products)
+
+
+def addends_in(expression: str) -> tuple[str, ...]:
+    """The text of a sum, cut before each of its signs: `a - b*c + d` gives `a`, ` - b*c`, ` + d`; a product is one piece."""
+    spaced = " ".join(expression.replace("^", "**").split())
+    node, text = parse(spaced), spaced.encode()  # the tree counts in bytes
+    end, cuts = len(text), [len(text)]
+    while isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub):
+        if b")" in text[node.end_col_offset : end]:  # the sum stands in brackets, and is one piece
+            break
+        begin = node.left.end_col_offset or 0
+        end = begin + next(i for i, sign in enumerate(text[begin:]) if sign in b"+-")
+        cuts.append(len(text[:end].rstrip()))
+        node = node.left
+    return tuple(text[start:stop].decode() for start, stop in pairwise([0, *reversed(cuts)]))
+
+
+def without_addends_of(expression: str, name: str) -> str:
+    """The sum without the addends in which a name stands; 0 where it stands in all of them."""
+    rest = "".join(addend for addend in addends_in(expression) if name not in names_in(addend))
+    return rest.strip().removeprefix("+").lstrip() or "0"
 
 
 def evaluate(expression: str, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:

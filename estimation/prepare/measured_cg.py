@@ -16,7 +16,7 @@ from daq.identification.airframe import FARTHEST_CG
 from daq.identification.moved_cg import at_moved_cg
 from estimation.errors import DataError
 from estimation.models.base import Model, renamed
-from estimation.models.expressions import names_in
+from estimation.models.expressions import names_in, without_addends_of
 from estimation.models.parts import Signal
 from groundstation.flight import Flight
 
@@ -98,8 +98,7 @@ def at_stated_cg(model: Model) -> Model:
     if COLUMN not in model.input_names:
         return model
     lines = {n: text for n, text in model.definitions.items() if n not in map(_about_cg, ARMS)}
-    for addend in FLOW.values():
-        lines = {n: text.replace(addend, "") for n, text in lines.items()}
+    lines = {n: without_addends_of(text, COLUMN) if COLUMN in names_in(text) else text for n, text in lines.items()}
     for moment in ARMS:
         lines = {n: renamed(text, _about_cg(moment), moment) for n, text in lines.items()}
     inputs = tuple(s for s in model.inputs if s.name != COLUMN)

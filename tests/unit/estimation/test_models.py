@@ -9,7 +9,7 @@ import pytest
 from estimation.aircraft import load_aircraft
 from estimation.errors import AircraftError, ModelError
 from estimation.models import InputTransform, Model, Parameter, Signal, load_model, read_model, write_model
-from estimation.models.expressions import evaluate, names_in, parse
+from estimation.models.expressions import addends_in, evaluate, names_in, parse, without_addends_of
 from estimation.models.library import BUILDERS
 from estimation.models.own import model_from_class, sin, where
 
@@ -46,6 +46,28 @@ def test_nothing_but_arithmetic_is_read(text: str) -> None:
 
 def test_names_leave_functions_and_numbers_out() -> None:
     assert names_in("sin(alpha)*p + pi*max(a, 2)") == {"alpha", "p", "a"}
+
+
+@pytest.mark.parametrize(
+    ("text", "addends"),
+    [
+        ("a - b*c + d", ("a", " - b*c", " + d")),
+        ("(a + b) - (c)", ("(a + b)", " - (c)")),
+        ("(a + b)", ("(a + b)",)),
+        ("-(a+b) + (d - c)*e", ("-(a+b)", " + (d - c)*e")),
+        ("1e-3*a + sin(b - c)", ("1e-3*a", " + sin(b - c)")),
+    ],
+)
+def test_a_sum_is_cut_at_its_own_signs_alone(text: str, addends: tuple[str, ...]) -> None:
+    assert addends_in(text) == addends
+
+
+@pytest.mark.parametrize(
+    ("text", "rest"),
+    [("a + b*x/c - d", "a - d"), ("x*a+b", "b"), ("a -b*( x + 1)", "a"), ("x", "0"), ("a + b", "a + b")],
+)
+def test_addends_with_a_name_are_taken_out_however_they_are_written(text: str, rest: str) -> None:
+    assert without_addends_of(text, "x") == rest
 
 
 @pytest.mark.parametrize("name", sorted(BUILDERS))

@@ -304,11 +304,12 @@ def _effects(path: Path, scratch: Path) -> object:
 
 
 def _expression(path: Path, scratch: Path) -> object:
-    from estimation.models.expressions import evaluate, names_in, parse, products_in
+    from estimation.models.expressions import addends_in, evaluate, names_in, parse, products_in
 
     text = path.read_bytes().decode("utf-8", "replace")
     parse.cache_clear()
     products_in(text)
+    assert "".join(addends_in(text)).split() == " ".join(text.replace("^", "**").split()).split()
     symbols = dict.fromkeys(names_in(text), np.float64(0.3))
     with np.errstate(all="ignore"):
         value = evaluate(text, symbols, _functions())
