@@ -1,8 +1,9 @@
-"""The quality of a test point while it is flown: what was moved, whether flight was steady before, and what spoils it.
+"""The quality of a test point while it is flown: which controls moved, whether flight was steady before, and its faults.
 
-A point begins when a control moves (`movement.TRAVEL` within a second) and is over when none has for some seconds. Steadiness and
-gusts are of the seconds before. What a vane shows is noise, which second differences hold alone, the aircraft's own motion, which
-gyros and accelerometers hold whatever its aerodynamics are, and the air.
+A test point begins when a control moves by more than `movement.TRAVEL` within a second, and ends when none has moved for
+`OVER_S`. Steadiness and gusts are taken from the seconds before the input. A vane shows three things: noise, which is estimated
+from second differences; the turning of the aircraft itself, which gyros and accelerometers give whatever the aerodynamics are;
+and the motion of the air, which is what remains.
 """
 
 import math
@@ -15,30 +16,30 @@ import numpy as np
 from daq.identification.airframe import Sample
 from daq.identification.movement import TRAVEL, WITHIN
 from daq.identification.next_manoeuvre import MOST_ALPHA, MOST_BANK, MOST_SIDESLIP
-from daq.utilities.constants import GRAVITY
+from daq.identification.simulated_motion import alpha_rate, beta_rate
 
 BEFORE_S = 2.0  # s of steady flight before an input: two periods of the fastest mode that a pilot sees
 OVER_S = 3.0  # s without a movement after which a point is over: a Dutch roll has been seen to die away
-FEWEST = 8  # samples from which anything is said of the seconds before
+FEWEST = 8  # samples of the seconds before an input that a standard deviation needs
 STEADY_BANK = math.radians(10.0)  # beyond, gravity enters as in no level trim
 STEADY_RATE = math.radians(6.0)  # rad/s rms: a tenth of what an input makes
 STEADY_SPEED = 1.5  # m/s between least and greatest: dynamic pressure changes by a fifth
 GUSTY = math.radians(0.8)  # rad rms of a vane: five times usual air, as large as what a small input makes
-LINE_LEAVES = 0.5
-"""Of gusts' rms, what a straight line through two seconds of them leaves over (correlation time 1 s, some 17 m). The line takes
-errors of attitude, and of the gyros and accelerometers."""
-TOGETHER = 0.9  # correlation of two controls from which their derivatives are not told apart
-MOVES_TOO = math.radians(0.5)  # rad rms from which a control counts as flown
-AT_STOP = 0.98  # of a throw: a surface there does not go where it is asked to
-AT_STOP_S = 0.2  # s at a stop that are worth a word
+DETRENDED_SHARE = 0.5
+"""Share of the gusts' rms that remains when a straight line is fitted to two seconds of them and taken out (correlation time 1 s,
+some 17 m). The line is there to absorb the errors of attitude, gyros and accelerometers."""
+MOST_CORRELATED = 0.9  # correlation of two controls beyond which their derivatives cannot be separated
+LEAST_MOVEMENT = math.radians(0.5)  # rad rms from which a control counts as moved in this point
+AT_STOP = 0.98  # share of a throw beyond which a surface no longer follows its command
+AT_STOP_S = 0.2  # s at a stop from which it is reported
 CONTROL_WORDS = {"delta_a": "aileron", "delta_r": "rudder", "delta_e": "elevator"}
 
 
 @dataclass(frozen=True, slots=True)
 class FlownPoint:
-    """One test point. begin [s]; seconds: from the first movement to the last; moving: it is not over yet; peaks: control ->
-    largest deflection from where it was before [rad]; gusts: vane -> rms of what the air adds [rad], where it can be told, and
-    speed [m/s], before the input; faults: what spoils it, with what to do, in words."""
+    """One test point. begin [s]; seconds: from the first movement to the last [s]; moving: it is not over yet; peaks: control ->
+    largest deflection from its trim [rad]; gusts: vane -> rms of gusts before the input [rad], of the vanes whose gusts the
+    inertial instruments can separate; speed: mean before the input [m/s]; faults: sentences, each with its remedy."""
 
     begin: float
     seconds: float
@@ -50,8 +51,9 @@ class FlownPoint:
 
 
 @dataclass
-class _Calm:
-    """The seconds before an input. trim: of every control and angle, means; faults: what was not steady."""
+class _BeforeInput:
+    """The seconds before an input. trim: mean of every control and angle [rad] and of V [m/s]; gusts, speed, faults: as of
+    `FlownPoint`."""
 
     trim: Mapping[str, float]
     gusts: Mapping[str, float]
@@ -60,12 +62,13 @@ class _Calm:
 
 
 @dataclass
-class _Course:
-    """What a point has seen so far. products: sums of deflections times deflections; largest: angle -> from trim [rad];
-    at_stop: control -> seconds at an end of its throw."""
+class _PointInProgress:
+    """Sums over the samples of a point. products: of deflections times deflections [rad2], controls by controls; count: samples;
+    peaks: control -> largest deflection [rad]; largest: angle -> largest change from trim [rad]; at_stop: control -> seconds at
+    an end of its throw."""
 
     begin: float
-    calm: _Calm
+    before: _BeforeInput
     products: np.ndarray
     last_moved: float
     count: int = 0
@@ -79,91 +82,93 @@ RESPONSES: Mapping[str, tuple[str, float, str]] = {
     "phi": ("bank", MOST_BANK, "lateral"),
     "alpha": ("angle of attack", MOST_ALPHA, "longitudinal"),
 }
-"""Angle -> words, largest change that a linear model is for (the limits of what is advised), and the plane it belongs to."""
+"""Angle -> its words, the largest change [rad] that a linear model holds for (as `next_manoeuvre` advises), and its plane."""
 
 
 class PointMeter:
-    """Feed samples in order of time; `point` is the present point, or the last one, None before the first.
+    """Takes samples in order of time; `point` is the present point, or the last one; None before the first.
 
-    controls: signals; throws: signal -> least and greatest deflection [rad], where known.
+    controls: names of signals; throws: signal -> least and greatest deflection [rad], of the surfaces whose throw is known.
     """
 
     def __init__(self, controls: Sequence[str], throws: Mapping[str, tuple[float, float]]) -> None:
         self._controls, self._throws = tuple(controls), dict(throws)
         self._recent: deque[Sample] = deque()
-        self._course: _Course | None = None
-        self._over: FlownPoint | None = None
+        self._current: _PointInProgress | None = None
+        self._finished: FlownPoint | None = None
 
     @property
     def point(self) -> FlownPoint | None:
-        """As it is now."""
-        return self._over if self._course is None else self._point(self._course, moving=True)
+        """The test point as it is now."""
+        return self._finished if self._current is None else self._point(self._current, moving=True)
 
     def add(self, sample: Sample) -> None:
-        """One sample."""
-        moved = self._moves(sample)
-        if self._course is None and moved:
-            calm = self._calm([s for s in self._recent if s.time < sample.time - WITHIN] or list(self._recent)[:1])
+        """Take the next sample."""
+        moved = self._control_moves(sample)
+        if self._current is None and moved:
+            steady = [s for s in self._recent if s.time < sample.time - WITHIN] or list(self._recent)[:1]
             size = len(self._controls)
-            self._course = _Course(sample.time, calm, np.zeros((size, size)), sample.time)
+            self._current = _PointInProgress(
+                sample.time, self._before_input(steady), np.zeros((size, size)), sample.time
+            )
         self._recent.append(sample)
         while self._recent[0].time < sample.time - BEFORE_S - WITHIN:
             self._recent.popleft()
-        if self._course is None:
+        if self._current is None:
             return
         if moved:
-            self._course.last_moved = sample.time
-        self._follow(self._course, sample)
-        if sample.time - self._course.last_moved > OVER_S:
-            self._over, self._course = self._point(self._course, moving=False), None
+            self._current.last_moved = sample.time
+        self._accumulate(self._current, sample)
+        if sample.time - self._current.last_moved > OVER_S:
+            self._finished, self._current = self._point(self._current, moving=False), None
 
-    def _moves(self, sample: Sample) -> bool:
+    def _control_moves(self, sample: Sample) -> bool:
         recent = [s for s in self._recent if s.time >= sample.time - WITHIN]
         values = [[getattr(s, c) for s in (*recent, sample)] for c in self._controls]
         return any(max(v) - min(v) > TRAVEL for v in values)
 
-    def _calm(self, before: Sequence[Sample]) -> _Calm:
+    def _before_input(self, before: Sequence[Sample]) -> _BeforeInput:
         columns = {n: np.array([getattr(s, n) for s in before]) for n in Sample._fields}
         trim = {n: float(np.mean(columns[n])) for n in (*self._controls, *RESPONSES, "V")}
         if len(before) < FEWEST:
-            return _Calm(trim, {}, trim["V"], ("no steady seconds before it: hold still for two, then begin",))
-        gusts = {n: _spread(columns[n] - turned) / LINE_LEAVES for n, turned in _turned(columns).items()}
-        return _Calm(trim, gusts, trim["V"], tuple(_unsteady(columns, gusts)))
+            return _BeforeInput(trim, {}, trim["V"], ("no steady seconds before it: hold still for two, then begin",))
+        gusts = {name: _spread(angles) / DETRENDED_SHARE for name, angles in _gust_angles(before)}
+        return _BeforeInput(trim, gusts, trim["V"], tuple(_unsteady(columns, gusts)))
 
-    def _follow(self, course: _Course, sample: Sample) -> None:
-        trim = course.calm.trim
-        moved = np.array([getattr(sample, c) - trim[c] for c in self._controls])
-        course.products += np.outer(moved, moved)
-        course.count += 1
+    def _accumulate(self, point: _PointInProgress, sample: Sample) -> None:
+        trim = point.before.trim
+        deflections = np.array([getattr(sample, c) - trim[c] for c in self._controls])
+        point.products += np.outer(deflections, deflections)
+        point.count += 1
         step = sample.time - self._recent[-2].time if len(self._recent) > 1 else 0.0
-        for name, value in zip(self._controls, moved, strict=True):
-            course.peaks[name] = max(course.peaks.get(name, 0.0), abs(float(value)))
+        for name, deflection in zip(self._controls, deflections, strict=True):
+            point.peaks[name] = max(point.peaks.get(name, 0.0), abs(float(deflection)))
             low, high = self._throws.get(name, (-math.inf, math.inf))
             if not AT_STOP * low < getattr(sample, name) < AT_STOP * high:
-                course.at_stop[name] = course.at_stop.get(name, 0.0) + step
+                point.at_stop[name] = point.at_stop.get(name, 0.0) + step
         for name in RESPONSES:
-            course.largest[name] = max(course.largest.get(name, 0.0), abs(getattr(sample, name) - trim[name]))
+            point.largest[name] = max(point.largest.get(name, 0.0), abs(getattr(sample, name) - trim[name]))
 
-    def _point(self, course: _Course, *, moving: bool) -> FlownPoint:
-        faults = (*course.calm.faults, *self._spoilt(course))
-        seconds = course.last_moved - course.begin
-        return FlownPoint(course.begin, seconds, moving, course.peaks, course.calm.gusts, course.calm.speed, faults)
+    def _point(self, point: _PointInProgress, *, moving: bool) -> FlownPoint:
+        faults = (*point.before.faults, *self._faults(point))
+        seconds = point.last_moved - point.begin
+        return FlownPoint(point.begin, seconds, moving, point.peaks, point.before.gusts, point.before.speed, faults)
 
-    def _spoilt(self, course: _Course) -> Iterator[str]:
-        rms = np.sqrt(np.diag(course.products) / max(course.count, 1))
+    def _faults(self, point: _PointInProgress) -> Iterator[str]:
+        rms = np.sqrt(np.diag(point.products) / max(point.count, 1))
         for i, first in enumerate(self._controls):
             for k, second in enumerate(self._controls[:i]):
-                if min(rms[i], rms[k]) > MOVES_TOO:
-                    correlation = float(course.products[i, k] / (rms[i] * rms[k] * course.count))
-                    if abs(correlation) > TOGETHER:
+                if min(rms[i], rms[k]) > LEAST_MOVEMENT:
+                    correlation = float(point.products[i, k] / (rms[i] * rms[k] * point.count))
+                    if abs(correlation) > MOST_CORRELATED:
                         names = f"{CONTROL_WORDS[second]} and {CONTROL_WORDS[first]}"
                         yield f"{names} moved together ({correlation:+.2f}): fly one after the other"
-        for name, seconds in course.at_stop.items():
+        for name, seconds in point.at_stop.items():
             if seconds >= AT_STOP_S:
                 yield f"{CONTROL_WORDS[name]} at its stop for {seconds:.1f} s: fly it smaller"
         planes = {"longitudinal" if c == "delta_e" else "lateral" for c in self._controls}
         for name, (words, limit, plane) in RESPONSES.items():
-            change = course.largest.get(name, 0.0)
+            change = point.largest.get(name, 0.0)
             if change > limit and plane in planes:
                 share = 100.0 * limit / change
                 yield f"{words} {math.degrees(change):.0f} deg from trim, a linear model is for less: fly {share:.0f} % of it"
@@ -188,21 +193,21 @@ def _unsteady(before: Mapping[str, np.ndarray], gusts: Mapping[str, float]) -> I
         yield f"{RESPONSES[name][0]} unsteady by {math.degrees(swing):.1f} deg before it ({part}): wait until it is steady"
 
 
-def _turned(before: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Vane -> angle by which the aircraft itself has turned out of still air since the first sample [rad], where inertial
-    instruments tell it (Stevens and Lewis, Aircraft Control and Simulation, 2.5; for small sideslip)."""
-    b, c, s = before, np.cos, np.sin
-    side = b["ay"] + GRAVITY * c(b["theta"]) * s(b["phi"])
-    down = b["az"] * c(b["alpha"]) - b["ax"] * s(b["alpha"])
-    down += GRAVITY * (c(b["alpha"]) * c(b["theta"]) * c(b["phi"]) + s(b["alpha"]) * s(b["theta"]))
-    rates = {"beta": side / b["V"] + b["p"] * s(b["alpha"]) - b["r"] * c(b["alpha"]), "alpha": b["q"] + down / b["V"]}
-    steps = np.diff(b["time"])
-    turned = {n: np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * steps)]) for n, v in rates.items()}
-    return {
-        n: v - np.polyval(np.polyfit(b["time"], v - b[n], 1), b["time"])
-        for n, v in turned.items()
-        if np.isfinite(v).all()
-    }
+def _gust_angles(before: Sequence[Sample]) -> Iterator[tuple[str, np.ndarray]]:
+    """Vane, and what it shows beyond the aircraft's own turning in still air [rad], less a straight line in time; of the vanes
+    whose rate in still air the inertial instruments give."""
+    time = np.array([s.time for s in before])
+    rates = {"beta": [beta_rate(s) for s in before], "alpha": [alpha_rate(s, beta=0.0) for s in before]}
+    for name, rate in rates.items():
+        if np.isfinite(rate).all():
+            shown = np.array([getattr(s, name) for s in before])
+            excess = shown - _integral(time, np.array(rate))
+            yield name, excess - np.polyval(np.polyfit(time, excess, 1), time)
+
+
+def _integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Running integral by the trapezoidal rule, from 0."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
 
 
 def _noise(values: np.ndarray) -> float:
@@ -211,5 +216,5 @@ def _noise(values: np.ndarray) -> float:
 
 
 def _spread(values: np.ndarray) -> float:
-    """Standard deviation of what moves slower than from sample to sample."""
+    """Standard deviation without that of white noise from sample to sample."""
     return math.sqrt(max(float(np.var(values)) - _noise(values) ** 2, 0.0))

@@ -291,7 +291,9 @@ class SteadiedVane:
             self._intervals += 1
         if len(self._scans) < 2 or not self._slow:
             self._simulated.restart(sample)
-        self._scans.append(VaneScan(sample, _alpha_rate(sample), self._simulated_rate(sample) if self._slow else 0.0))
+        self._scans.append(
+            VaneScan(sample, alpha_rate(sample, sample.beta), self._simulated_rate(sample) if self._slow else 0.0)
+        )
         if len(self._scans) < 3:
             return []
         rise = self._simulate() if len(self._scans) > 3 and self._slow else math.nan
@@ -343,13 +345,24 @@ class SteadiedVane:
         return sample._replace(alpha=sample.alpha + self._corrections.popleft())
 
 
-def _alpha_rate(s: Sample) -> float:
-    """Rate of change of the angle of attack by measured accelerations and rates [rad/s]."""
+def alpha_rate(s: Sample, beta: float) -> float:
+    """Rate of change of the angle of attack in still air [rad/s], by gyros, accelerometers and attitude (Stevens and Lewis,
+    Aircraft Control and Simulation, 2.5).
+
+    beta: sideslip [rad]: the vane's; 0 neglects its terms, for where no vane measures sideslip, or where its noise and gusts
+    must not enter.
+    """
     sin, cos = math.sin(s.alpha), math.cos(s.alpha)
     gx = s.ax - GRAVITY * math.sin(s.theta)
     gz = s.az + GRAVITY * math.cos(s.theta) * math.cos(s.phi)
-    sideways = math.tan(s.beta) * (s.p * cos + s.r * sin)
-    return s.q - sideways + (gz * cos - gx * sin) / (s.V * math.cos(s.beta))
+    sideways = math.tan(beta) * (s.p * cos + s.r * sin)
+    return s.q - sideways + (gz * cos - gx * sin) / (s.V * math.cos(beta))
+
+
+def beta_rate(s: Sample) -> float:
+    """Rate of change of the sideslip in still air [rad/s], for small sideslip; source as of `alpha_rate`."""
+    side = s.ay + GRAVITY * math.cos(s.theta) * math.sin(s.phi)
+    return side / s.V + s.p * math.sin(s.alpha) - s.r * math.cos(s.alpha)
 
 
 Simulation = SimulatedMotion | SimulatedPitch
