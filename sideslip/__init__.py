@@ -68,9 +68,9 @@ def __getattr__(name: str) -> Any:
             raise missing(error, f"sideslip.{name}") from error
     near = ""
     if not name.startswith("_"):  # those are asked for by tools that go on without them
-        from daq.utilities.plain_words import meant
+        from daq.utilities.plain_words import did_you_mean
 
-        near = meant(name, __all__)
+        near = did_you_mean(name, __all__)
     raise AttributeError(f"module 'sideslip' has no attribute {name!r}{near}")
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from daq.utilities.packages import missing
-from daq.utilities.plain_words import meant
+from daq.utilities.plain_words import did_you_mean
 from estimation.answers import (
     checks,
     designs,
@@ -67,7 +67,7 @@ def _asking(function: Callable[P, R]) -> Callable[P, R]:
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         for name in kwargs:
             if name not in known:
-                near = meant(name, known) or f"; it takes {', '.join(known)}"
+                near = did_you_mean(name, known) or f"; it takes {', '.join(known)}"
                 raise TypeError(f"{function.__name__}() has no argument {name!r}{near}")
         try:
             return function(*args, **kwargs)

@@ -133,14 +133,14 @@ class AttitudeFilter:
         rate_deg = self._unbiased(time, times(_DEGREES, gyro), self._at_rest(airspeed))
         rate = times(_RADIANS, rate_deg)
         turn_rate = self._turn_rate(rate_deg, step)
-        self._air.follow(airspeed if self._config.airspeed_correction else None, step)
+        self._air.update(airspeed if self._config.airspeed_correction else None, step)
         field = None if mag is None or not self._config.use_magnetometer else plus(mag, self._hard_iron, -1.0)
         if step is None or self._begun is None:
             self._begun, self._settled = time, False
-            self._align(self._air.plumb_line(accel, rate), field)
+            self._align(self._air.static_force(accel, rate), field)
         else:
-            if fix is not None or self._ground.waits:
-                self._ground.hear(fix)
+            if fix is not None or self._ground.fix_pending:
+                self._ground.add_fix(fix)
             self._heading_known |= field is not None
             aided = self._heading_known and self._ground.known(time)
             if aided is not self._aided or not self._settled:
@@ -148,11 +148,11 @@ class AttitudeFilter:
                 self._settled = time - self._begun >= self.SETTLING_S
                 self._set_gain(self._gain_at(time - self._begun, aided))
             if aided:
-                plumb_line = self._ground.plumb_line(self._axes, self.VELOCITY_GAIN * self._gain)
+                static_force = self._ground.static_force(self._axes, self.VELOCITY_GAIN * self._gain)
             else:
-                plumb_line = self._air.plumb_line(accel, rate)
+                static_force = self._air.static_force(accel, rate)
             self._ahrs.set_sample_period(step)
-            self._advance(turn_rate, plumb_line, field)
+            self._advance(turn_rate, static_force, field)
         quaternion = self._quaternion()
         self._axes = _axes_of(quaternion)
         antenna = turned(self._axes, cross(rate, self._config.antenna_m))
@@ -161,22 +161,22 @@ class AttitudeFilter:
 
     def _advance(self, rate_deg: Vector, down: Vector, field: Vector | None) -> None:
         rate, force, magnetic = self._inputs
-        plumb_line = times(1.0 / GRAVITY, down)
+        static_force = times(1.0 / GRAVITY, down)
         field_ut = times(1e6, field or ZERO)
-        _INPUTS.pack_into(self._memory, 0, *_flip(rate_deg), *_flip(plumb_line), *_flip(field_ut))
+        _INPUTS.pack_into(self._memory, 0, *_flip(rate_deg), *_flip(static_force), *_flip(field_ut))
         if field is None:
             self._ahrs.update_no_magnetometer(rate, force)
         else:
             self._ahrs.update(rate, force, magnetic)
 
-    def _align(self, plumb_line: Vector, magnetic: Vector | None) -> None:
+    def _align(self, static_force: Vector, magnetic: Vector | None) -> None:
         """Begin where plumb line and compass point (Black 1964, "TRIAD"); without a compass, at heading zero."""
         self._ahrs.restart()
         self._ahrs.skip_startup()
         self._set_gain(self.FIRST_GAIN)
         self._ground.restart()
         self._heading_known = magnetic is not None
-        gravity = np.array(plumb_line)
+        gravity = np.array(static_force)
         z = -gravity / max(float(np.linalg.norm(gravity)), 1e-9)
         heading_vector = np.array((1.0, 0.0, 0.0) if magnetic is None else magnetic)
         y = np.cross(z, heading_vector)

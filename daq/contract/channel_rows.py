@@ -52,6 +52,11 @@ class Channel:
         """Smallest and largest raw value the raw type can carry."""
         return RAW_LIMITS[self.raw_type]
 
+    def count_of(self, value: float) -> int:
+        """The count that stands for a value in `unit`; only for a channel with a `scale`."""
+        assert self.scale is not None
+        return round((value - self.offset) / self.scale)
+
 
 @dataclass(frozen=True, slots=True)
 class FlightColumn:

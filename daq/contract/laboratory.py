@@ -1,4 +1,4 @@
-"""Channels that a laboratory brings in a package of its own, without touching this one.
+"""Channels that a laboratory defines in a package of its own, without changing this one.
 
 An installed package that names itself under the entry point group `sideslip.channels` (value: the package) has a file
 `channels.toml` beside its `__init__.py`, read here as data: nothing of the package is imported for it. The channels stand
@@ -35,7 +35,7 @@ _Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class LaboratoryError(UserError):
-    """A laboratory's package whose channels cannot be used."""
+    """A laboratory's package whose channel file or entry point is wrong."""
 
 
 class _LaboratoryRow(BaseModel):
@@ -49,7 +49,7 @@ class _Group(_LaboratoryRow):
 
 
 class _Channel(_LaboratoryRow):
-    """`columns` left out: one flight column of the channel's own name and unit."""
+    """A row [[channel]]. Without `columns` it has one flight column, of the channel's name and unit."""
 
     name: _Name
     group: str
@@ -103,7 +103,7 @@ def package_folder(package: str) -> Path:
 
 
 def calibration_files() -> dict[str, bytes]:
-    """Calibration files that laboratory packages bring in a folder `calibration`, by file name."""
+    """File name -> content of the calibration files that laboratory packages have in a folder `calibration`."""
     packages = sorted({p.value for p in entry_points(group=ENTRY_POINTS)})
     folders = [package_folder(package) / "calibration" for package in packages]
     return {file.name: file.read_bytes() for folder in folders for file in sorted(folder.glob("*.toml"))}
@@ -136,7 +136,7 @@ def _channel(row: _Channel, package: str) -> Channel:
 
 
 def _column(channel: Channel) -> FlightColumn:
-    """The flight column that a channel has of itself: its plausible range is what its counts can say."""
+    """The flight column of a channel without `columns`; its plausible range is the range of its counts."""
     ends = sorted(count * (channel.scale or 1.0) + channel.offset for count in RAW_LIMITS[channel.raw_type])
     return FlightColumn(channel.name, channel.unit or "1", channel.meaning, f"/{channel.group}", (ends[0], ends[1]))
 

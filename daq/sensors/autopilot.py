@@ -1,13 +1,13 @@
-"""An ArduPilot or PX4 as the source of what it measures: IMU, compass, attitude, pitot, static pressure, GPS, servo outputs.
+"""An ArduPilot or PX4 as a sensor: IMU, compass, attitude, pitot, static pressure, GPS and servo outputs from its messages.
 
-Physical values of MAVLink common.xml, turned into the counts that the chip of each group has in its place, so that everything
-behind the driver is as it is with a chip: `metadata` has the scales. Each sample carries the autopilot's own time, is
-repeated in scans that bring none, and so is as old as the scan's offset says.
+The physical values of MAVLink common.xml are converted to the counts of the chip that each group otherwise has, so that
+everything after the driver works as with a chip; `metadata` has the scales. Each sample carries the autopilot's own time. A scan
+without a new sample repeats the last one, and its offset says how old it is.
 
 HIGHRES_IMU, or RAW_IMU (mG, mrad/s) where an autopilot has none. ArduPilot's are behind INS_GYRO_FILTER and INS_ACCEL_FILTER,
-low passes of second order with a delay of sqrt(2) / (2 pi f), which are read; PX4's are not filtered. Pitot: SCALED_PRESSURE, its
-own zero taken off; diff_pressure of ArduPilot's HIGHRES_IMU is the barometer's. Position and velocity: GLOBAL_POSITION_INT,
-while GPS_RAW_INT vouches for a fix. UTC: SYSTEM_TIME.
+low passes of second order with a delay of sqrt(2) / (2 pi f); their frequencies f are read. PX4's are not filtered. Pitot:
+SCALED_PRESSURE, from which the autopilot has subtracted its zero (diff_pressure of ArduPilot's HIGHRES_IMU is the barometer's).
+Position and velocity: GLOBAL_POSITION_INT, while GPS_RAW_INT reports a fix. UTC: SYSTEM_TIME.
 
 Self-test: a message of each group within two seconds. Plausibility: checksum, ranges; no sample for half a second is stale.
 """
@@ -44,11 +44,11 @@ from daq.sensors.timebase import EARLIEST_UTC_NS
 from daq.utilities.constants import GRAVITY, ZERO_CELSIUS
 
 STALE_NS = SECOND // 2
-FRESH = 1.5
-"""Asked for so many samples a scan, so that jitter of two loops leaves none without one; else one."""
+SAMPLES_PER_SCAN = 1.5
+"""Requested, where the line can carry it, so that with the jitter of both loops every scan has a new sample."""
 GNSS_HZ, TIME_HZ = 10.0, 2.0
 STATIC_PA, STATIC_K = 0.01, 0.01
-"""A count of the static pressure and its temperature: those of the message."""
+"""One count of the static pressure [Pa] and of its temperature [K]: the resolution of the message."""
 _UTC_SIGMA_NS = MS  # of SYSTEM_TIME, which has whole milliseconds since the start-up
 _FILTERS = {"accel": "INS_ACCEL_FILTER", "gyro": "INS_GYRO_FILTER"}
 _FIXES = {2: 2, 3: 3, 4: 3, 5: 3, 6: 3}  # GPS_FIX_TYPE: differential and RTK are fixes in three dimensions
@@ -63,14 +63,14 @@ class AutopilotSection(SensorConfigSection):
 
 
 class AutopilotSample(NamedTuple):
-    """Raw values by channel, and what is wrong with them, empty where nothing is."""
+    """values: channel -> count; fault: what is wrong with them, empty where nothing is."""
 
     values: Mapping[str, RawValue]
     fault: str = ""
 
 
 def carried_hz(baud: int, groups: Sequence[str]) -> float:
-    """How often a line can bring a sample of each of the groups [Hz]."""
+    """Rate [Hz] at which a line of a baud rate can carry a sample of each of the groups."""
     cycle = sum(BYTES.get(m, 0) for m in {_MESSAGES[g][0] for g in groups})
     return max(1.0, (LINE_SHARE * baud / 10 - SLOW_BYTES_PER_S) / max(cycle, 1))
 
@@ -88,7 +88,7 @@ class AutopilotGroup(Driver):
         rate = min(around.rate_hz, self.max_rate_hz)
         messages = _MESSAGES[group]
         carried = carried_hz(self._line_baud(around), [g for g in _MESSAGES if self._is_read(g, around)])
-        rates = tuple(r for r in (FRESH * rate, rate, rate / 2) if r <= carried) or (carried,)
+        rates = tuple(r for r in (SAMPLES_PER_SCAN * rate, rate, rate / 2) if r <= carried) or (carried,)
         self._wishes: list[MessageWish] = [line.want(messages, *(rates if group != "gnss" else (GNSS_HZ, GNSS_HZ / 2)))]
         if carried < rate and group != "gnss":
             words = f"{self._line_baud(around)} baud carry {carried:.0f} of {rate:.0f} samples a second"
@@ -118,7 +118,9 @@ class AutopilotGroup(Driver):
         for _ in range(40):
             self._line.poll()
             if (newest := self._newest()) is not None and newest.arrived_ns > asked_ns:
-                for _ in range(20 if self.group == "imu" else 0):  # for the filters, which a PX4 has under other names
+                for _ in range(
+                    20 if self.group == "imu" else 0
+                ):  # a second for the filters' parameters; a PX4 has none of these
                     if self._line.complete:
                         return
                     yield 50 * MS
@@ -154,16 +156,15 @@ class AutopilotGroup(Driver):
     # ---------------------------------------------------------------------------------------- samples by group
 
     def _imu_sample(self, f: tuple[Any, ...]) -> AutopilotSample:
-        rough = self._wishes[0].message == RAW_IMU
-        force, rate = (GRAVITY * 1e-3, 1e-3) if rough else (1.0, 1.0)
+        raw_units = self._wishes[0].message == RAW_IMU  # mG, mrad/s, 0.01 degC
+        force, rate = (GRAVITY * 1e-3, 1e-3) if raw_units else (1.0, 1.0)
         per_force = COUNTS_PER_G[self._section.accel_range_g] / GRAVITY
         per_rate = math.degrees(COUNTS_PER_DPS[self._section.gyro_range_dps])
         values = {f"accel_{a}": round(v * force * per_force) for a, v in zip("xyz", f[1:4], strict=True)}
         values |= {f"gyro_{a}": round(v * rate * per_rate) for a, v in zip("xyz", f[4:7], strict=True)}
-        celsius = f[11] * 0.01 if rough else f[13]
-        row = CHANNEL_BY_NAME["imu_temperature"]
-        warmth = round((celsius + ZERO_CELSIUS - row.offset) / (row.scale or 1.0))
-        return _bounded({**values, "imu_temperature": warmth})
+        celsius = f[11] * 0.01 if raw_units else f[13]
+        die = CHANNEL_BY_NAME["imu_temperature"].count_of(celsius + ZERO_CELSIUS)
+        return _bounded({**values, "imu_temperature": die})
 
     def _mag_sample(self, f: tuple[Any, ...]) -> AutopilotSample:
         gauss = 1e-3 if self._wishes[0].message == RAW_IMU else 1.0
@@ -173,20 +174,24 @@ class AutopilotGroup(Driver):
 
     def _attitude_sample(self, f: tuple[Any, ...]) -> AutopilotSample:
         (cr, cp, cy), (sr, sp, sy) = ([g(a / 2) for a in f[1:4]] for g in (math.cos, math.sin))
-        turn = (
+        quaternion = (
             cr * cp * cy + sr * sp * sy,
             sr * cp * cy - cr * sp * sy,
             cr * sp * cy + sr * cp * sy,
             cr * cp * sy - sr * sp * cy,
         )
-        parts = {f"quaternion_{a}": round(v * 32767) for a, v in zip("wxyz", turn, strict=True)}
+        parts = {f"quaternion_{a}": round(v * 32767) for a, v in zip("wxyz", quaternion, strict=True)}
         return _bounded({**parts, "attitude_status": 0})
 
     def _pitot_sample(self, f: tuple[Any, ...]) -> AutopilotSample:
         per_count, at_zero = nominal_transfer(self._section)
-        row = CHANNEL_BY_NAME["pitot_temperature"]
-        warmth = round(((f[4] or f[3]) * 0.01 + ZERO_CELSIUS - row.offset) / (row.scale or 1.0))
-        return _bounded({"pitot_pressure": round((f[2] * 100.0 - at_zero) / per_count), "pitot_temperature": warmth})
+        kelvin = (
+            f[4] or f[3]
+        ) * 0.01 + ZERO_CELSIUS  # of the differential sensor where it has one, else of the barometer
+        temperature = CHANNEL_BY_NAME["pitot_temperature"].count_of(kelvin)
+        return _bounded(
+            {"pitot_pressure": round((f[2] * 100.0 - at_zero) / per_count), "pitot_temperature": temperature}
+        )
 
     def _static_sample(self, f: tuple[Any, ...]) -> AutopilotSample:
         kelvin = f[3] * 0.01 + ZERO_CELSIUS
@@ -201,8 +206,8 @@ class AutopilotGroup(Driver):
         return AutopilotSample({f"pwm_{i}": int(w) * 10 for i, w in enumerate(widths, start=1) if w}, fault)
 
     def _fix(self, newest: AutopilotMessage) -> Reading:
-        """Each position in one scan only, as a receiver's; UTC of it where the autopilot knows it."""
-        self._tell_time()
+        """A position, in one scan only as from a receiver, with its UTC where the autopilot knows it."""
+        self._report_utc()
         if newest.sampled_ns <= self._seen_ns:
             return Reading()
         self._seen_ns = newest.sampled_ns
@@ -221,7 +226,8 @@ class AutopilotGroup(Driver):
             return Reading(values, SensorState.RECOVERING, "autopilot's GPS has no 3-D fix", newest.sampled_ns)
         return Reading(values, time_ns=newest.sampled_ns)
 
-    def _tell_time(self) -> None:
+    def _report_utc(self) -> None:
+        """Pass a new SYSTEM_TIME to the time base."""
         message = self._line.newest(SYSTEM_TIME)
         if message is None or message.sampled_ns <= self._time_ns:
             return
@@ -275,7 +281,7 @@ _MESSAGES: Mapping[str, tuple[int, ...]] = {
     "capture": (SERVO_OUTPUT_RAW,),
     "gnss": (GLOBAL_POSITION_INT,),
 }
-"""Of each group, in the order of preference."""
+"""Group -> messages that have its samples, in order of preference."""
 _SAMPLES: Mapping[str, Callable[[AutopilotGroup, tuple[Any, ...]], AutopilotSample]] = {
     "imu": AutopilotGroup._imu_sample,
     "mag": AutopilotGroup._mag_sample,
@@ -287,7 +293,7 @@ _SAMPLES: Mapping[str, Callable[[AutopilotGroup, tuple[Any, ...]], AutopilotSamp
 
 
 def _bounded(values: dict[str, int]) -> AutopilotSample:
-    """The values as their channels can carry them."""
+    """The values limited to the range of their channels; a limited one is a fault."""
     clipped = []
     for name, value in values.items():
         low, high = CHANNEL_BY_NAME[name].limits()

@@ -1,9 +1,9 @@
-"""The line to an autopilot as a source of samples: its messages, dated by its own clock, and the rates it is asked for.
+"""The sensors' connection to an autopilot: its messages, dated by its own clock, and the rates requested of it.
 
 MAVLink common.xml, versions 1 and 2. Everything that ArduPilot and PX4 stamp, and their answers to TIMESYNC, counts from their
 start-up (GCS_Common.cpp, handle_timesync: AP_HAL::micros64; mavlink_timesync.cpp: hrt_absolute_time), some of it in 32 bits of
-microseconds. ArduPilot grants an interval of whole milliseconds unless 0.8 of it is shorter than a loop, answers COMMAND_ACK
-DENIED otherwise and says why in a STATUSTEXT (GCS_Common.cpp, cap_message_interval).
+microseconds. ArduPilot rounds an interval to whole milliseconds. Where 0.8 of it is shorter than a loop it answers COMMAND_ACK
+DENIED and gives the reason in a STATUSTEXT (GCS_Common.cpp, cap_message_interval).
 """
 
 import math
@@ -14,8 +14,17 @@ from typing import Any, NamedTuple
 
 from fastcrc import crc16
 
+from daq.contract.link.commands import DENIED, RESULT_WORDS, SET_MESSAGE_INTERVAL
 from daq.sensors.base import MS, SECOND
 from daq.sensors.bus import SerialPortCalls
+from daq.transport.autopilot_requests import (
+    AUTOPILOT,
+    CLOCK_DRIFT,
+    COMPONENT,
+    REQUEST_AGAIN_NS,
+    is_slow,
+    least_loop_rate,
+)
 from daq.transport.mavlink_codec import FrameEncoder
 
 HEARTBEAT, SYSTEM_TIME, PARAM_VALUE, GPS_RAW_INT, RAW_IMU, SCALED_PRESSURE, ATTITUDE = 0, 2, 22, 24, 27, 29, 30
@@ -45,38 +54,35 @@ _STAMP_NS = {  # place of the sender's time among the fields, nanoseconds in one
     **dict.fromkeys((SCALED_PRESSURE, ATTITUDE, GLOBAL_POSITION_INT), (0, MS)),
     SYSTEM_TIME: (1, MS),
 }
-V1, V2 = 0xFE, 0xFD
-SYSTEM, COMPONENT, AUTOPILOT = 1, 191, 1  # MAV_COMP_ID_ONBOARD_COMPUTER asks MAV_COMP_ID_AUTOPILOT1
-_NO_AUTOPILOT, _ONBOARD_COMPUTER = 8, 18
-_SET_MESSAGE_INTERVAL, _DENIED = 511, 2
+V1, V2 = 0xFE, 0xFD  # the first byte of a frame
+SYSTEM = 1
+_NO_AUTOPILOT, _ONBOARD_COMPUTER, _ACTIVE = 8, 18, 4  # MAV_AUTOPILOT, MAV_TYPE, MAV_STATE
 BYTES = {HIGHRES_IMU: 75, ATTITUDE: 40, SCALED_PRESSURE: 28, SERVO_OUTPUT_RAW: 34}
-"""On the wire, of messages that are wanted in each scan."""
+"""Message that is wanted in each scan -> bytes of its frame."""
 SLOW_BYTES_PER_S = 900
-"""Of positions, fixes, times, heartbeats and answers together."""
+"""Bytes a second of positions, fixes, times, heartbeats and answers together."""
 LINE_SHARE = 0.7
-"""Of a serial line that streams may take: where it is full, an autopilot leaves messages out."""
-_RESULTS = {0: "accepted", 1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed"}
+"""Share of a serial line that streams may use: on a full line an autopilot leaves messages out."""
 _BASE_NS = 2**32 * 1000
 """All times of the sender are taken modulo the range of its shortest stamp, 71 minutes."""
-_DRIFT = 100e-6
-"""Of its clock against ours: twice what a crystal has."""
 _JUMP_NS = 10 * SECOND
-"""No message is under way so long: a time further from its clock is another start-up."""
+"""No message is delayed so long: a time that differs more from the sender's clock is from another start-up."""
 _BACK_NS = 400 * MS
-"""Times of one line follow one another, but that a fix is dated by its instant: going back by more is another start-up."""
+"""Times on one line rise, except that a fix carries the earlier instant of its measurement: a larger step back is another
+start-up."""
 _ONE_WAY_NS = 4 * MS
-"""Without an answer to TIMESYNC: 40 bytes at 115200 baud take so long."""
+"""Delay taken for a message before TIMESYNC is answered: 40 bytes at 115200 baud."""
 _UNANSWERED_NS = 20 * MS
-"""And what is known of the clock then: half a loop at the 50 Hz of an ArduPlane, twice, for the wait to be sent and read."""
-ASK_NS, SYNC_NS = 300 * MS, 250 * MS
-ASK_AGAIN_NS = 2 * SECOND
-"""Between two requests of what comes, but too seldom."""
-_MEASURED_OVER = 20  # messages; a rate over fewer is the jitter's
+"""Error of the clock before then: half a loop at the 50 Hz of an ArduPlane, once for sending and once for reading."""
+SYNC_NS = 250 * MS  # between two TIMESYNC requests
+SLOW_REQUEST_NS = 2 * SECOND
+"""Between two requests of a message that comes, but too seldom."""
+_RATE_MESSAGES = 20  # over which a rate is taken: over fewer it shows jitter
 _READ_LIMIT = 4096
 
 
 class AutopilotMessage(NamedTuple):
-    """A message of the autopilot: fields in the order of the wire, when it was true and when it came, on our clock [ns]."""
+    """A message of the autopilot: fields in the order of the wire; times of sampling and of arrival, on our clock [ns]."""
 
     fields: tuple[Any, ...]
     sampled_ns: int
@@ -84,7 +90,8 @@ class AutopilotMessage(NamedTuple):
 
 
 def frames(buffer: bytearray) -> Iterator[tuple[int, int, int, bytes]]:
-    """Message, system, component and payload of the sound frames of a kind known here; the unfinished rest stays."""
+    """Message, system, component and payload of each intact frame with a message of `_WIRE`. Takes them out of the buffer; an
+    unfinished frame remains in it."""
     while buffer:
         if buffer[0] not in (V1, V2):
             del buffer[0]
@@ -110,12 +117,12 @@ def frames(buffer: bytearray) -> Iterator[tuple[int, int, int, bytes]]:
 
 
 class SenderClock:
-    """Our clock minus the sender's, between two hard bounds: nothing arrives before it was sent, nor is answered before it
-    was asked. Its middle has no error where both ways take as long."""
+    """Our clock minus the sender's, between two hard bounds: nothing arrives before it was sent, and no answer is sent before
+    the request. The middle of the bounds has no error where both directions take equally long."""
 
     def __init__(self) -> None:
         self._low, self._high, self._at_ns = -math.inf, math.inf, 0
-        self._last = -math.inf  # what came last, unwrapped
+        self._last = -math.inf  # latest time of the sender, unwrapped [ns]
 
     @property
     def known(self) -> bool:
@@ -123,16 +130,16 @@ class SenderClock:
 
     @property
     def offset_ns(self) -> float:
-        """Our clock minus the sender's [ns]; of a clock that is known."""
+        """Our clock minus the sender's [ns]; only where `known`."""
         return (self._low + self._high) / 2 if self._low > -math.inf else self._high - _ONE_WAY_NS
 
     @property
     def accuracy_ns(self) -> float:
-        """How far the offset can be off [ns]."""
+        """Largest error of the offset [ns]."""
         return (self._high - self._low) / 2 if self._low > -math.inf else _UNANSWERED_NS
 
     def stamp(self, sender_ns: int, now_ns: int) -> int:
-        """A time of the sender that has just arrived, unwrapped; the clock is begun anew where it fits nothing."""
+        """A time of the sender [ns] that has just arrived, unwrapped; one that does not fit restarts the clock."""
         if self.known:
             expected = now_ns - self.offset_ns
             unwrapped = expected + (sender_ns - expected + _BASE_NS / 2) % _BASE_NS - _BASE_NS / 2
@@ -145,24 +152,24 @@ class SenderClock:
         return round(self._last)
 
     def answered(self, sender_ns: int, asked_ns: int, now_ns: int) -> None:
-        """The sender's clock was at `sender_ns` after we had asked."""
+        """Take an answer to TIMESYNC: the sender's clock stood at `sender_ns` between `asked_ns` and `now_ns` of ours."""
         self._narrow(asked_ns - self.stamp(sender_ns, now_ns), math.inf, now_ns)
 
     def _narrow(self, low: float, high: float, now_ns: int) -> None:
-        drift = _DRIFT * (now_ns - self._at_ns)
+        drift = CLOCK_DRIFT * (now_ns - self._at_ns)
         self._low, self._high, self._at_ns = max(self._low - drift, low), min(self._high + drift, high), now_ns
-        if self._low > self._high:  # its clock was set, or runs otherwise than any crystal: what came last counts
+        if self._low > self._high:  # its clock was set, or drifts more than a crystal: the latest bound counts
             self._low, self._high = (low, math.inf) if low > -math.inf else (-math.inf, high)
 
 
 class MessageWish:
-    """A message that is wanted at a rate, or another in its place; what it takes to get it."""
+    """A message requested at a rate, with alternatives in order of preference: other messages, and slower rates."""
 
     def __init__(self, alternatives: tuple[int, ...], rates_hz: tuple[float, ...]) -> None:
         self.choices = [(message, rate) for message in alternatives for rate in rates_hz]
         self._choice = 0
         self.refusal = ""
-        self.rests_until_ns = 0  # it was asked for, or asked for again
+        self.next_request_ns = 0
 
     @property
     def message(self) -> int:
@@ -173,27 +180,28 @@ class MessageWish:
         return round(1e6 / self.choices[self._choice][1])
 
     def refused(self, result: int, words: str) -> None:
-        """The autopilot will not: a slower rate of the same where it was denied, else the message that can replace it."""
+        """Take the autopilot's refusal (MAV_RESULT, and its own text). Denied: try the next choice, which may be a slower rate of
+        the same message; otherwise try the next message."""
         rate = 1e6 / self.interval_us
-        answer = _RESULTS.get(result, f"result {result}")
-        loop = f": SCHED_LOOP_RATE of at least {math.ceil(rate / 0.8)} grants it" if result == _DENIED else ""
+        answer = RESULT_WORDS.get(result, f"result {result}")
+        loop = f": SCHED_LOOP_RATE of at least {least_loop_rate(rate)} grants it" if result == DENIED else ""
         self.refusal = f"{NAMES[self.message]} at {rate:.0f} Hz is {answer}{loop}" + (f" ({words})" if words else "")
-        self._go_on(anyhow=result == _DENIED)
+        self._next_choice(other_message=result != DENIED)
 
-    def unheard(self) -> None:
-        """Neither it nor an answer came."""
-        self._go_on(anyhow=False)
+    def unanswered(self) -> None:
+        """Neither the message nor an answer came: try the next message."""
+        self._next_choice(other_message=True)
 
-    def _go_on(self, *, anyhow: bool) -> None:
-        message, self.rests_until_ns = self.message, 0
+    def _next_choice(self, *, other_message: bool) -> None:
+        message, self.next_request_ns = self.message, 0
         while self._choice + 1 < len(self.choices):
             self._choice += 1
-            if anyhow or self.message != message:
+            if not other_message or self.message != message:
                 return
 
 
 class AutopilotLine:
-    """device: the port's name, for sentences. names: parameters to ask for. One line serves the drivers of all groups."""
+    """device: the port's name, for messages. names: parameters to request. One line serves the drivers of all groups."""
 
     def __init__(
         self, port: SerialPortCalls, now_ns: Callable[[], int], device: str, names: tuple[str, ...] = ()
@@ -209,43 +217,43 @@ class AutopilotLine:
         self._arrivals: dict[int, deque[int]] = {}
         self._wishes: list[MessageWish] = []
         self._asked: tuple[MessageWish, int, int] | None = None  # the wish, its message, when
-        self._turn = 0
-        self._words = ""
-        self._next_names_ns = self._next_sync_ns = self._next_beat_ns = now_ns()
+        self._turn = 0  # index of the wish that is considered first
+        self._refusal_text = ""  # the autopilot's own STATUSTEXT on a refused message
+        self._next_names_ns = self._next_sync_ns = self._next_heartbeat_ns = now_ns()
 
     def want(self, alternatives: tuple[int, ...], *rates_hz: float) -> MessageWish:
-        """Ask for a message from now on; rates in the order of preference. Groups of one message share the wish."""
+        """Request a message from now on; rates in the order of preference. Groups that need the same message share one wish."""
         wish = MessageWish(alternatives, rates_hz)
         same = [w for w in self._wishes if w.choices == wish.choices]
         self._wishes += [] if same else [wish]
         return same[0] if same else wish
 
     def newest(self, message: int) -> AutopilotMessage | None:
-        """The message that was true last; None before the first."""
+        """The message that was sampled last; None before the first."""
         return self._newest.get(message)
 
     @property
     def complete(self) -> bool:
-        """Whether every parameter asked for has been told."""
+        """Whether every requested parameter has come."""
         return all(name in self.parameters for name in self._names)
 
     def rate_hz(self, message: int) -> float:
-        """How often it comes, by those that came last."""
+        """Rate of a message [Hz] over the last of it."""
         times = self._arrivals.get(message)
         return (len(times) - 1) * 1e9 / max(self._now() - times[0], 1) if times else 0.0
 
     def poll(self) -> None:
-        """Take what has arrived, and ask for what is missing. Raises OSError of the port."""
+        """Process what has arrived, and request what is missing. Raises OSError of the port."""
         now_ns = self._now()
         available = min(self._port.in_waiting, _READ_LIMIT)
         if available:
             self._buffer += self._port.read(available)
             for message, system, component, payload in frames(self._buffer):
                 if component == AUTOPILOT and self._system in (None, system):
-                    self._take(message, system, payload, now_ns)
-        self._speak(now_ns)
+                    self._handle(message, system, payload, now_ns)
+        self._transmit(now_ns)
 
-    def _take(self, message: int, system: int, payload: bytes, now_ns: int) -> None:
+    def _handle(self, message: int, system: int, payload: bytes, now_ns: int) -> None:
         codec = _WIRE[message][1]
         fields = codec.unpack(payload[: codec.size].ljust(codec.size, b"\0"))  # MAVLink 2 trims trailing zeros
         if message == HEARTBEAT:
@@ -257,13 +265,13 @@ class AutopilotLine:
             self.parameters[fields[3].split(b"\0")[0].decode("ascii", "replace")] = fields[0]
         elif message == STATUSTEXT:
             text = fields[1].split(b"\0")[0].decode("ascii", "replace")
-            self._words = text if "message ID" in text else self._words
+            self._refusal_text = text if "message ID" in text else self._refusal_text
         elif message == COMMAND_ACK:
-            self._answered(fields[0], fields[1])
+            self._note_ack(fields[0], fields[1])
         elif message != SERVO_OUTPUT_RAW or fields[9] == 0:  # port 0: the main outputs
-            self._note(message, fields, now_ns)
+            self._note_sample(message, fields, now_ns)
 
-    def _note(self, message: int, fields: tuple[Any, ...], now_ns: int) -> None:
+    def _note_sample(self, message: int, fields: tuple[Any, ...], now_ns: int) -> None:
         sampled = now_ns
         if message in _STAMP_NS:
             place, unit = _STAMP_NS[message]
@@ -271,49 +279,51 @@ class AutopilotLine:
         last = self._newest.get(message)
         if last is None or sampled > last.sampled_ns or now_ns - last.arrived_ns > SECOND:
             self._newest[message] = AutopilotMessage(fields, min(sampled, now_ns), now_ns)
-            self._arrivals.setdefault(message, deque(maxlen=_MEASURED_OVER)).append(now_ns)
+            self._arrivals.setdefault(message, deque(maxlen=_RATE_MESSAGES)).append(now_ns)
 
-    def _answered(self, command: int, result: int) -> None:
-        if command == _SET_MESSAGE_INTERVAL and self._asked is not None:
+    def _note_ack(self, command: int, result: int) -> None:
+        if command == SET_MESSAGE_INTERVAL and self._asked is not None:
             wish, message, _ = self._asked
             self._asked = None
             if result and wish.message == message:
-                wish.refused(result, self._words)
-            self._words = ""
+                wish.refused(result, self._refusal_text)
+            self._refusal_text = ""
 
-    # ---------------------------------------------------------------------------------------- what it is told
+    # ---------------------------------------------------------------------------------------- sent
 
-    def _speak(self, now_ns: int) -> None:
-        if now_ns >= self._next_beat_ns:
-            self._next_beat_ns = now_ns + SECOND
-            self._send("HEARTBEAT", type=_ONBOARD_COMPUTER, autopilot=_NO_AUTOPILOT, system_status=4, mavlink_version=3)
+    def _transmit(self, now_ns: int) -> None:
+        if now_ns >= self._next_heartbeat_ns:
+            self._next_heartbeat_ns = now_ns + SECOND
+            self._send(
+                "HEARTBEAT", type=_ONBOARD_COMPUTER, autopilot=_NO_AUTOPILOT, system_status=_ACTIVE, mavlink_version=3
+            )
         if self._system is None:
             return
         if now_ns >= self._next_sync_ns:
             self._next_sync_ns = now_ns + SYNC_NS
             self._send("TIMESYNC", tc1=0, ts1=now_ns)
-        if self._asked is not None and now_ns - self._asked[2] > ASK_NS:
+        if self._asked is not None and now_ns - self._asked[2] > REQUEST_AGAIN_NS:
             wish, message, _ = self._asked
             self._asked = None
             if wish.message == message and message not in self._newest:
-                wish.unheard()
+                wish.unanswered()
         if self._asked is None:
-            self._ask(now_ns, self._system)
+            self._request_next(now_ns, self._system)
 
-    def _ask(self, now_ns: int, system: int) -> None:
-        """Ask for one message that comes too seldom: an answer does not say to which it belongs."""
+    def _request_next(self, now_ns: int, system: int) -> None:
+        """Request the parameters, and one message that comes too seldom: one at a time, for COMMAND_ACK does not name it."""
         target = {"target_system": system, "target_component": AUTOPILOT}
         for name in self._names if now_ns >= self._next_names_ns else ():
-            self._next_names_ns = now_ns + ASK_AGAIN_NS
+            self._next_names_ns = now_ns + SLOW_REQUEST_NS
             if name not in self.parameters:
                 self._send("PARAM_REQUEST_READ", **target, param_id=name, param_index=-1)
         for k in range(len(self._wishes)):
             wish = self._wishes[(self._turn + k) % len(self._wishes)]
-            if now_ns >= wish.rests_until_ns and self.rate_hz(wish.message) < 0.9e6 / wish.interval_us:
+            if now_ns >= wish.next_request_ns and is_slow(self.rate_hz(wish.message), wish.interval_us):
                 self._turn = (self._turn + k + 1) % len(self._wishes)
-                self._asked, wish.rests_until_ns = (wish, wish.message, now_ns), now_ns + ASK_AGAIN_NS
+                self._asked, wish.next_request_ns = (wish, wish.message, now_ns), now_ns + SLOW_REQUEST_NS
                 wanted = {"param1": float(wish.message), "param2": float(wish.interval_us)}
-                self._send("COMMAND_LONG", **target, command=_SET_MESSAGE_INTERVAL, **wanted)
+                self._send("COMMAND_LONG", **target, command=SET_MESSAGE_INTERVAL, **wanted)
                 return
 
     def _send(self, name: str, **fields: object) -> None:

@@ -6,7 +6,7 @@ accelerometer 16384/8192/4096/2048 counts per g at +-2/4/8/16 g; gyro 131/65.5/3
 Low-pass filters (tables 16 and 18) behave as first order, so they delay slow signals by 1/(2 pi bandwidth).
 
 Self-test: identity, settings read back, and data that are not all zero (a sleeping chip's are). Plausibility: a count
-at the end of the range is out of range; a data-ready bit that stays clear is stale; all zeros send the driver to look
+at the end of the range is out of range; a data-ready bit that stays clear is stale; after all zeros the driver checks
 whether the chip has been reset.
 """
 
@@ -53,11 +53,11 @@ NAMES = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "imu_tem
 
 
 ICM42688_LOWPASS_HZ = (125.0, 100.0, 62.5, 50.0, 31.25, 25.0, 12.5)
-"""Of `daq.sensors.icm42688` at 500 samples a second, by setting from 1."""
+"""3 dB bandwidths of an ICM-42688-P at 500 samples a second, by setting from 1."""
 
 
 def imu_facts(config: "ImuConfig") -> dict[str, str]:
-    """What the ground needs to know, alike of all chips with first-order low passes."""
+    """What the ground needs to know of a chip with first-order low passes: mounting, scales and delays, as metadata text."""
     delay = {"gyro": config.gyro_lowpass_hz, "accel": config.accel_lowpass_hz}
     return {
         "mounting": " ".join(config.mounting),
@@ -93,13 +93,13 @@ class ImuConfig(SensorSection):
 
     @model_validator(mode="before")
     @classmethod
-    def _lowest_left_out(cls, section: Any) -> Any:
+    def _lowpass_default_of_chip(cls, section: Any) -> Any:
         if isinstance(section, dict) and section.get("driver") == "icm42688":
             return {"accel_lowpass_hz": ICM42688_LOWPASS_HZ[-1], "gyro_lowpass_hz": ICM42688_LOWPASS_HZ[-1], **section}
         return section
 
     @model_validator(mode="after")
-    def _filters_of_the_chip(self) -> "ImuConfig":
+    def _lowpass_of_chip(self) -> "ImuConfig":
         choices = {"accel_lowpass_hz": ACCEL_LOWPASS_HZ, "gyro_lowpass_hz": GYRO_LOWPASS_HZ}
         for key, bandwidths in choices.items():
             possible = ICM42688_LOWPASS_HZ if self.driver == "icm42688" else bandwidths
@@ -121,7 +121,7 @@ class Icm20948(Driver):
     def _adopt_settings(self) -> None:
         config = self._config
         self._unread = False
-        self._away = False  # from the bank of the data
+        self._other_bank = False  # than that of the data may be selected
         self._turn: Rotation = rotation(config.mounting)
         self._gyro_setting = setting(
             GYRO_LOWPASS_HZ.index(config.gyro_lowpass_hz), tuple(COUNTS_PER_DPS).index(config.gyro_range_dps)
@@ -167,8 +167,8 @@ class Icm20948(Driver):
 
     def read(self) -> Reading:
         bus = self._bus
-        if self._away:
-            self._come_back()
+        if self._other_bank:
+            self._select_data_bank()
         # Reading the status clears it: should the burst then fail, the repetition must not take the sample for an old one.
         self._unread = bool(bus.read_byte_data(self._address, INT_STATUS_1) & 1) or self._unread
         raw = _BURST.unpack(bytes(bus.read_i2c_block_data(self._address, ACCEL_XOUT_H, 14)))
@@ -192,16 +192,16 @@ class Icm20948(Driver):
         bus, address = self._bus, self._address
         if bus.read_byte_data(address, PWR_MGMT_1) != AUTO_CLOCK:
             return False
-        self._away = True
+        self._other_bank = True
         bus.write_byte_data(address, REG_BANK_SEL, 2 << 4)
         gyro, accel = (bus.read_byte_data(address, r) for r in (GYRO_CONFIG_1, ACCEL_CONFIG))
-        self._come_back()
+        self._select_data_bank()
         return (gyro, accel) == (self._gyro_setting, self._accel_setting)
 
-    def _come_back(self) -> None:
-        """To the bank of the data; a transfer that failed in another leaves the chip there until this one is taken."""
+    def _select_data_bank(self) -> None:
+        """A transfer that failed in another bank leaves the chip there until this one succeeds."""
         self._bus.write_byte_data(self._address, REG_BANK_SEL, 0)
-        self._away = False
+        self._other_bank = False
 
     def metadata(self) -> dict[str, str]:
         return {"chip": "ICM-20948", **imu_facts(self._config)}

@@ -44,7 +44,7 @@ class Icm42688(Driver):
     def _adopt_settings(self) -> None:
         config = self._config
         self._unread = False
-        self._away = False  # from the bank of the data
+        self._other_bank = False  # than that of the data may be selected
         self._turn: Rotation = rotation(config.mounting)
         accel, gyro = (ICM42688_LOWPASS_HZ.index(f) + 1 for f in (config.accel_lowpass_hz, config.gyro_lowpass_hz))
         self._ranges = tuple(
@@ -55,11 +55,11 @@ class Icm42688(Driver):
             )
         )
         self._bandwidth = accel << 4 | gyro
-        self._kept: dict[int, bytes] = {}  # what each bank holds once it is set up
+        self._settings: dict[int, bytes] = {}  # what each bank holds once it is set up
 
     def initialise(self) -> Generator[Wait, None, None]:
         bus, address = self._bus, self._address
-        self._come_back()
+        self._select_data_bank()
         identity = bus.read_byte_data(address, WHO_AM_I)
         if identity != IDENTITY:
             raise WrongChipError("ICM-42688-P", address, IDENTITY, identity)
@@ -70,11 +70,11 @@ class Icm42688(Driver):
         yield from self._configure()
         bus.write_byte_data(address, PWR_MGMT0, BOTH_ON)
         yield 80 * MS  # gyro from off: 60 ms
-        self._kept = self._held()
+        self._settings = self._settings_read()
         wanted = bytes((BOTH_ON, *self._ranges))
-        if self._kept[0][:3] != wanted or self._kept[0][4] != self._bandwidth:
+        if self._settings[0][:3] != wanted or self._settings[0][4] != self._bandwidth:
             raise SelfTestError(
-                f"ICM-42688-P holds {self._kept[0].hex(' ')} instead of {wanted.hex(' ')}; check supply and wiring"
+                f"ICM-42688-P holds {self._settings[0].hex(' ')} instead of {wanted.hex(' ')}; check supply and wiring"
             )
         raw = _BURST.unpack(bytes(bus.read_i2c_block_data(address, DATA, 14)))
         if len(set(raw[1:])) == 1:
@@ -93,38 +93,37 @@ class Icm42688(Driver):
         )
         delt, square, shift = ALIAS_213_HZ
         high = shift << 4 | square >> 8
-        self._go_to(1)
+        self._select_bank(1)
         on = bus.read_byte_data(address, GYRO_STATIC2) & ~0x03  # neither filter disabled
         bus.write_i2c_block_data(address, GYRO_STATIC2, [on, delt, square & 0xFF, high])
         yield 0
-        self._go_to(2)
+        self._select_bank(2)
         bus.write_i2c_block_data(address, ACCEL_STATIC2, [delt << 1, square & 0xFF, high])
-        self._come_back()
+        self._select_data_bank()
         yield 0
 
-    def _held(self) -> dict[int, bytes]:
+    def _settings_read(self) -> dict[int, bytes]:
         """Settings as the chip holds them: power to filters of bank 0, filters against aliasing of banks 1 and 2."""
         settings = {0: bytes(self._bus.read_i2c_block_data(self._address, PWR_MGMT0, 6))}
         for bank, register, length in ((1, GYRO_STATIC2, 4), (2, ACCEL_STATIC2, 3)):
-            self._go_to(bank)
+            self._select_bank(bank)
             settings[bank] = bytes(self._bus.read_i2c_block_data(self._address, register, length))
-        self._come_back()
+        self._select_data_bank()
         return settings
 
     def read(self) -> Reading:
         bus = self._bus
-        if self._away:
-            self._come_back()
+        if self._other_bank:
+            self._select_data_bank()
         # reading the status clears it: the repetition of a failed burst must not take the sample for an old one
         self._unread = bool(bus.read_byte_data(self._address, INT_STATUS) & READY) or self._unread
-        warmth, *raw = _BURST.unpack(bytes(bus.read_i2c_block_data(self._address, DATA, 14)))
+        temperature, *raw = _BURST.unpack(bytes(bus.read_i2c_block_data(self._address, DATA, 14)))
         fresh, self._unread = self._unread, False
         if set(raw) == {_LEAST}:
             return Reading(state=SensorState.FAULT, detail="IMU was reset")
         if not fresh:
             return Reading(state=SensorState.STALE, detail="IMU has no new sample")
-        row = CHANNEL_BY_NAME["imu_temperature"]
-        die = round((warmth / 132.48 + 25.0 + ZERO_CELSIUS - row.offset) / (row.scale or 1.0))
+        die = CHANNEL_BY_NAME["imu_temperature"].count_of(temperature / 132.48 + 25.0 + ZERO_CELSIUS)
         values = dict(zip(NAMES, (*self._turn(*raw[0:3]), *self._turn(*raw[3:6]), die), strict=True))
         clipped = [name for name, count in zip(NAMES[:6], raw, strict=True) if count in (_LEAST, _MOST)]
         if clipped:
@@ -132,16 +131,16 @@ class Icm42688(Driver):
         return Reading(values)
 
     def intact(self) -> bool:
-        return self._held() == self._kept
+        return self._settings_read() == self._settings
 
-    def _go_to(self, bank: int) -> None:
-        self._away = True
+    def _select_bank(self, bank: int) -> None:
+        self._other_bank = True
         self._bus.write_byte_data(self._address, BANK_SEL, bank)
 
-    def _come_back(self) -> None:
-        """To the bank of the data; a transfer that failed in another leaves the chip there until this one is taken."""
-        self._go_to(0)
-        self._away = False
+    def _select_data_bank(self) -> None:
+        """A transfer that failed in another bank leaves the chip there until this one succeeds."""
+        self._select_bank(0)
+        self._other_bank = False
 
     def metadata(self) -> dict[str, str]:
         return {"chip": "ICM-42688-P", **imu_facts(self._config)}

@@ -108,8 +108,7 @@ def indicated_airspeed(dynamic_pressure: float) -> float:
 
 def temperature_count(kelvin: float) -> int:
     """A temperature [K] in counts of the channel table."""
-    row = CHANNEL_BY_NAME["pitot_temperature"]
-    return max(0, round((kelvin - row.offset) / (row.scale or 1.0)))
+    return max(0, CHANNEL_BY_NAME["pitot_temperature"].count_of(kelvin))
 
 
 def split(data: bytes) -> tuple[int, int, int]:

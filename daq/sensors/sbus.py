@@ -3,10 +3,10 @@
 Futaba's protocol as ArduPilot's (AP_RCProtocol_SBUS.cpp) and PX4's (sbus.cpp) drivers have it: 25 bytes each 7 or 14 ms, 0x0F,
 sixteen channels of 11 bits, lowest bit first, flags (4: a frame was lost on the air, 8: failsafe) and an end byte; 200 to 1800
 counts are 1000 to 2000 us. The signal is inverted: an inverter (one transistor), or a UART that can, stands before the port.
-When a frame came between two looks nobody knows: it is dated half a frame's distance back, to 7 ms.
+When a frame arrived between two polls is not known: it is dated half a frame interval back, with an error of 7 ms.
 
-Self-test: a frame within 2 s; bytes that are none mean a signal that is not inverted. Plausibility: both flags, silence; a byte
-that gets lost breaks the frame, and the next two that agree are waited for.
+Self-test: a frame within 2 s; other bytes mean that the signal is not inverted. Plausibility: both flags, silence. After a lost
+byte the parser waits for two frames in a row.
 """
 
 from collections.abc import Generator, Iterator
@@ -21,14 +21,14 @@ BAUD, FRAMING = 100_000, {"parity": "E", "stopbits": 2}
 START, ENDS, LENGTH = 0x0F, frozenset((0x00, 0x04, 0x14, 0x24, 0x34)), 25
 LOST, FAILSAFE = 0x04, 0x08
 _OUTPUTS = 6
-_ON_WIRE = 3 * MS  # 25 bytes of 12 bits
-_BETWEEN = 14 * MS
-_SILENT = SECOND // 2
+_FRAME_TIME = 3 * MS  # 25 bytes of 12 bits at BAUD
+_LONGEST_INTERVAL = 14 * MS  # between the begins of two frames
+_SILENT = SECOND // 2  # without a frame: the receiver counts as absent
 _READ_LIMIT = 4096
 
 
 class SbusFrame(NamedTuple):
-    """Sixteen channels [counts], and whether the receiver lost a frame or gave up."""
+    """Sixteen channels [counts]; lost: the receiver lost a frame on the air; failsafe: it hears no transmitter."""
 
     channels: tuple[int, ...]
     lost: bool
@@ -45,20 +45,20 @@ def parse_frame(data: bytes) -> SbusFrame | None:
 
 
 class SbusParser:
-    """Frames out of a stream whose pauses cannot be seen: begun where two follow each other."""
+    """Frames out of a stream without visible pauses: synchronised where two frames follow each other."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
-        self._in_step = False
+        self._synchronised = False
 
     def feed(self, data: bytes) -> Iterator[SbusFrame]:
         """The frames that are complete with these bytes."""
         self._buffer += data
-        while len(self._buffer) >= (LENGTH if self._in_step else 2 * LENGTH):
+        while len(self._buffer) >= (LENGTH if self._synchronised else 2 * LENGTH):
             frame = parse_frame(bytes(self._buffer[:LENGTH]))
-            follows = self._in_step or parse_frame(bytes(self._buffer[LENGTH : 2 * LENGTH])) is not None
-            self._in_step = frame is not None and follows
-            del self._buffer[: LENGTH if self._in_step else 1]
+            follows = self._synchronised or parse_frame(bytes(self._buffer[LENGTH : 2 * LENGTH])) is not None
+            self._synchronised = frame is not None and follows
+            del self._buffer[: LENGTH if self._synchronised else 1]
             if frame is not None and follows:
                 yield frame
 
@@ -74,7 +74,7 @@ class Sbus(Driver):
         self._config, self._port, self._now = config, port, around.now_ns
         self._parser = SbusParser()
         self._newest: SbusFrame | None = None
-        self._heard = False
+        self._bytes_came = False
         self._newest_ns = 0
 
     @classmethod
@@ -82,35 +82,39 @@ class Sbus(Driver):
         return cls(around.section(group), around.need_port(around.autopilot, group), around)
 
     def initialise(self) -> Generator[Wait, None, None]:
-        self._newest, self._heard = None, False
+        self._newest, self._bytes_came = None, False
         for _ in range(40):
             if self._poll():
                 return
             yield 50 * MS
-        what = "bytes that are no SBUS: is the signal inverted?" if self._heard else "no byte: check wiring and supply"
+        what = (
+            "bytes that are no SBUS: is the signal inverted?"
+            if self._bytes_came
+            else "no byte: check wiring and supply"
+        )
         raise SelfTestError(f"from the SBUS receiver on {self._config.device} came {what}")
 
     def _poll(self) -> bool:
         """Whether a frame has come."""
         data = self._port.read(min(self._port.in_waiting, _READ_LIMIT))
-        self._heard = self._heard or bool(data)
+        self._bytes_came = self._bytes_came or bool(data)
         frames = list(self._parser.feed(data))
         if frames:
             self._newest, self._newest_ns = frames[-1], self._now()
         return bool(frames)
 
     def read(self) -> Reading:
-        came = self._poll()
+        new_frame = self._poll()
         frame, now_ns = self._newest, self._now()
         if frame is None or now_ns - self._newest_ns > _SILENT:
             return Reading(state=SensorState.ABSENT, detail="SBUS receiver is silent")
-        if not came or (frame.lost and not frame.failsafe):
-            words = "SBUS receiver lost a frame" if came else "no new SBUS frame"
+        if not new_frame or (frame.lost and not frame.failsafe):
+            words = "SBUS receiver lost a frame" if new_frame else "no new SBUS frame"
             return Reading(state=SensorState.STALE, detail=words)
         values: dict[str, RawValue] = {
             f"pwm_{i + 1}": round((count * 0.625 + 875.0) * 10) for i, count in enumerate(frame.channels[:_OUTPUTS])
         }
-        time_ns = now_ns - _ON_WIRE - _BETWEEN // 2
+        time_ns = now_ns - _FRAME_TIME - _LONGEST_INTERVAL // 2
         if frame.failsafe:
             return Reading(values, SensorState.OUT_OF_RANGE, "receiver in failsafe: no transmitter heard", time_ns)
         return Reading(values, time_ns=time_ns)

@@ -18,9 +18,9 @@ from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.storage import Storage, in_memory
-from daq.sensors.autopilot_line import AUTOPILOT
 from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, graded, rest_checks, sender_checks
 from daq.service.cross_checks import cross_checks
+from daq.transport.autopilot_requests import AUTOPILOT
 
 _LEVEL_SCANS = 10  # half a second at 20 Hz
 _FIX_3D = 3

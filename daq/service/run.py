@@ -1,4 +1,4 @@
-"""Run the logger or its preflight check on real hardware: the edge where devices are opened and signals arrive."""
+"""Run the logger or its preflight check on real hardware: opens the devices and handles the process's signals."""
 
 import logging
 import signal
@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from types import FrameType
@@ -32,8 +33,8 @@ from daq.utilities.errors import UserError
 from daq.utilities.record_log import logged
 
 _LOG = logging.getLogger("sideslip.service")
-_STATUS_EVERY = 10  # watchdog messages
-_SWITCH_S = 0.0005
+_STATUS_EVERY = 10  # watchdog messages, one a second
+_SWITCH_INTERVAL_S = 0.0005  # of the interpreter between threads
 
 
 class PreflightRefusal(UserError):
@@ -44,44 +45,44 @@ class PreflightRefusal(UserError):
 class RecordingOutcome:
     """How a recording ended."""
 
-    books: Statistics
+    statistics: Statistics
     directory: Path
     signal_name: str
 
     @property
     def exit_status(self) -> int:
         """0 when every scan was written, 1 when some were dropped or lost; 130 instead of 0 after Ctrl-C."""
-        if self.books.dropped or self.books.lost:
+        if self.statistics.dropped or self.statistics.lost:
             return 1
         return 130 if self.signal_name == signal.SIGINT.name else 0
 
     @property
     def text(self) -> str:
         """One line for the journal."""
-        b = self.books
+        s = self.statistics
         return (
-            f"{self.directory}: {b.written} scans written, {b.dropped} dropped, {b.lost} lost, {b.missed} slots missed"
+            f"{self.directory}: {s.written} scans written, {s.dropped} dropped, {s.lost} lost, {s.missed} slots missed"
             f" ({self.signal_name or 'ended'})"
         )
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON object of `record --json`."""
-        b = self.books
+        s = self.statistics
         return {
             "directory": str(self.directory),
-            "session": b.session,
-            "slots": b.slots,
-            "written": b.written,
-            "dropped": b.dropped,
-            "lost": b.lost,
-            "missed": b.missed,
-            "late": b.late_scans,
+            "session": s.session,
+            "slots": s.slots,
+            "written": s.written,
+            "dropped": s.dropped,
+            "lost": s.lost,
+            "missed": s.missed,
+            "late": s.late_scans,
             "text": self.text,
         }
 
 
 def preflight_on_hardware(path: Path) -> Preflight:
-    """Open what the configuration names and carry out the preflight check."""
+    """Open the devices of the configuration and carry out the preflight check."""
     config, _ = load_config(path)
     clock = RealClock()
     with _opened(config, clock) as (hardware, radio, devices):
@@ -123,36 +124,40 @@ def run_until_signal(config: LoggerConfig, text: str, edge: HardwareEdge, openin
     """Run the logger in this process until SIGTERM or SIGINT, feeding the watchdog."""
     prepare_process(config.scan)
     notifier = Notifier()
-    with _signals() as stop, _quick_turns(), GarbageDiscipline(enabled=config.scan.garbage_in_slack) as garbage:
+    with (
+        _signals() as stop,
+        _short_switch_interval(),
+        GarbageDiscipline(enabled=config.scan.garbage_in_slack) as garbage,
+    ):
         seconds = count()
 
         def every_second() -> None:
             notifier.alive(_status_line(assembly) if next(seconds) % _STATUS_EVERY == 0 else "")
             garbage.collect()
 
-        def asked_to_end() -> bool:
+        def stop_requested() -> bool:
             if not stop():
                 return False
-            notifier.stopping()  # first, for to end a recording on a bad card may take longer than the watchdog waits
+            notifier.stopping()  # first: closing a recording on a bad card may take longer than the watchdog waits
             return True
 
         assembly = assemble(config, text, edge, opening=opening, housekeeping=every_second)
         garbage.freeze()
         notifier.ready(f"recording {assembly.session}")
         try:
-            books = assembly.logger.run(asked_to_end)
+            statistics = assembly.logger.run(stop_requested)
         finally:
             notifier.close()
             if assembly.link is not None:
                 assembly.link.uplink.close()
-    return RecordingOutcome(books, config.recorder.directories[0] / assembly.session, stop.name)
+    return RecordingOutcome(statistics, config.recorder.directories[0] / assembly.session, stop.name)
 
 
-def _status_line(made: Assembly) -> str:
-    books = made.logger.statistics()
-    if books is None:
+def _status_line(assembly: Assembly) -> str:
+    s = assembly.logger.statistics()
+    if s is None:
         return "not recording"
-    return f"{books.written} scans written, {books.dropped} dropped, {books.lost} lost; {made.sampler.health().words}"
+    return f"{s.written} scans written, {s.dropped} dropped, {s.lost} lost; {assembly.sampler.health().words}"
 
 
 def _preflight(
@@ -170,7 +175,7 @@ def _preflight(
     probe: Callable[[], RadioReport | None] | None = None
     if radio is not None:
         ours = config.downlink or DownlinkConfig()
-        probe = lambda: listen_to_radio(radio, clock, system_id=ours.system_id, component_id=ours.component_id)  # noqa: E731
+        probe = partial(listen_to_radio, radio, clock, system_id=ours.system_id, component_id=ours.component_id)
     table = run_preflight(config, clock, sampler, RealStorage(), probe, devices)
     missing = (
         PreflightCheck("hardware", PreflightVerdict.CAUTION, f"{reason}; it joins when it comes")
@@ -180,7 +185,7 @@ def _preflight(
 
 
 def _opening(table: Preflight | None, override: str | None) -> list[Opening]:
-    """What the recording says about its preflight check; PreflightRefusal on a no-go without an override."""
+    """The first messages of the recording, on its preflight check; PreflightRefusal on a no-go without an override."""
     if table is None:
         return [Opening(LogLevel.WARNING, "preflight", "skipped by the operator")]
     if table.go:
@@ -194,7 +199,7 @@ def _opening(table: Preflight | None, override: str | None) -> list[Opening]:
 def without_sequencer(config: LoggerConfig, table: Preflight | None) -> str | None:
     """Why a configured sequencer is left out of this session; None when it need not be.
 
-    An override is for recording in spite of a sensor. What moves the controls is not to be overridden.
+    An override is for recording in spite of a faulty sensor; it never admits a faulty sequencer, which moves the controls.
     """
     if config.sequencer is None:
         return None
@@ -221,7 +226,9 @@ class _Stop:
 def _signals() -> Iterator[_Stop]:
     stop = _Stop()
     handlers: dict[signal.Signals, Any] = {s: signal.signal(s, stop.set) for s in (signal.SIGTERM, signal.SIGINT)}
-    handlers[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # its terminal goes: the recording does not
+    handlers[signal.SIGHUP] = signal.signal(
+        signal.SIGHUP, signal.SIG_IGN
+    )  # the recording goes on when its terminal closes
     try:
         yield stop
     finally:
@@ -230,14 +237,14 @@ def _signals() -> Iterator[_Stop]:
 
 
 @contextmanager
-def _quick_turns() -> Iterator[None]:
-    """Let the scan loop have the interpreter back within half a millisecond while other threads compute.
+def _short_switch_interval() -> Iterator[None]:
+    """Return the interpreter lock to the scan loop within half a millisecond while other threads compute.
 
-    A bus transfer gives it away, and there are some 45 in a scan: by Python's 5 ms each, a thread that lists files or packs an
-    answer would make a scan last four periods.
+    Each bus transfer releases the lock, and there are some 45 in a scan: with Python's usual interval of 5 ms, a thread that
+    lists files or compresses an answer would make a scan last four periods.
     """
     interval = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_S)
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
     try:
         yield
     finally:
@@ -256,7 +263,7 @@ def _opened(config: LoggerConfig, clock: RealClock) -> Iterator[tuple[Hardware, 
 
 
 def _devices(config: LoggerConfig, clock: RealClock, hardware: Hardware, opened: ExitStack) -> Devices:
-    """What the sequencer drives, opened; nothing without one."""
+    """The opened devices that the sequencer drives; none without a sequencer."""
     heartbeat = autopilot = None
     if config.sequencer is not None and config.sequencer.through == "ardupilot":
         autopilot = open_port(config.sequencer.autopilot.port)
@@ -268,7 +275,7 @@ def _devices(config: LoggerConfig, clock: RealClock, hardware: Hardware, opened:
 
 
 def absent(hardware: Hardware, radio: BytePort | None) -> list[str]:
-    """A sentence on everything that was not there at the start."""
+    """A sentence on each device that was absent at the start."""
     radio_fault = radio.why_away if isinstance(radio, ReconnectingPort) else ""
     return [*hardware.absent, *([f"radio: {radio_fault}"] if radio_fault else [])]
 

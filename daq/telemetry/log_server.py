@@ -1,9 +1,9 @@
 """Recordings over the standard log messages, so that any MAVLink client can list and fetch them.
 
-Files are offered in order of name under ids from 1 on. LOG_ENTRY carries size and time; LOG_DATA 90 bytes each. A
-transfer goes on by itself, in what bandwidth is left, until its end, another request, or LOG_REQUEST_END.
-Files are listed and read by a worker thread: a slow card delays the download, never the scans. One listing or reading
-is under way at a time, however often it is asked for; asked again soon, the last listing is told again.
+Files have ids from 1 on in order of name. LOG_ENTRY carries size and time, LOG_DATA 90 bytes each. A transfer uses the
+bandwidth that other messages leave, until its end, another request, or LOG_REQUEST_END.
+Files are listed and read by a worker thread: a slow card delays the download, never the scans. Only one listing or reading
+is in progress at a time, however many requests come; a repeated request is answered from the last listing.
 """
 
 import time
@@ -19,14 +19,13 @@ from daq.telemetry.worker import Worker
 
 DATA_BYTES = 90
 _READ_AHEAD = 64 * DATA_BYTES
-LIST_AGAIN_NS = 2 * NS
-"""A listing is told again for so long without looking at the card."""
-_PATIENCE_S = 2.0  # for a card that is being read when the link is closed
+LISTING_VALID_NS = 2 * NS  # in which a listing is sent again without reading the card
+_CLOSE_TIMEOUT_S = 2.0  # for a card that is being read when the link is closed
 _UINT32 = 2**32 - 1
 
 
 class LogServer:
-    """Serves the `.mcap` files below some directories. `LOG_ERASE` is never obeyed: recordings are not the ground's.
+    """Serves the `.mcap` files below some directories. `LOG_ERASE` is ignored: the ground may not delete recordings.
 
     All methods belong to one thread; `close` ends the worker.
     """
@@ -38,7 +37,7 @@ class LogServer:
         self._worker = Worker("log-server")
         self._last_listing: tuple[int, tuple[LogFileEntry, ...]] | None = None  # when, and what
         self._listing: Future[tuple[LogFileEntry, ...]] | None = None
-        self._requested_ids: tuple[int, int] | None = None  # first and last id to be told
+        self._requested_ids: tuple[int, int] | None = None  # first and last id of the request
         self._entries_to_send: Iterator[Item] | None = None
         self._transfer: _Transfer | None = None
 
@@ -59,7 +58,7 @@ class LogServer:
         return self._transfer is not None or self._requested_ids is not None or self._entries_to_send is not None
 
     def next_item(self) -> Item | None:
-        """The next message to send; None while there is nothing, or while the card is being read."""
+        """The next message to send; None if there is none, or while the card is being read."""
         if self._requested_ids is not None:
             self._begin_listing(*self._requested_ids)
         if self._entries_to_send is not None:
@@ -73,7 +72,7 @@ class LogServer:
         if self._listing is not None and self._listing.done():
             self._last_listing = (self._now_ns(), self._listing.result())
             self._listing = None
-        if self._last_listing is not None and self._now_ns() - self._last_listing[0] < LIST_AGAIN_NS:
+        if self._last_listing is not None and self._now_ns() - self._last_listing[0] < LISTING_VALID_NS:
             self._entries_to_send = _log_entries(self._last_listing[1], first, last)
             self._requested_ids = None
         elif self._listing is None:
@@ -83,13 +82,13 @@ class LogServer:
         t = self._transfer
         if t is None:
             return None
-        if not t.ahead:
+        if not t.buffer:
             if t.block is None:
                 t.block = self._worker.submit(self._files.read, t.number, t.offset, min(_READ_AHEAD, t.end - t.offset))
             if t.block is None or not t.block.done():
                 return None
-            t.ahead, t.block = t.block.result(), None
-        data, t.ahead = t.ahead[:DATA_BYTES], t.ahead[DATA_BYTES:]
+            t.buffer, t.block = t.block.result(), None
+        data, t.buffer = t.buffer[:DATA_BYTES], t.buffer[DATA_BYTES:]
         offset = t.offset
         t.offset += len(data)
         # Less than a full message is the end of the log, as it is for the client.
@@ -100,20 +99,22 @@ class LogServer:
     def close(self) -> None:
         self.request_end()
         self._closing = True
-        self._worker.close(_PATIENCE_S)
+        self._worker.close(_CLOSE_TIMEOUT_S)
 
 
 @dataclass
 class _Transfer:
+    """A download of bytes [offset, end) of file `number`. buffer: bytes read and not sent; block: those being read."""
+
     number: int
     offset: int
     end: int
-    ahead: bytes = b""
+    buffer: bytes = b""
     block: "Future[bytes] | None" = None
 
 
 def _log_entries(entries: Sequence[LogFileEntry], first: int, last: int) -> Iterator[Item]:
-    """The messages for the ids from `first` to `last`, each made when its turn has come."""
+    """The messages for the ids from `first` to `last`, made one by one."""
     if not entries:
         yield item("LOG_ENTRY")
     for entry in entries:

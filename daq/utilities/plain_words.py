@@ -1,26 +1,25 @@
-"""Words of strangers made fit to be shown: a name may hold a line end, an escape code of a terminal or a mark that turns
-the direction of reading, and then says something else than it is. Such characters are shown by their number instead."""
+"""Text from outside made safe to show: a name may hold a line end, an escape code of a terminal or a mark that turns the
+direction of reading, and would then be shown as something else. Such characters are shown by their number instead."""
 
 import unicodedata
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any, TextIO
 
-LONGEST_NAME = 120
-"""Characters of a name that are shown."""
+LONGEST_NAME = 120  # characters of a name that are shown
 _LONGEST_BYTES = 200  # a file system allows 255 in a file name, of which 55 are left to what is appended
 
-_KEPT = frozenset("\n\t")
+_ALLOWED_CONTROLS = frozenset("\n\t")
 
 
-def meant(word: str, known: Iterable[str]) -> str:
-    """What somebody may have meant by a name that is not among those known, to end a sentence with; "" where nothing is alike."""
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The end of a sentence on an unknown name: "; did you mean X?" with the most similar known one; "" where none is similar."""
     matches = get_close_matches(word.lower(), list(known), n=1)
     return f"; did you mean {matches[0]}?" if matches else ""
 
 
 def comma_separated(names: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of an option, "a, b", or given one by one; each once."""
+    """The names of an option, from "a, b" or from separate names; each once."""
     words = names.split(",") if isinstance(names, str) else names
     return tuple(dict.fromkeys(w.strip() for w in words if w.strip()))
 
@@ -34,7 +33,7 @@ def visible(text: str) -> str:
     if text.isascii() and text.isprintable():
         return text
     # a page of megabytes has a hundred different characters
-    hidden = {ord(c): _escaped(c) for c in set(text) - _KEPT if _escaped(c) != c}
+    hidden = {ord(c): _escaped(c) for c in set(text) - _ALLOWED_CONTROLS if _escaped(c) != c}
     return str.translate(text, hidden) if hidden else text
 
 
@@ -56,7 +55,7 @@ def file_name(text: str) -> str:
 
 
 class VisibleStream:
-    """A stream of text that shows what would control the terminal it goes to; a carriage return, of progress bars, passes."""
+    """A stream that writes text by `visible`, so that it cannot control the terminal; carriage returns (progress bars) pass."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -66,7 +65,7 @@ class VisibleStream:
 
     @property
     def bare(self) -> TextIO:
-        """The stream itself, for who draws on the terminal and makes strangers' words visible before."""
+        """The stream itself, for callers that write escape codes and have made the text visible themselves."""
         return self._stream
 
     def write(self, text: str) -> int:
@@ -79,12 +78,12 @@ class VisibleStream:
 
 
 def printed(value: object) -> object:
-    """What a page prints, in the type it has: text by `visible`, everything else as it is."""
+    """A value for a page: text (of whatever type of str) by `visible`, everything else unchanged."""
     return type(value)(visible(value)) if isinstance(value, str) else value
 
 
 def listed(names: Iterable[str], most: int = 30) -> str:
-    """Names one after the other, the first `most` and how many more there are."""
+    """Names with commas, the first `most`, and how many more there are."""
     plain_names = [plain_name(name) for name in names]
     rest = [f"and {len(plain_names) - most} more"] if len(plain_names) > most else []
     return ", ".join(plain_names[:most] + rest)

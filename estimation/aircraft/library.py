@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daq.utilities.input_files import read_text
-from daq.utilities.plain_words import meant
+from daq.utilities.plain_words import did_you_mean
 from estimation.aircraft.aircraft import Aircraft
 from estimation.aircraft.schema import aircraft_from_text
 from estimation.errors import AircraftError
@@ -32,7 +32,7 @@ def load_aircraft(name_or_path: str | Path) -> Aircraft:
         built_in_names = ", ".join(built_in_aircraft())
         raise AircraftError(
             f"aircraft {text!r}: no such file and no built-in of that name (built in: {built_in_names})"
-            f"{meant(text, built_in_aircraft())}; give its file, which 'sideslip aircraft new NAME' begins"
+            f"{did_you_mean(text, built_in_aircraft())}; give its file, which 'sideslip aircraft new NAME' begins"
         )
     return aircraft_from_text(read_text(path, "file", AircraftError), str(path), path.stem)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.utilities.packages import optional
-from daq.utilities.plain_words import comma_separated, meant
+from daq.utilities.plain_words import comma_separated, did_you_mean
 from estimation.answers.answer import Answer, Figures, Rows, panels, picture_writers, rounded_texts
 from estimation.errors import UnknownNameError
 from estimation.threads import single_threaded
@@ -233,7 +233,7 @@ class Estimates(Answer):
         """Estimate, bounds and verdict of one parameter of `best`. Raises UnknownNameError, a KeyError, with the name meant."""
         parameters = self.best.parameters
         if parameter not in parameters:
-            near = meant(parameter, parameters) or f"; it has {', '.join(parameters)}"
+            near = did_you_mean(parameter, parameters) or f"; it has {', '.join(parameters)}"
             raise UnknownNameError(f"no parameter {parameter!r} in these estimates{near}")
         return parameters[parameter]
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationErr
 from daq.utilities import limits
 from daq.utilities.errors import UserError
 from daq.utilities.input_files import read_toml
-from daq.utilities.plain_words import meant
+from daq.utilities.plain_words import did_you_mean
 from estimation.campaign.tasks import CampaignError
 from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import check_extras, find_estimator
@@ -215,7 +215,7 @@ def said_of(error: ValidationError) -> str:
     first = error.errors()[0]
     key_path = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return f"{key_path}: no such key{meant(str(first['loc'][-1]), _keys_beside(first['loc']))}"
+        return f"{key_path}: no such key{did_you_mean(str(first['loc'][-1]), _keys_beside(first['loc']))}"
     message = first["msg"].removeprefix("Value error, ")
     return f"{key_path}: {message}" if key_path else message
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from daq.contract.manoeuvre import FINENESS, Manoeuvre, checked
-from daq.utilities.plain_words import meant
+from daq.utilities.plain_words import did_you_mean
 from estimation.aircraft import Aircraft
 from estimation.design.limits import Condition, Limits, trimmed, usual_limits
 from estimation.design.measured_inputs import DRAWS, expected_errors
@@ -181,7 +181,9 @@ def relative_bounds(designed: Designed, sizes: Mapping[str, float]) -> dict[str,
 def design(model: Model, aircraft: Aircraft, task: DesignTask, limits: Limits | None = None) -> InputDesign:
     """Design an input. Raises EstimationError for what cannot be designed, with the way out."""
     if task.kind not in KINDS:
-        raise EstimationError(f"kind {task.kind!r} is unknown; choose from {', '.join(KINDS)}{meant(task.kind, KINDS)}")
+        raise EstimationError(
+            f"kind {task.kind!r} is unknown; choose from {', '.join(KINDS)}{did_you_mean(task.kind, KINDS)}"
+        )
     if not 2.0 <= task.duration <= 600.0:
         raise EstimationError(f"--time {task.duration:g}: give from 2 to 600 s")
     limits_allowed = limits or usual_limits()

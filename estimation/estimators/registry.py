@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
-from daq.utilities.plain_words import meant
+from daq.utilities.plain_words import did_you_mean
 from estimation.errors import EstimationError
 from estimation.estimators import methods
 from estimation.estimators.estimator import Estimator, Extra
@@ -65,7 +65,7 @@ def find_estimator(name: str) -> Estimator:
             )
         return estimator_of_file
     alternatives = f"known are {', '.join(estimator_names())}, or give module:NAME"
-    raise EstimationError(f"method {name!r} is unknown; {alternatives}{meant(name, estimator_names())}")
+    raise EstimationError(f"method {name!r} is unknown; {alternatives}{did_you_mean(name, estimator_names())}")
 
 
 def _checked(value: object, source: str, name: str = "") -> Estimator:

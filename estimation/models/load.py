@@ -7,7 +7,7 @@ from typing import Any
 
 from daq.utilities.input_files import read_toml
 from daq.utilities.outputs import write_text
-from daq.utilities.plain_words import meant
+from daq.utilities.plain_words import did_you_mean
 from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft
 from estimation.errors import ModelError
 from estimation.models.base import Model
@@ -37,7 +37,8 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     if ":" in text:
         return _from_class(_import_class(text), aircraft)
     raise ModelError(
-        f"model {text!r}: none of {', '.join(BUILDERS)}, no .toml file and not of the form module:Class{meant(text, BUILDERS)}"
+        f"model {text!r}: none of {', '.join(BUILDERS)}, no .toml file and not of the form module:Class"
+        f"{did_you_mean(text, BUILDERS)}"
     )
 
 

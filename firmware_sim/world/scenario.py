@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from daq.utilities.input_files import read_toml
-from daq.utilities.plain_words import file_name, meant
+from daq.utilities.plain_words import did_you_mean, file_name
 from estimation.aircraft import load_aircraft
 from firmware_sim.physics.aerodynamics import simulation_of
 from firmware_sim.pilot.manoeuvres import AXES, MANOEUVRE_SETS, SHAPES, Axis, Shape, StickInput
@@ -223,7 +223,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         path = Path(text)
     if not path.is_file():
         built_in = sorted(p.stem for p in BUILT_IN_FOLDER.glob("*.toml"))
-        suggestion = meant(text, built_in) or f" (built in: {', '.join(built_in)}, hidden_NAME)"
+        suggestion = did_you_mean(text, built_in) or f" (built in: {', '.join(built_in)}, hidden_NAME)"
         raise ScenarioError(f"scenario {text!r}: no such file and no built-in of that name{suggestion}")
     data = read_toml(path, "file", ScenarioError)
     data.setdefault("name", path.stem)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.utilities.plain_words import meant, plain_name
+from daq.utilities.plain_words import did_you_mean, plain_name
 from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.findings import Finding, FindingKind, as_finding, without_repeats
@@ -158,7 +158,9 @@ class Flight:
         try:
             return self.columns[column]
         except KeyError:
-            raise MissingColumnError(self.name, [column], "this step", near=meant(column, self.columns)) from None
+            raise MissingColumnError(
+                self.name, [column], "this step", near=did_you_mean(column, self.columns)
+            ) from None
 
     def __contains__(self, column: object) -> bool:
         return column in self.columns

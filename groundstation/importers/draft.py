@@ -160,10 +160,10 @@ def _own_messages(log: Log, mapping: Map) -> list[str]:
     foreign = [n for n in topics if n.partition(".")[0] not in of_standard and not OUTPUT.fullmatch(n)]
     fields = Counter(n.partition(".")[2] for n in foreign)
     full_names = {n.partition(".")[2] if fields[n.partition(".")[2]] == 1 else n: n for n in foreign}
-    meant = [full_names[n] for labels in candidate_columns(list(full_names)).values() for n in labels]
+    candidates = [full_names[n] for labels in candidate_columns(list(full_names)).values() for n in labels]
     if not foreign:
         return []
-    fastest = max((log.series[n] for n in meant or foreign), key=native_rate)
+    fastest = max((log.series[n] for n in candidates or foreign), key=native_rate)
     values = {n: np.interp(fastest.time, log.series[f].time, log.series[f].values) for n, f in full_names.items()}
     lines, _ = _recognised(list(full_names), values, fastest.time, {}, {}, full_names)
     return [line for line in lines if line.partition(" ")[0] not in mapping.columns]

@@ -19,7 +19,7 @@ from pathlib import Path
 import click
 
 from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
-from daq.utilities.plain_words import meant, visible
+from daq.utilities.plain_words import did_you_mean, visible
 from daq.utilities.rotating_log import RotatingLog
 from daq.utilities.standard_streams import Speaker
 from groundstation.identification.words import lines
@@ -110,7 +110,7 @@ def _ours(descriptor: int) -> bool:
 
 def _hint(word: str) -> str:
     """What to type in place of a line that begins with this word."""
-    return f"; type {_FORMS[word]}" if word in _FORMS else meant(word, _FORMS) or "; type help"
+    return f"; type {_FORMS[word]}" if word in _FORMS else did_you_mean(word, _FORMS) or "; type help"
 
 
 class Console:

@@ -79,7 +79,7 @@ def main(config_path: Path, answers: Path, seconds: float, radio: str = "", tran
     air.close()
     over.set()
     listener.join()
-    books = outcome.books
+    books = outcome.statistics
     result = {
         "directory": str(outcome.directory),
         "slots": books.slots,

@@ -45,7 +45,7 @@ def unmet(link: AutopilotLink, config: AutopilotConfig, now_ns: int, stale_ns: i
     """The first demand that is not met, in words with what to do; empty when all are."""
     if link.port_fault:
         return link.port_fault
-    heartbeat = link.heard
+    heartbeat = link.heartbeat
     if heartbeat is None or now_ns - heartbeat.time_ns > SILENT_NS:
         return f"autopilot on {config.port} is silent; check wiring, baud rate and MAVLink 2 (SERIALn_PROTOCOL 2)"
     if heartbeat.autopilot == PX4:
@@ -138,7 +138,7 @@ class ArduPilotOutput:
     def put(self, frame: SequencerCommand, now_ns: int) -> tuple[float, ...] | None:
         """Override, or release for some frames after the last override."""
         if frame.state is State.IDLE and self._asked_in is not State.IDLE:
-            self.link.forget()  # somebody may change parameters between two manoeuvres
+            self.link.request_parameters_anew()  # somebody may change parameters between two manoeuvres
         self._asked_in = frame.state
         if frame.state.beats and frame.pulses is not None:
             return self._override(frame.pulses, now_ns)

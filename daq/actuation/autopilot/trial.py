@@ -38,7 +38,7 @@ class AutopilotTrial:
         link, autopilot = self._output.link, self._config.autopilot
         for _ in range(LISTEN_FRAMES):
             glimpse = self._frame()
-        if link.heard is not None and not link.missing:
+        if link.heartbeat is not None and not link.missing:
             mistake = wrong_parameter(link, autopilot)
             listing = ", ".join(f"{name} {value:g}" for name, value in sorted(link.parameters.items()))
             yield TrialFinding("parameters", not mistake, mistake or listing)

@@ -1,4 +1,4 @@
-"""The raw recording: an MCAP file that opens in any MCAP reader and says by itself what it is.
+"""The raw recording: an MCAP file that opens in any MCAP reader and contains its own description.
 
 A session is one or more segments, `<session>_000.mcap` and so on. Each segment begins with everything needed to
 understand it alone: who recorded what with which software and configuration, the channel table, the calibration
@@ -23,6 +23,7 @@ from mcap.writer import CompressionType, Writer
 
 from daq.contract.channels import CHANNELS, COLUMNS, GROUPS
 from daq.contract.recordings import messages as m
+from daq.contract.recordings.profile import OURS
 from daq.contract.scan import SCAN_TOPIC, SCHEMA_NAME, Scan, encode_scan, file_descriptor_set, scan_stamp
 from daq.utilities.errors import UserError
 
@@ -54,12 +55,12 @@ COMPUTER, GPS = "system clock", "GPS"
 LOG_TIME_NAME = "sideslip.log_time"
 """Name of the metadata record that says what log times are."""
 UTC_FROM_NS, UTC_TO_NS = 10**18, 4 * 10**18
-"""Log times from here on (September 2001) are UTC: no computer runs for 31 years. From 2096 on, nobody believes it."""
+"""A log time between these (September 2001 and 2096) is UTC: no monotonic clock runs for 31 years."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogTime:
-    """What is added to the monotonic clock for the log times of a file [ns], and who knows it; 0: nobody."""
+    """offset_ns: log time of a file minus the monotonic clock [ns]; source: COMPUTER or GPS, empty for an offset of 0."""
 
     offset_ns: int = 0
     source: str = ""
@@ -155,7 +156,7 @@ def info_from_metadata(fields: Mapping[str, str]) -> RecordingInfo:
     if any(len(fields[k]) > _LONGEST_NAME for k in ("session", "source", "aircraft", "role", "software")):
         raise ValueError("a name in the identity is too long for a sentence")
     if not 0 <= int(fields["started_utc_ns"]) <= _LATEST_NS or not 0 <= int(fields["segment"]) <= _MOST_SEGMENTS:
-        raise ValueError("the identity's numbers are none of a recording")
+        raise ValueError("the identity's segment or start time is out of range")
     return RecordingInfo(
         session=fields["session"],
         source=fields["source"],
@@ -215,12 +216,12 @@ def on_monotonic_clock(entry: RecordedMessage) -> RecordedMessage:
 
 
 def utc_of(entries: Iterable[RecordedMessage]) -> LogTime:
-    """The offset to UTC as the first scan knows it that knows any; nothing where none does."""
+    """The offset to UTC of the first scan with a UTC time; an empty LogTime where no scan has one."""
     return next((log_time for log_time in map(utc_of_scan, entries) if log_time is not None), LogTime())
 
 
 def utc_of_scan(entry: RecordedMessage) -> LogTime | None:
-    """The offset to UTC as a scan knows it; None for one that knows none, or an impossible one, and for other messages."""
+    """The offset to UTC of a scan; None for one without a possible UTC time, and for other messages."""
     if entry.topic != SCAN_TOPIC or not UTC_FROM_NS <= entry.publish_time_ns < UTC_TO_NS:
         return None
     return LogTime(entry.publish_time_ns - entry.log_time_ns, GPS)
@@ -229,9 +230,9 @@ def utc_of_scan(entry: RecordedMessage) -> LogTime | None:
 class RecordingWriter:
     """Writes one segment to a binary stream; everything but messages is written at once, at the start.
 
-    The stream needs write, tell and flush. Errors of the stream pass through; after one the segment must be given up,
-    since the MCAP writer has already forgotten what it failed to write. log_time: how messages are filed; may be set
-    until the first one is written.
+    The stream needs write, tell and flush. Errors of the stream pass through; after one the segment must be abandoned, since
+    the MCAP writer has discarded what it failed to write. log_time: offset of the messages' log times; may be set until the
+    first message is written.
     """
 
     def __init__(
@@ -242,7 +243,7 @@ class RecordingWriter:
         info = replace(info, software=info.software or software_version())
         kind = CompressionType.ZSTD if compress else CompressionType.NONE
         self._writer = Writer(stream, compression=kind, enable_crcs=True, enable_data_crcs=True)
-        self._writer.start(profile="sideslip", library=f"sideslip {info.software}")
+        self._writer.start(profile=OURS, library=f"sideslip {info.software}")
         identity = info_to_metadata(info)
         self._writer.add_metadata(INFO_NAME, identity)
         self._attach(info.started_utc_ns, INFO_ATTACHMENT, json.dumps(identity, indent=1).encode())
@@ -256,7 +257,7 @@ class RecordingWriter:
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema_id)
 
     def write(self, entry: RecordedMessage) -> None:
-        """Add a message to the chunk in progress; before the first one, say what log times are."""
+        """Add a message to the chunk in progress; before the first one, write the LOG_TIME_NAME record."""
         if not self._begun:
             self._begun = True
             if self.log_time.source:
@@ -265,9 +266,6 @@ class RecordingWriter:
         log_time_ns = min(_LATEST_NS, max(0, entry.log_time_ns + self.log_time.offset_ns))
         channel = self._channels[entry.topic]
         self._writer.add_message(channel, log_time_ns, entry.data, entry.publish_time_ns, entry.sequence)
-
-    def write_scan(self, scan: Scan) -> None:
-        self.write(scan_entry(scan))
 
     def write_message(self, message: m.Message) -> None:
         """Add an event, log line, health report or statistics."""

@@ -1,7 +1,7 @@
-"""The motions that are predicted, many models and flights at once: rolling and yawing, and the pitching plane.
+"""The motions that the gap monitor predicts, for many models and flights at once: the lateral and the longitudinal plane.
 
-Every quantity is an array that broadcasts to (models, flights): one model for the simulated flights, one for each effect of the
-bank where the signatures are made. SI, rad.
+Every quantity is an array that broadcasts to (models, flights): one model for the simulated flights, or one model for each effect
+of the bank. SI, rad. The equations are those of `simulated_motion`, which computes one model and one flight in plain floats.
 """
 
 import math
@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from daq.identification.airframe import Airframe
 from daq.identification.monitor.bank import MonitoredPlane
+from daq.identification.simulated_motion import LONGEST_STEP
 from daq.utilities.constants import GRAVITY
 
 Array = NDArray[np.float64]
-LONGEST_STEP = 0.026  # s; as in `simulated_motion`
 AS_STATED = np.ones(1)  # mass over the airframe's, of every flight
 NOT_MOVED = np.zeros(1)  # m, how far the CG is ahead of the airframe's
 
 
 class Inputs(NamedTuple):
-    """What is measured for rolling and yawing, (flights,) each: attitude, airspeed, density, surfaces; mass
-    over the airframe's; how far the CG is ahead of the airframe's [m]."""
+    """Measured inputs of the lateral plane, (flights,) each: pitch rate, attitude, airspeed, density, surfaces; mass over the
+    airframe's; how far the CG is ahead of the airframe's [m]."""
 
     q: Array
     theta: Array
@@ -38,7 +38,7 @@ class Inputs(NamedTuple):
 
 
 class ElevatorInputs(NamedTuple):
-    """What is measured for the pitching plane, (flights,) each: the lateral motion, airspeed, density, thrust [N], elevator;
+    """Measured inputs of the longitudinal plane, (flights,) each: the lateral motion, airspeed, density, thrust [N], elevator;
     mass over the airframe's; how far the CG is ahead of the airframe's [m]."""
 
     beta: Array
@@ -58,17 +58,17 @@ Measured = TypeVar("Measured", Inputs, ElevatorInputs)
 
 
 def instants(dt: float) -> Array:
-    """(instants, 1, 1) parts of an interval of `dt` seconds where a Runge-Kutta step begins, is half done, and ends."""
+    """(instants, 1, 1) fractions of an interval of `dt` seconds at the begin, middle and end of each Runge-Kutta step."""
     return np.linspace(0.0, 1.0, 2 * max(1, math.ceil(dt / LONGEST_STEP)) + 1)[:, None, None]
 
 
 def between(first: Measured, last: Measured, parts: Array) -> Measured:
-    """(instants, 1, flights): on the straight line from one to another."""
+    """(instants, 1, flights): linear interpolation between two samples at fractions of their interval."""
     return type(first)(*(a + parts * (b - a) for a, b in zip(first, last, strict=True)))
 
 
 class MotionOfPlane(ABC, Generic[Measured]):
-    """States and forces of a plane, in the order of its channels. values: derivative -> array, what is missing zero."""
+    """States and forces of a plane, in the order of its channels. values: derivative -> array; a missing derivative is zero."""
 
     def __init__(self, airframe: Airframe, values: Mapping[str, Array], plane: MonitoredPlane) -> None:
         zero = np.zeros((1, 1))
@@ -77,14 +77,15 @@ class MotionOfPlane(ABC, Generic[Measured]):
 
     @abstractmethod
     def conditions(self, u: Measured) -> tuple[Array, ...]:
-        """What of the rates does not hang on the state; fields of u: (..., 1 or models, flights)."""
+        """The parts of `rates` that do not depend on the state, in the order in which `rates` unpacks them; fields of u:
+        (..., 1 or models, flights)."""
 
     @abstractmethod
     def rates(
         self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0, rolling: Array | float = 0.0
     ) -> Array:
-        """(states, models, flights) of the state's rates. gust: angle of the vane that the air adds [rad]; rolling: rate at which
-        the air itself rolls [rad/s]."""
+        """(states, models, flights) rates of change of the state. gust: change of the flow angle by the motion of the air [rad];
+        rolling: roll rate of the air itself [rad/s]."""
 
     @abstractmethod
     def forces(self, x: Array, u: Measured, gust: Array | float = 0.0) -> Array:
@@ -113,8 +114,8 @@ class LateralMotion(MotionOfPlane[Inputs]):
         self._rows = {n: self._accelerations(n) for n in ("0", "beta", "p", "r", "da", "dr")}
 
     def _accelerations(self, term: str) -> Array:
-        """(3, models, flights): what a term of the three coefficients makes of side force, roll and yaw acceleration, per
-        dynamic pressure times area."""
+        """(3, models, flights): side force, roll and yaw acceleration by one term of the three coefficients, per dynamic pressure
+        times area."""
         a, d = self._a, self._d
         inertia = a.Ixx * a.Izz - a.Ixz**2
         Cl, Cn = d[f"Cl_{term}"] * (a.span / inertia), d[f"Cn_{term}"] * (a.span / inertia)
@@ -122,7 +123,7 @@ class LateralMotion(MotionOfPlane[Inputs]):
         return np.stack(np.broadcast_arrays(*rows))
 
     def _about_cg(self, u: Inputs) -> Mapping[str, Array]:
-        """The same, (..., 3, models, flights), about the CG where it is now: the side force has an arm to the airframe's."""
+        """The same, (..., 3, models, flights), about the present CG, to which the side force has an arm."""
         if not np.any(u.cg_ahead):
             return self._rows
         a = self._a
@@ -206,7 +207,7 @@ class PitchMotion(MotionOfPlane[ElevatorInputs]):
     def rates(
         self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0, rolling: Array | float = 0.0
     ) -> Array:
-        """Across the flow lift alone acts beside thrust and weight: drag has no part in alpha's rate."""
+        """Rates of alpha, q, theta; drag acts along the flow and does not enter the rate of alpha."""
         lift, lift_alpha, lift_q, moment, moment_alpha, moment_q, upright, sideways, forward, weight, cos_phi, turn = (
             conditions
         )
@@ -218,10 +219,10 @@ class PitchMotion(MotionOfPlane[ElevatorInputs]):
 
 
 def motion_of(plane: MonitoredPlane, airframe: Airframe, values: Mapping[str, Array]) -> LateralMotion | PitchMotion:
-    """The motion of a plane."""
+    """The equations of motion of a plane with derivatives `values`."""
     return (LateralMotion if plane.name == "lateral" else PitchMotion)(airframe, values, plane)
 
 
 def inputs_of(plane: MonitoredPlane) -> type[Inputs] | type[ElevatorInputs]:
-    """What its motion is driven by."""
+    """The type of the inputs that drive its motion."""
     return Inputs if plane.name == "lateral" else ElevatorInputs

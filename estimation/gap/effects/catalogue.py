@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.utilities.input_files import read_toml
-from daq.utilities.plain_words import meant
+from daq.utilities.plain_words import did_you_mean
 from estimation.errors import ModelError
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.errors import EffectError
@@ -138,7 +138,7 @@ def _effect(table: Mapping[str, Any], may_lack_forms: bool) -> Effect:
     data = dict(table)
     for key in ("name", "title"):
         if key not in data:
-            raise EffectError(f"effect {data.get('name')!r}: the key {key!r} is missing{meant(key, data)}")
+            raise EffectError(f"effect {data.get('name')!r}: the key {key!r} is missing{did_you_mean(key, data)}")
     forms = tuple(_form(f, data.get("name", "")) for f in data.pop("form", []))
     if not forms and not may_lack_forms:
         raise EffectError(f"effect {data.get('name')!r}: at least one [[effect.form]] is needed")

@@ -10,7 +10,7 @@ from io import BytesIO
 
 from daq.contract.link.wire import SCAN_FAST_ID, layouts, pack_scan
 from daq.contract.recordings.messages import Statistics
-from daq.contract.recordings.recording import INFO_NAME, RecordingWriter, with_digest
+from daq.contract.recordings.recording import INFO_NAME, RecordingWriter, scan_entry, with_digest
 from daq.contract.scan import Scan, encode_scan
 from daq.contract.seal import seal
 from daq.transport.mavlink_codec import FrameEncoder
@@ -93,7 +93,7 @@ def recording(scans: Iterable[Scan], statistics: Statistics | None = None, **ide
     stream = BytesIO()
     writer = RecordingWriter(stream, replace(make_info(), **identity))  # type: ignore[arg-type]
     for scan in scans:
-        writer.write_scan(scan)
+        writer.write(scan_entry(scan))
     if statistics is not None:
         writer.write_message(statistics)
     writer.finish()

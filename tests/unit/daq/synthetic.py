@@ -9,7 +9,7 @@ import numpy as np
 from daq.clock import NS, Clock
 from daq.contract.channels import CHANNELS, GROUP_NAMES
 from daq.contract.recordings.messages import EventMessage, LogLevel, LogLine, Statistics
-from daq.contract.recordings.recording import RecordingInfo, RecordingWriter
+from daq.contract.recordings.recording import RecordingInfo, RecordingWriter, scan_entry
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.recorder.storage import RealStorage, StorageFile
 
@@ -92,7 +92,7 @@ def write_recording(path: Path, *, compress: bool = False, scans: int = SCANS) -
     with path.open("wb") as stream:
         writer = RecordingWriter(stream, make_info(), compress=compress)
         for n in range(scans):
-            writer.write_scan(make_scan(n))
+            writer.write(scan_entry(make_scan(n)))
             if n % PER_CHUNK == PER_CHUNK - 1:
                 writer.flush()
         end = scans * PERIOD_NS

@@ -14,7 +14,7 @@ from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS
 from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import read_recording
-from daq.contract.recordings.recording import RecordingError, RecordingWriter
+from daq.contract.recordings.recording import RecordingError, RecordingWriter, scan_entry
 from daq.contract.recordings.summary import info_mcap
 from daq.recorder.config import RecorderConfig
 from daq.recorder.recorder import Recorder
@@ -61,7 +61,7 @@ def test_a_truncated_last_segment_is_not_sound(session: Path) -> None:
 def test_sessions_are_not_mixed(session: Path) -> None:
     with (session / "other_000.mcap").open("wb") as stream:
         writer = RecordingWriter(stream, make_info("other"))
-        writer.write_scan(make_scan(1))
+        writer.write(scan_entry(make_scan(1)))
         writer.finish()
     with pytest.raises(RecordingError, match=r"2 sessions \(other, s1\)"):
         verify(session)
@@ -72,7 +72,7 @@ def test_received_recordings_may_have_gaps(tmp_path: Path) -> None:
     with path.open("wb") as stream:
         writer = RecordingWriter(stream, make_info("r", role="received"))
         for n in range(0, 100, 2):
-            writer.write_scan(make_scan(n))
+            writer.write(scan_entry(make_scan(n)))
         writer.finish()
     result = verify(path)
     assert result.ok

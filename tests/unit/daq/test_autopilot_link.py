@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from daq.actuation.autopilot.link import ASK_NS, AutopilotLink
+from daq.actuation.autopilot.link import AutopilotLink
+from daq.transport.autopilot_requests import REQUEST_AGAIN_NS
 from tests.unit.daq.fakes import FakePort
 
 MS = 1_000_000
@@ -40,14 +41,14 @@ def test_nothing_is_asked_before_a_heartbeat_and_then_what_is_missing() -> None:
     assert not wire.link.override({1: 1500})
     wire.say(wire.mav.heartbeat_encode(1, 3, 81, 5, 4))
     wire.link.poll(MS)
-    assert wire.link.heard is not None
-    assert (wire.link.heard.system, wire.link.heard.mode) == (7, 5)
+    assert wire.link.heartbeat is not None
+    assert (wire.link.heartbeat.system, wire.link.heartbeat.mode) == (7, 5)
     asked = wire.sent()
     assert (asked[0].command, asked[0].param1, asked[0].param2) == (511, 65.0, 20_000.0)
     assert [m.param_id for m in asked[1:]] == ["RC_OPTIONS", "MAV_GCS_SYSID", "SYSID_MYGCS"]
     assert {m.get_srcSystem() for m in asked} == {255}
     wire.say(wire.mav.param_value_encode(b"SYSID_MYGCS", 255.0, 9, 100, 3))
-    wire.link.poll(2 * MS + ASK_NS)
+    wire.link.poll(2 * MS + REQUEST_AGAIN_NS)
     assert wire.link.missing == ("RC_OPTIONS",)
     assert [m.param_id for m in wire.sent()[1:]] == ["RC_OPTIONS"]
 
@@ -94,7 +95,7 @@ def test_other_components_are_not_the_autopilot() -> None:
     wire.mav.srcComponent = 154  # a gimbal
     wire.say(wire.mav.heartbeat_encode(26, 8, 0, 0, 4))
     wire.link.poll(0)
-    assert wire.link.heard is None
+    assert wire.link.heartbeat is None
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)

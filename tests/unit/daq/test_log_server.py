@@ -10,7 +10,7 @@ import pytest
 
 from daq.telemetry import log_files
 from daq.telemetry.log_files import MAX_FILES, LogFiles
-from daq.telemetry.log_server import LIST_AGAIN_NS, LogServer
+from daq.telemetry.log_server import LISTING_VALID_NS, LogServer
 from daq.telemetry.send_queue import item
 from daq.telemetry.worker import Worker
 from daq.transport.mavlink_codec import message_types
@@ -93,7 +93,7 @@ def test_a_file_that_becomes_a_link_after_it_was_listed_is_not_served(served: Se
     path.parent.rmdir()
     path.parent.symlink_to(secret.parent)
     assert served.fetch(1) == b""
-    served.now_ns += LIST_AGAIN_NS
+    served.now_ns += LISTING_VALID_NS
     (answer,) = served.list()
     assert (answer["num_logs"], answer["id"]) == (0, 0)
 
@@ -150,7 +150,7 @@ def test_ids_stay_what_they_were_when_files_come_and_go(served: Served, tmp_path
     put(folder / "a.mcap", b"a")
     (folder / "b.mcap").unlink()
     assert [e["id"] for e in served.list()] == [1, 2], "asked again at once, the last listing is told again"
-    served.now_ns += LIST_AGAIN_NS
+    served.now_ns += LISTING_VALID_NS
     assert [(e["id"], e["num_logs"]) for e in served.list()] == [(2, 2), (3, 2)]
     assert served.fetch(3) == b"a"
 

@@ -12,7 +12,7 @@ from daq.clock import NS, SimulatedClock
 from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.messages import EventMessage, LogLevel
 from daq.contract.recordings.reading import read_recording
-from daq.contract.recordings.recording import LogTime, RecordingWriter
+from daq.contract.recordings.recording import LogTime, RecordingWriter, scan_entry
 from daq.contract.recordings.recovery import recover
 from daq.contract.scan import Scan, encode_scan
 from daq.recorder.config import RecorderConfig
@@ -124,7 +124,7 @@ def written(path: Path, log_time: LogTime, scans: range = range(SCANS)) -> None:
     with path.open("wb") as stream:
         writer = RecordingWriter(stream, make_info(), log_time=log_time)
         for n in scans:
-            writer.write_scan(scan_of(n, UTC_NS))
+            writer.write(scan_entry(scan_of(n, UTC_NS)))
             if n % 10 == 9:
                 writer.flush()
         writer.finish()

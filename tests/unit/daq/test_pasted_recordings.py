@@ -25,7 +25,7 @@ def written(session: str, scans: range, later: int = 0) -> tuple[bytes, dict[byt
         scan = make_scan(n)
         scan = replace(scan, time_monotonic_ns=scan.time_monotonic_ns + later)
         encoded[encode_scan(scan)] = n
-        writer.write_scan(scan)
+        writer.write(scan_entry(scan))
         if n % 8 == 0:
             writer.flush()
     writer.finish()

@@ -13,7 +13,7 @@ from daq import commands
 from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.mcap_records import ATTACHMENT_INDEX, CHUNK, METADATA_INDEX, STATISTICS, SUMMARY_OFFSET
 from daq.contract.recordings.reading import read_recording, read_recordings
-from daq.contract.recordings.recording import LogTime, RecordingError, RecordingWriter
+from daq.contract.recordings.recording import LogTime, RecordingError, RecordingWriter, scan_entry
 from daq.contract.recordings.recovery import recover
 from daq.contract.recordings.segments import read_parts
 from daq.contract.recordings.summary import info_mcap
@@ -32,7 +32,7 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     with path.open("wb") as stream:
         writer = RecordingWriter(stream, make_info("other"))
         for n in range(OTHER_FIRST, OTHER_FIRST + OTHER_SCANS):
-            writer.write_scan(make_scan(n))
+            writer.write(scan_entry(make_scan(n)))
             if n % PER_CHUNK == 0:
                 writer.flush()
         writer.finish()
@@ -74,7 +74,7 @@ def test_messages_that_have_no_seal_are_not_lost_either(code: int, tmp_path: Pat
     with path.open("wb") as stream:
         writer = ReceivedWriter(stream, make_info(role="received"), LogTime())
         for n in range(20):
-            writer.write_scan(make_scan(n))
+            writer.write(scan_entry(make_scan(n)))
             writer.write_link(b"{}", n, n)
         writer.finish()
     data = path.read_bytes()
@@ -206,7 +206,7 @@ def test_two_segments_of_a_session_in_one_file_are_one_recording(tmp_path: Path)
         with path.open("wb") as stream:
             writer = RecordingWriter(stream, make_info(segment=segment))
             for n in range(segment * 50, segment * 50 + 50):
-                writer.write_scan(make_scan(n))
+                writer.write(scan_entry(make_scan(n)))
             writer.finish()
         parts.append(path.read_bytes())
     joined = tmp_path / "joined.mcap"

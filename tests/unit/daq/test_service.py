@@ -114,7 +114,7 @@ def test_a_signal_ends_the_recording_in_order(tmp_path: Path, number: signal.Sig
     assert outcome.exit_status == (130 if number is signal.SIGINT else 0), outcome.text
     result = verify(outcome.directory)
     assert result.ok
-    assert result.scans == outcome.books.written > 10
+    assert result.scans == outcome.statistics.written > 10
     assert outcome.to_dict()["written"] == result.scans
 
 
