@@ -6,7 +6,6 @@ The same function builds the logger on the aircraft and in the simulator; only t
 import secrets
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 
 from daq.acquisition.air_truth import AirTruth
 from daq.acquisition.sampler import Sampler
@@ -35,6 +34,7 @@ from daq.sensors.bus import I2cBus, SerialPortCalls
 from daq.telemetry.link import RadioLink, radio_link
 from daq.telemetry.uplink import TURN_NS
 from daq.transport.ports import BytePort
+from daq.utilities.utc_stamps import name_stamp
 
 _INFORMATIONAL = 6  # severity of STATUSTEXT, as syslog has it
 _UPLINK_SHARE = 0.1
@@ -79,7 +79,7 @@ def session_name(config: LoggerConfig, clock: Clock, *, unique: bool = True) -> 
 
     A companion computer without a battery may start several flights at the same wrong time.
     """
-    stamp = datetime.fromtimestamp(clock.utc_ns() // 10**9, UTC).strftime("%Y%m%dT%H%M%SZ")
+    stamp = name_stamp(clock.utc_ns() // 10**9)
     return f"{config.aircraft.name or 'flight'}_{stamp}" + (f"_{secrets.token_hex(2)}" if unique else "")
 
 

@@ -1,4 +1,4 @@
-"""Physical constants and units, each once for all packages: exact by definition unless a line says otherwise; and
+"""Physical constants, units and a quantile, each once for all packages: exact by definition unless a line says otherwise; and
 bounds that logger and ground station share."""
 
 import math
@@ -33,6 +33,8 @@ POUND = 4.4482216152605  # N, of force
 SLUG = 14.593902937206  # kg, rounded
 PSI = 6894.757293168  # Pa
 INCH_OF_WATER = 249.08891  # Pa, of water at 4 degC
+
+NORMAL_95 = 1.96  # standard deviations from the mean to either end of a normal distribution's central 95 %
 
 DEGREE = math.pi / 180  # rad
 RADIAN = 180 / math.pi  # deg

@@ -3,7 +3,6 @@
 import contextlib
 import logging
 import os
-import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from daq.utilities.plain_words import visible
 from daq.utilities.rotating_log import RotatingLog
 from daq.utilities.standard_streams import Speaker
+from daq.utilities.utc_stamps import log_stamp
 
 RECORD_LOG = "record.log"
 _STANDARD_ERROR = 2
@@ -44,7 +44,7 @@ class _TwoWays(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         line = visible(f"{record.levelname} {record.name}: {record.getMessage()}")
-        stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(record.created))
+        stamp = log_stamp(record.created)
         self._aloud.say(line)
         self._file.say(f"{stamp} {line}")
 

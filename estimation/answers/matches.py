@@ -1,4 +1,4 @@
-"""`match`: proof of match, a model's prediction of flights it was not estimated from."""
+"""`match`: proof of match, the prediction of flights by a model that was not estimated from them."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -35,12 +35,11 @@ def match(
     Args:
         model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
         flights: a Flight, a file, or a list of them; raw recordings are calibrated.
-        free: parameters that are fitted all the same, such as CY_0.
+        free: parameters that are nevertheless fitted to each flight, such as CY_0.
         aircraft: a built-in name or a file; by default what the flights carry.
-        simulation: one of your own in place of the model.
+        simulation: of your own, on which the model stands, such as "jsbsim:AIRCRAFT" or "module:function".
         segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
-        limit: of Theil's coefficient beyond what the noise of a channel alone leaves; above it the channel does not
-            match.
+        limit: largest Theil's coefficient of a channel that matches, after the part that the channel's noise alone makes.
 
     Raises:
         UserError: one sentence, for what cannot be found, or flights that cannot feed the model.
@@ -62,8 +61,8 @@ def match(
 
 @dataclass(frozen=True, repr=False)
 class Match(Answer):
-    """Proofs of match, one for each flight. limit: of Theil's coefficient; notes: what of a simulation is held, whose mass
-    is taken."""
+    """Proofs of match, one for each flight. limit: of Theil's coefficient; notes: which inputs a simulation holds constant, which
+    mass was used."""
 
     proofs: "tuple[ProofOfMatch, ...]"
     model: str
@@ -97,7 +96,7 @@ class Match(Answer):
             yield from _proof_lines(proof, self.limit)
 
     def plot(self, ax: Any = None) -> Any:
-        """Measured and predicted outputs of the first flight, one axes a channel; gives the axes."""
+        """Measured and predicted outputs of the first flight, one axes a channel; returns the axes."""
         return plot_proof(self.proofs[0], ax)
 
     def figures(self) -> Figures:
@@ -109,7 +108,7 @@ class Match(Answer):
         return Figures({"figure10": figure})
 
     def write_histories(self, folder: Path) -> list[Path]:
-        """Write each flight with what the model predicts beside it; gives the files."""
+        """Write each flight with the predicted columns beside the measured ones; returns the files."""
         from estimation.report.drawing.histories import write_beside
 
         return [write_beside(f, p.result, folder) for f, p in zip(self.flights, self.proofs, strict=True)]
@@ -136,7 +135,7 @@ class Match(Answer):
 
 
 def _proof_lines(proof: "ProofOfMatch", limit: float) -> list[str]:
-    """What a person reads on the terminal of one flight predicted."""
+    """The lines on the terminal for one predicted flight."""
     head = f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}{'limit':>7}  match"
     lines = [f"{proof.name}: {proof.text}", head]
     for name, f in proof.fit.items():

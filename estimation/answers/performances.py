@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.utilities.constants import RADIAN
+from daq.utilities.constants import NORMAL_95, RADIAN
 from daq.utilities.packages import optional
 from estimation.answers.answer import Answer, Figures, Rows, panels, picture_writers, table_writers
 from estimation.threads import single_threaded
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 def performance(
     flights: "Flights", *, aircraft: "AnyAircraft" = None, segments: str | None = None, throttle_off: bool = False
 ) -> "Performance":
-    """The polar of an aircraft over all flights together, and what follows from it.
+    """The drag polar of an aircraft over all flights together, with glide, sink and power required.
 
     Args:
         flights: a Flight, a file, or a list of them; raw recordings are calibrated.
         aircraft: a built-in name or a file; by default what the flights carry.
         segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
-        throttle_off: it was off throughout, where no column says so.
+        throttle_off: the throttle was closed throughout; for flights without a column that shows it.
 
     Raises:
         UserError: thrust is unknown and not off, or the aircraft's mass or area is unknown.
@@ -44,15 +44,15 @@ def performance(
     from estimation.resolve import read_flights, which_aircraft
 
     read = read_flights(flights, segments)
-    craft = which_aircraft(read, aircraft, needed=True)
-    craft.need(("m", "S"), "performance")
-    used = tuple(usable(flight, craft, throttle_off=throttle_off) for flight in read)
-    return Performance(craft, used, fitted(all_stretches(used)))
+    airframe = which_aircraft(read, aircraft, needed=True)
+    airframe.need(("m", "S"), "performance")
+    used = tuple(usable(flight, airframe, throttle_off=throttle_off) for flight in read)
+    return Performance(airframe, used, fitted(all_stretches(used)))
 
 
 @dataclass(frozen=True, repr=False)
 class Performance(Answer):
-    """A polar and what it was found from."""
+    """A drag polar with the aircraft and the flights that it was fitted to."""
 
     aircraft: "Aircraft"
     flights: "tuple[Usable, ...]"
@@ -65,11 +65,13 @@ class Performance(Answer):
 
     @property
     def status(self) -> str:
-        """The answer in a sentence that says what to do where there is none."""
+        """The answer in a sentence; where the polar is not known, what to fly instead."""
         low, high = self.polar.lift
         if self.passed:
             glide = self.best_glide
-            beyond = [n for n, of in (("best glide", glide), ("least sink", self.least_sink)) if not self._flown(of)]
+            beyond = [
+                n for n, best in (("best glide", glide), ("least sink", self.least_sink)) if not self._flown(best)
+            ]
             extrapolated = f"; {' and '.join(beyond)} beyond them, by the parabola alone" if beyond else ""
             return (
                 f"best glide {glide['ratio'].estimate:.1f} at {glide['speed'].estimate:.1f} m/s (CL {glide['CL'].estimate:.2f}),"
@@ -89,6 +91,7 @@ class Performance(Answer):
         return best_glide(self.polar, self.aircraft)
 
     def _flown(self, best: "Mapping[str, Bounded]") -> bool:
+        """Whether the lift coefficient of a best point was flown."""
         from estimation.performance.polar import flown
 
         return flown(self.polar, best["CL"].estimate)
@@ -146,7 +149,7 @@ class Performance(Answer):
         if self.passed:
             yield f"  {'V [m/s]':>8}{'CL':>8}{'drag [N]':>16}{'sink [m/s]':>18}{'power [W]':>18}"
             for p in self.curve:
-                drag, sink, power = (f"{b.estimate:.3g} +- {BOUNDS * b.std:.2g}" for b in (p.drag, p.sink, p.power))
+                drag, sink, power = (f"{b.estimate:.3g} +- {NORMAL_95 * b.std:.2g}" for b in (p.drag, p.sink, p.power))
                 yield f"  {p.V:>8.2f}{p.CL:>8.3f}{drag:>16}{sink:>18}{power:>18}"
 
     def _numbers(self) -> "list[tuple[str, Bounded, str]]":
@@ -164,7 +167,7 @@ class Performance(Answer):
         return rows
 
     def plot(self, ax: Any = None) -> Any:
-        """Polar, sink and power required over speed with 95 % bands; gives the three axes."""
+        """Polar, sink and power required over speed with 95 % bands; returns the three axes."""
         from estimation.performance.polar import draw_performance
 
         axes = panels(ax, 3, (6.0, 7.5))
@@ -199,9 +202,6 @@ class Performance(Answer):
                 (name.strip(), f"{bounded.estimate:.4g}", f"{bounded.std:.2g}", f"{low:.4g} to {high:.4g}", unit)
             )
         return ("", "estimate", "std", "95 % bounds", "unit"), rows
-
-
-BOUNDS = 1.96  # standard deviations: 95 %
 
 
 def _json(bounded: "Bounded") -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Keys by content: what decides a number enters, and nothing else does. Names, paths and order stay out."""
+"""Keys of finished work, by content: everything that affects a number enters, and nothing else; no names, paths or order."""
 
 import hashlib
 import json
@@ -12,7 +12,7 @@ from estimation.engine.compiled_library import compiler
 
 LIBRARIES = ("sideslip", "casadi", "numpy", "scipy")
 ROOT = Path(__file__).parents[2]
-DECIDING = (
+SOURCES_OF_RESULTS = (
     "estimation/aircraft",
     "estimation/campaign/workers/subjects.py",
     "estimation/campaign/workers/work.py",
@@ -25,16 +25,16 @@ DECIDING = (
     "groundstation/flight",
     "daq/contract/channel_rows.py",
 )
-"""Our own files that decide a number: a checkout changes them without another version."""
-SOURCES = (".py", ".c", ".toml")
+"""Our own files that affect a number: a checkout may change them without a new version."""
+SOURCE_SUFFIXES = (".py", ".c", ".toml")
 
 
 @cache
 def versions() -> Mapping[str, str]:
-    """Version of each library that decides a number, the compiler of the equations (without one, sums are made in another order:
-    1e-12 of a number), and a digest of our own deciding files as `code`."""
+    """Version of each library that affects a number; `compiler`: of the equations (without one, sums have another order, which
+    changes 1e-12 of a number); `code`: a digest of SOURCES_OF_RESULTS."""
     libraries = {name: _version(name) for name in LIBRARIES}
-    return {**libraries, "compiler": Path(compiler() or "none").name, "code": digest_of_files(DECIDING)}
+    return {**libraries, "compiler": Path(compiler() or "none").name, "code": digest_of_files(SOURCES_OF_RESULTS)}
 
 
 def _version(name: str) -> str:
@@ -49,7 +49,7 @@ def digest_of_files(places: tuple[str, ...], root: Path = ROOT) -> str:
     digest = hashlib.sha256()
     for place in places:
         path = root / place
-        files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.suffix in SOURCES)
+        files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.suffix in SOURCE_SUFFIXES)
         for file in files:
             digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
@@ -61,5 +61,5 @@ def key_of(*content: Any) -> str:
 
 
 def seed_of(*content: Any) -> int:
-    """A seed from content, so that another flight in the campaign changes no draw of this one."""
+    """A seed from content, so that the random draws of a flight do not depend on the other flights of a campaign."""
     return int(key_of("seed", *content)[:15], 16)

@@ -1,4 +1,4 @@
-"""A campaign from plan to data set: what is not done yet goes to the engine, what comes back to the store, then groups."""
+"""Runs a campaign: unfinished work goes to the engine, its rows into the store, then the groups, tables and files are made."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ from estimation.campaign.workers.work import OK
 if TYPE_CHECKING:
     import pyarrow as pa
 
-LEAST_VARIANCE = 1e-300  # an estimate without a bound weighs nothing that can be computed with
+LEAST_VARIANCE = 1e-300  # in place of 0, by which a weight cannot be divided
 
 
 class CampaignEngine(Protocol):
@@ -44,13 +44,13 @@ class CampaignEngine(Protocol):
         """Finished work in any order; None now and then while nothing ends."""
 
     def close(self) -> None:
-        """Let go of workers."""
+        """Release the workers."""
 
 
 @dataclass(frozen=True)
 class CampaignOutcome:
-    """flights: of the plan; done: with results; failed: location -> sentence; skipped: done before; fitted: pieces of work
-    done now; duplicates: (location, location of the same flight); unchanged: all files are as the run before left them."""
+    """flights: of the plan; done: with results; failed: location -> sentence; skipped: done by an earlier run; fitted: pieces of
+    work done now; duplicates: (location, location of the same flight); unchanged: no file differs from the earlier run's."""
 
     flights: int
     done: int
@@ -80,7 +80,8 @@ class CampaignOutcome:
 
 
 class Campaign:
-    """One run of a plan into a store. make_engine: called only when there is work. tell: words and the share done."""
+    """One run of a plan into a store. make_engine: pieces of work -> engine, called only when there is work. tell: takes a text
+    and the fraction done."""
 
     def __init__(
         self,
@@ -93,28 +94,28 @@ class Campaign:
         self._plan, self._work, self._store = plan, work, store
         self._make_engine, self._tell = make_engine, tell
         self._engine: CampaignEngine | None = None
-        self._about: dict[str, Row] = {key: conditions_of(p.entry) for key, p in work.by_key.items()}
+        self._conditions: dict[str, Row] = {key: conditions_of(p.entry) for key, p in work.by_key.items()}
         self._fitted = 0
         self._workers = 0
 
     def run(self, *, retry_failed: bool = False) -> CampaignOutcome:
-        """Do what is left to do and publish. Whatever stops it, what was done is on disk."""
+        """Do the unfinished work and publish. All finished work is on disk, whatever interrupts the run."""
         stored_table = self._store.load()
         if retry_failed:
             stored_table = self._without_failures(stored_table)
         stored_keys = set(stored_table["key"].to_pylist())
         skipped = sum(all(k in stored_keys for k in p.work.pieces.values()) for p in self._work.planned)
         try:
-            self._do([p.work for p in self._work.planned], stored_keys, "flights")
+            self._run_work([p.work for p in self._work.planned], stored_keys, "flights")
             if self._plan.match or self._plan.joint or self._plan.envelope:
-                self._do_groups(stored_keys)
+                self._run_groups(stored_keys)
         finally:
             if self._engine is not None:
                 self._engine.close()
         return self._publish(skipped)
 
     def _without_failures(self, table: "pa.Table") -> "pa.Table":
-        """Failed work is forgotten, so that it is done again."""
+        """The table without failed work, which is then done again."""
         import pyarrow as pa
         import pyarrow.compute as pc
 
@@ -123,7 +124,8 @@ class Campaign:
         self._store.replace_all(successful, successful.slice(0, 0))
         return successful
 
-    def _do(self, works: Iterable[Work], done: set[str], what: str) -> None:
+    def _run_work(self, works: Iterable[Work], done: set[str], what: str) -> None:
+        """Run the pieces of work whose keys are not in `done`; what: their name in messages."""
         open_works = list(left_to_do(works, done))
         if not open_works:
             return
@@ -141,9 +143,9 @@ class Campaign:
             self._tell(f"{what}: {finished_count} of {len(open_works)}", finished_count / len(open_works))
         self._store.flush()
 
-    def _do_groups(self, done: set[str]) -> None:
+    def _run_groups(self, done: set[str]) -> None:
         """Joint fits and matches: they need the estimates of all flights of a group."""
-        results, _ = planned_rows(self._store.load(), self._about)
+        results, _ = planned_rows(self._store.load(), self._conditions)
         works: list[Work] = []
         for group, members in members_of(results, self._work, self._plan).items():
             label = label_of(dict(group))
@@ -153,17 +155,17 @@ class Campaign:
             for group_work in (joint, envelope):
                 if group_work is not None:
                     works.append(group_work)
-                    self._about |= dict.fromkeys(group_work.pieces.values(), group_columns)
+                    self._conditions |= dict.fromkeys(group_work.pieces.values(), group_columns)
             for match in match_works(self._plan, label, members) if self._plan.match else ():
                 entry = next(p.entry for p in self._work.planned if p.work.subjects[0] is match.subjects[0])
                 works.append(match)
-                self._about |= {key: {**group_columns, **conditions_of(entry)} for key in match.pieces.values()}
-        self._do(works, done, "groups")
+                self._conditions |= {key: {**group_columns, **conditions_of(entry)} for key in match.pieces.values()}
+        self._run_work(works, done, "groups")
 
     def _publish(self, skipped: int) -> CampaignOutcome:
         import pyarrow as pa
 
-        results, superseded = planned_rows(self._store.load(), self._about)
+        results, superseded = planned_rows(self._store.load(), self._conditions)
         unusable_entries = [*self._work.unreadable, *self._failed_twice(failures_of(results))]
         if unusable_entries:
             results = ordered(pa.concat_tables([results, unreadable_rows(unusable_entries)]))
@@ -212,7 +214,7 @@ class Campaign:
 
 
 def failures_of(results: "pa.Table") -> dict[str, str]:
-    """Location -> the sentences on a flight that a method could not use, or whose answer is not to be believed."""
+    """Location -> the sentences on a flight that a method could not use, or whose estimates are not recommended."""
     import pyarrow.compute as pc
 
     runs = results.filter(
@@ -230,6 +232,7 @@ def failures_of(results: "pa.Table") -> dict[str, str]:
 def members_of(
     results: "pa.Table", work: WorkList, plan: CampaignPlan
 ) -> dict[tuple[tuple[str, str], ...], list[Member]]:
+    """Group (key, value pairs of the plan's group columns) -> its flights with their estimates and variances by method."""
     groups: dict[tuple[tuple[str, str], ...], dict[str, dict[str, dict[str, tuple[float, float]]]]] = {}
     by_key = work.by_key
     for row in usable_estimates(results, ("estimate",), plan.groups):

@@ -1,4 +1,4 @@
-"""What is sent to a worker and what comes back, as plain, picklable data; errors of a campaign."""
+"""The tasks of a campaign: work for a worker and its results, as plain, picklable data; and a campaign's errors."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,12 +10,12 @@ Row = dict[str, Any]
 """One row of a result table, by the names of `estimation.campaign.schema`."""
 
 Maker = Callable[[Mapping[str, Any]], bytes]
-"""Flies a simulated flight from its description; gives the bytes of a CSV. Importable by name on every worker."""
+"""Flies a simulated flight from its description and returns the bytes of a CSV. Importable by name on every worker."""
 
 
 @dataclass(frozen=True)
 class FlightMaker:
-    """What flies the simulated flights of a plan; estimation itself knows no simulator.
+    """The simulator of a plan's simulated flights; given from outside, for estimation itself has no simulator.
 
     describe: scenario and dotted changes -> a description, checked. fly: description -> bytes of a CSV. digest: of its code.
     """
@@ -29,7 +29,7 @@ class FlightMaker:
 class FlightSource:
     """Where the bytes of a flight come from: `path` (local), `url` (fsspec), or `made` by the maker from a description.
 
-    sha256: of the bytes, or of the description. data: the bytes themselves, for workers that do not see our files.
+    sha256: of the bytes, or of the description. data: the bytes themselves, for workers on other computers.
     """
 
     name: str
@@ -49,7 +49,7 @@ class FlightSource:
 
 @dataclass(frozen=True)
 class Subject:
-    """One flight with all that decides how it is read: the model (a name, or TOML text), its aircraft's file and mass."""
+    """One flight and how to read it: the model (a name, or TOML text), its aircraft's file and mass [kg], segments."""
 
     source: FlightSource
     model: str
@@ -62,11 +62,12 @@ class Subject:
 
 @dataclass(frozen=True)
 class Work:
-    """Work on one flight, or on several together. pieces: what to do -> its key, by which it is known for good.
+    """Work on one flight, or on several together. pieces: name of a piece -> its key in the store (`keys.key_of`).
 
     kind: `flight` (pieces are methods, and `check`), `joint` (pieces are methods), `envelope` (one piece) or `match` (pieces
-    are methods; `values` has the parameters that each predicts with). seeds: of each method's noise. quality: refuse data that
-    fails its checks.
+    are methods; `values` has the parameters that each predicts with). versions: of `keys.versions`. seeds: method -> seed.
+    quality: refuse data that fails its checks. bootstrap: replicates. each_segment: fit each segment by itself, too. limit_s:
+    time [s] after which it is abandoned.
     """
 
     kind: str
@@ -84,13 +85,13 @@ class Work:
 
     @property
     def identity(self) -> str:
-        """Of the whole: the first key stands for all."""
+        """The first key, which identifies the whole work."""
         return next(iter(self.pieces.values()))
 
 
 @dataclass(frozen=True)
 class Finished:
-    """Work that came to an end: its rows, with status and sentence where it failed."""
+    """Finished work: its rows, with status and sentence where it failed; attempts: how many it took."""
 
     work: Work
     rows: list[Row]

@@ -12,7 +12,6 @@ from estimation.compatibility.air_filter import INTERVAL, Nodes
 from estimation.compatibility.records import (
     SHORTEST,
     attitude_jumps,
-    attitude_rates,
     short_stretches,
     unbroken_stretches,
 )
@@ -20,6 +19,8 @@ from estimation.errors import DataError
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
 from groundstation.flight.airspeed import FLYING
+from groundstation.flight.arrays import integral
+from groundstation.flight.kinematics import attitude_rates
 
 INERTIAL = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi")
 FIX = ("vn", "ve", "vd")
@@ -118,7 +119,7 @@ def _stretch(
     acceleration = force + np.array([0.0, 0.0, GRAVITY])
     fix = np.column_stack([flight[c][rows] for c in FIX])
     first = int(np.flatnonzero(fixes[rows])[0])
-    velocity = _integral(time, acceleration)
+    velocity = integral(time, acceleration)
     velocity += fix[first] - velocity[first]
     node = _node_of(time)
     nodes = Nodes(
@@ -126,8 +127,8 @@ def _stretch(
         velocity=_at_middle(velocity, time, node),
         mean_velocity=_mean(velocity, node, speeds[rows]),
         axes=_at_middle(axes.reshape(-1, 9), time, node).reshape(-1, 3, 3),
-        force=_between(_integral(time, force), time, node),
-        turn=_between(_integral(time, axes.reshape(-1, 9)), time, node).reshape(-1, 3, 3),
+        force=_between(integral(time, force), time, node),
+        turn=_between(integral(time, axes.reshape(-1, 9)), time, node).reshape(-1, 3, 3),
         acceleration=_mean(_earlier(acceleration, time, fix_age), node, fixes[rows]),
         speed_acceleration=_mean(acceleration, node, speeds[rows]),
         fix=_mean(fix - _earlier(velocity, time, fix_age), node, fixes[rows]),
@@ -173,12 +174,6 @@ def _between(integral: Array, time: Array, node: NDArray[np.int64]) -> Array:
     return np.vstack([np.zeros(midpoints.shape[1]), np.diff(midpoints, axis=0)])
 
 
-def _integral(time: Array, rate: Array) -> Array:
-    """Trapezoidal, from zero. rate: (n, m)."""
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None]
-    return np.vstack([np.zeros(rate.shape[1]), np.cumsum(steps, axis=0)])
-
-
 def _attitude(flight: Flight, rows: slice) -> tuple[Array, Array, Array]:
     """phi, theta, psi [rad]: fast from the gyros, slow from the attitude measured."""
     time = flight.time[rows]
@@ -192,7 +187,7 @@ def _joined(time: Array, angle: Array, rate: Array) -> Array:
     """A measured angle with its noise taken out by the rate that is measured beside it."""
     from scipy.signal import savgol_filter
 
-    fast = _integral(time, rate[:, None])[:, 0]
+    fast = integral(time, rate)
     samples = 2 * max(1, round(0.5 * SMOOTH_S / float(np.median(np.diff(time))))) + 1
     window = min(samples, len(time) - 1 + len(time) % 2)
     return np.asarray(fast + savgol_filter(angle - fast, window, 1))

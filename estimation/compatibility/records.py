@@ -1,4 +1,4 @@
-"""What of a flight a data-compatibility check compares, the stretches of it that can be reconstructed, and what is left out."""
+"""The channels and stretches of a flight that the data-compatibility check uses, and notes on what it leaves out."""
 
 from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
@@ -15,21 +15,21 @@ from estimation.prepare.conditioned import ConditionedFlight, condition_columns,
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
 from groundstation.flight.airspeed import FLYING, flies_from
-from groundstation.flight.arrays import true_runs
+from groundstation.flight.arrays import true_runs, unwrapped
 from groundstation.flight.contradictions import no_airspeed
 from groundstation.flight.findings import Finding, FindingKind
-from groundstation.flight.kinematics import GYROS
+from groundstation.flight.kinematics import GYROS, attitude_rates
 
-SHORTEST = 40  # samples
+SHORTEST = 40  # samples of a stretch that is reconstructed: 2 s at 20 Hz
 COLUMNS = ("ax", "ay", "az", "p", "q", "r")
 JUMP = 0.1
-"""Step [rad] of an attitude from one sample to the next, beyond what the rates turn, that no aircraft makes."""
+"""Step [rad] of an attitude between two samples, in excess of the integrated rates, that no aircraft makes."""
 
 ATTITUDE_ERROR = {"phi": 0.01, "theta": 0.01, "psi": 0.03}
 """Slow error of an onboard attitude filter [rad], one sigma, where its calibration states none."""
 
 WRONG_UNIT = 0.2
-"""A channel with a larger share of its samples beyond what it can be is not the channel it is said to be."""
+"""Largest share of implausible samples; beyond it the channel is taken for another one, or for one in another unit."""
 
 _FEWEST_CHANNELS = 3
 
@@ -96,7 +96,7 @@ def unbroken_stretches(flight: Flight, usable: NDArray[np.bool_], jumps: Collect
 
 
 def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
-    """Raise DataError for an input that never changes, or a channel that is mostly beyond what it can be."""
+    """Raise DataError for an input that never changes, or a channel with too many implausible samples."""
     for name in inputs:
         if _constant(flight[name]):
             raise DataError(
@@ -108,16 +108,16 @@ def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
             low, high = COLUMN_BY_NAME[name].plausible
             finite = _known(flight[name])
             share = float(np.mean((finite < low) | (finite > high)))
-            if share > WRONG_UNIT and not _runs_on(flight, name, low, high):
+            if share > WRONG_UNIT and not _counts_turns(flight, name, low, high):
                 raise DataError(
                     f"{flight.name}: {name} is beyond {low:.4g} to {high:.4g} {COLUMN_BY_NAME[name].unit} in {share:.0%} of "
                     "the samples; in another unit? 'sideslip import --map' converts it"
                 )
 
 
-def _runs_on(flight: Flight, angle: str, low: float, high: float) -> bool:
-    """Whether an angle is beyond its range because it runs on through whole turns: it begins within, and no further than twice
-    what its gyro turns, which is a 28th of what it would run in degrees."""
+def _counts_turns(flight: Flight, angle: str, low: float, high: float) -> bool:
+    """Whether an angle leaves its range because it counts whole turns: it begins within the range, and moves at most twice as far
+    as its gyro turns. In degrees it would move 57 times as far."""
     if angle not in ("phi", "psi") or not flight.measured(GYROS[angle]):
         return False
     for part in flight.segments:
@@ -139,7 +139,7 @@ def _constant(values: Array) -> bool:
 
 
 def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
-    """(N,) whether the aircraft flies, as far as the airspeed says so."""
+    """(N,) whether the aircraft flies, by the airspeed; all True without one."""
     if not flight.measured("V"):
         return np.ones(len(flight), bool)
     V = flight["V"]
@@ -151,13 +151,12 @@ def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
             + (no_airspeed(flight) or ": not in flight, or V is not in m/s")
         )
     if slow.any():
-        share = int(slow.sum())
-        notes.append(f"{share} samples with V below {from_speed:.2g} m/s left out: not in flight")
+        notes.append(f"{int(slow.sum())} samples with V below {from_speed:.2g} m/s left out: not in flight")
     return np.asarray(~slow)
 
 
 def _begin(model: Model, flight: Flight, z: Array, part: slice, notes: list[str]) -> int:
-    """First row of a stretch at which each attitude has been measured; a filter that starts up delivers none."""
+    """First row of a stretch at which each attitude has been measured: a filter that starts up gives none."""
     first = []
     for name in ATTITUDE:
         if name in model.output_names:
@@ -172,9 +171,9 @@ def _begin(model: Model, flight: Flight, z: Array, part: slice, notes: list[str]
 
 
 def attitude_jumps(flight: Flight) -> dict[int, str]:
-    """Rows at which phi, theta or psi step for good by more than JUMP beyond what the rates turn -> what stepped.
+    """Row -> sentence, of each lasting step of phi, theta or psi by more than JUMP in excess of the integrated rates.
 
-    A single wild value goes back at once and is no step. Needs p, q, r, phi and theta; none where they are missing.
+    A single wild value, after which the angle is back, is no step. Empty unless p, q, r, phi and theta are measured.
     """
     if not all(flight.measured(c) for c in ("p", "q", "r", "phi", "theta")):
         return {}
@@ -187,12 +186,6 @@ def attitude_jumps(flight: Flight) -> dict[int, str]:
             for row, size in _lasting_steps(flight.time[part], flight[name][part], rate[part]):
                 jumps.setdefault(row + part.start, []).append(f"{name} by {np.degrees(size):.0f} deg")
     return {row: f"attitude jumps ({', '.join(words)})" for row, words in jumps.items()}
-
-
-def attitude_rates(p: Array, q: Array, r: Array, phi: Array, theta: Array) -> dict[str, Array]:
-    """Rates of phi, theta, psi [rad/s] that body rates make."""
-    turn = q * np.sin(phi) + r * np.cos(phi)
-    return {"phi": p + np.tan(theta) * turn, "theta": q * np.cos(phi) - r * np.sin(phi), "psi": turn / np.cos(theta)}
 
 
 def _lasting_steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, float]]:
@@ -215,10 +208,10 @@ def _lasting_steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, fl
 
 
 def attitude_errors(flight: Flight) -> dict[str, float]:
-    """Slow error [rad] of each attitude that comes from a filter of the same gyro, 0 for one measured by itself.
+    """Slow error [rad] of each attitude that comes from a filter of the same gyro, 0 for one measured independently.
 
-    Less noise from sample to sample than the gyro gathers within one sample interval: only a filter that integrates that
-    very gyro does so. Its error is slow, whatever the neighbouring samples agree on.
+    An attitude with less noise from sample to sample than the gyro's noise integrates to in one sample interval can only come
+    from a filter that integrates that gyro. Its error is slow, however well neighbouring samples agree.
     """
     uncertainty = flight.provenance.detail.get("uncertainty", {})
     errors = {}
@@ -226,8 +219,8 @@ def attitude_errors(flight: Flight) -> dict[str, float]:
         errors[angle] = 0.0
         if flight.measured(angle) and flight.measured(rate):
             attitude_noise = noise_level(_known(_output(flight, angle)))
-            gathered = noise_level(_known(flight[rate])) * flight.sample_interval
-            if attitude_noise < gathered:
+            integrated_noise = noise_level(_known(flight[rate])) * flight.sample_interval
+            if attitude_noise < integrated_noise:
                 errors[angle] = float(uncertainty.get(angle, 0.0)) or ATTITUDE_ERROR[angle]
     return errors
 
@@ -252,13 +245,8 @@ def _known(values: Array) -> Array:
 
 
 def _output(flight: Flight, name: str) -> Array:
-    values = flight[name]
-    if name != "psi":
-        return values
-    finite = np.isfinite(values)
-    unwrapped = values.copy()
-    unwrapped[finite] = np.unwrap(values[finite])
-    return unwrapped
+    """A channel as it is compared: the heading unwrapped."""
+    return unwrapped(flight[name]) if name == "psi" else flight[name]
 
 
 CHECK = "left out"
@@ -267,7 +255,7 @@ CHECK = "left out"
 def compared_measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tuple[Finding, ...]]:
     """The flight as a check compares it, and what was left out of it.
 
-    Outputs are NaN where they only repeat themselves; inputs, which are integrated, run on straight lines there.
+    Repeated samples are NaN in outputs, and interpolated linearly in inputs, which are integrated.
     Raises DataError where time is in another unit.
     """
     inputs = repair_columns(flight, COLUMNS, keep_held=keep_held)
@@ -284,10 +272,9 @@ def compared_measurements(flight: Flight, *, keep_held: bool = False) -> tuple[F
 
 
 def _compared(conditioned: ConditionedFlight, name: str) -> tuple[Array, list[Finding]]:
-    values, conditioned_notes = conditioned.as_output(name)
-    return values, [
-        n for n in conditioned_notes if n.kind is not FindingKind.NOT_MEASURED
-    ]  # gaps of a channel are the quality report's
+    values, notes = conditioned.as_output(name)
+    # gaps of a channel are reported by the quality report
+    return values, [n for n in notes if n.kind is not FindingKind.NOT_MEASURED]
 
 
 def _not_compared(flight: Flight, name: str) -> Finding:

@@ -1,6 +1,6 @@
-"""Simulate a model over a prepared segment, with exact sensitivities; chooses the back end.
+"""Simulates a model over a prepared segment, with exact sensitivities, on one of two back ends (compiled or virtual machine).
 
-The only place that knows of both back ends, input transforms and output delays.
+Input transforms and output delays are applied here, so that a back end integrates nothing but the equations.
 """
 
 from collections.abc import Mapping
@@ -21,14 +21,16 @@ from estimation.signals.curves import half_way, inner_slopes
 from groundstation.flight import Flight
 
 Compile = Literal["auto", "never"]
-"""auto: by gcc wherever there is one, whatever is in the cache already, so that the same fit gives the same bits every time."""
-MOVED = 1e-3  # of a change of the inputs, over which their transforms are differenced
+"""auto: compiled by gcc wherever there is one, even where a first run must wait for it, so that a fit always gives the same
+bits."""
+CHANGE_FRACTION = 1e-3  # of a change of the inputs: step of the central difference through their transforms
+SLOPE_STEP = 1e-5  # of a derivative of the inputs: step of the central difference through the monotone cubic
 Hold = Literal["smooth", "linear", "hold"]
 """Inputs between samples: on a monotone cubic, on straight lines, or held. See `usual_hold`."""
 
 
 def usual_hold(model: Model) -> Hold:
-    """A monotone cubic where servos drive the model, straight lines otherwise.
+    """The way of the inputs between samples: a monotone cubic where servos drive the model, straight lines otherwise.
 
     A servo's edge is a curve; straight lines through its samples make roll derivatives up to 2 % large at 20 Hz.
     """
@@ -46,13 +48,15 @@ def _kernel(structure: ModelStructure, compile_: Compile) -> Kernel:
 
 
 def kernel_for(model: Model, compile_: Compile = "auto") -> Kernel:
-    """The back end for a model: compiled (0.6 s once a machine, then kept), or the virtual machine where there is no compiler."""
+    """The back end for a model: compiled (0.6 s once on each computer, then cached), or the virtual machine where there is no
+    compiler."""
     return _kernel(model.structure, compile_)
 
 
 @dataclass(frozen=True)
 class Simulator:
-    """A model bound to a back end. free: names of the parameters that get a sensitivity column, in that order."""
+    """A model bound to a back end. free: names of the parameters that get a sensitivity column, in that order. substeps:
+    integration steps between two samples."""
 
     model: Model
     free: tuple[str, ...]
@@ -70,7 +74,7 @@ class Simulator:
         substeps: int = 2,
         hold: Hold | None = None,
     ) -> "Simulator":
-        """hold: as `usual_hold` says unless given."""
+        """free: by default the free parameters of the model; hold: by default of `usual_hold`."""
         hold_used = hold or usual_hold(model)
         return cls(model, model.free_names if free is None else free, kernel_for(model, compile_), substeps, hold_used)
 
@@ -119,19 +123,19 @@ class Simulator:
             self._end(du),
         )
 
-    def _bent(self) -> list[tuple[int, str]]:
-        """Inputs whose way between samples has a parameter of its own: column and name of the parameter."""
+    def _bent_inputs(self) -> list[tuple[int, str]]:
+        """Column and parameter of each input with a transform `bend`, which shapes it between samples."""
         names = self.model.input_names
         return [(names.index(t.input), t.parameters[0]) for t in self.model.transforms if t.kind == "bend"]
 
     def _bends(self, u: Array, step: Array, values: Mapping[str, float]) -> Array:
-        """(N, nu) what a parameter of the way between samples adds half-way: the straight line plus its share of the step,
-        where there is one, in place of the usual way."""
+        """(N, nu) change of the inputs half-way between samples by transforms `bend`: the straight line plus the parameter times
+        the step replaces the usual value."""
         bends = np.zeros_like(u)
-        if not self._bent():
+        if not self._bent_inputs():
             return bends
         middle = self._middle(u, step)
-        for column, name in self._bent():
+        for column, name in self._bent_inputs():
             line = 0.5 * (u[:-1, column] + u[1:, column])
             bends[:-1, column] = line + values[name] * np.diff(u[:, column]) - middle[:-1, column]
         return bends
@@ -139,11 +143,11 @@ class Simulator:
     def _bend_slopes(self, u: Array, du: Array, step: Array, values: Mapping[str, float]) -> Array:
         """(N, nu, nt) derivatives of `_bends`."""
         slopes = np.zeros_like(du)
-        if not du.shape[2] or not self._bent():
+        if not du.shape[2] or not self._bent_inputs():
             return slopes
         middle = self._middle_slopes(u, du, step)
         names = self._transform_names()
-        for column, name in self._bent():
+        for column, name in self._bent_inputs():
             line = 0.5 * (du[:-1, column] + du[1:, column])
             slopes[:-1, column] = line + values[name] * np.diff(du[:, column], axis=0) - middle[:-1, column]
             if name in names:
@@ -153,7 +157,7 @@ class Simulator:
     def _transformed(
         self, segment: Segment, values: Mapping[str, float], sensitivities: bool, moved: Array | None = None
     ) -> tuple[Array, Array]:
-        """Inputs (N, nu) with their transforms, and their derivatives (N, nu, nt) where sensitivities are asked for."""
+        """Transformed inputs (N, nu), and their derivatives (N, nu, nt) by the transforms' parameters if `sensitivities`."""
         model, u = self.model, segment.u
         names = self._transform_names() if sensitivities else ()
         du = np.zeros((*u.shape, 0))
@@ -167,20 +171,20 @@ class Simulator:
         return u, du if changes is None else np.concatenate([du, changes], axis=2)
 
     def _moved(self, segment: Segment, values: Mapping[str, float], moved: Array) -> Array:
-        """Changes (N, nu, k) of the transformed inputs with small changes of the inputs themselves."""
+        """Changes (N, nu, k) of the transformed inputs for small changes `moved` (N, nu, k) of the inputs."""
         model, changes = self.model, moved.copy()
         transformed = {t.input for t in model.transforms}
         for k in range(moved.shape[2]):
             affected = {n for i, n in enumerate(model.input_names) if n in transformed and moved[:, i, k].any()}
             if not affected:
                 continue
-            concerned, columns = acting_on(affected, model.transforms, model.input_names)
-            inputs, values_in = tuple(model.input_names[c] for c in columns), segment.u[:, columns]
+            transforms, columns = acting_on(affected, model.transforms, model.input_names)
+            inputs, u = tuple(model.input_names[c] for c in columns), segment.u[:, columns]
             plus, minus = (
-                apply_transforms(concerned, inputs, segment.time, values_in + share * moved[:, columns, k], values)
-                for share in (MOVED, -MOVED)
+                apply_transforms(transforms, inputs, segment.time, u + share * moved[:, columns, k], values)
+                for share in (CHANGE_FRACTION, -CHANGE_FRACTION)
             )
-            changes[:, columns, k] = (plus - minus) / (2.0 * MOVED)
+            changes[:, columns, k] = (plus - minus) / (2.0 * CHANGE_FRACTION)
         return changes
 
     def _end(self, values: Array) -> Array:
@@ -199,12 +203,12 @@ class Simulator:
         return middle
 
     def _middle_slopes(self, u: Array, du: Array, step: Array) -> Array:
-        """Derivatives (N, nu, nt) of `_middle`, by central differences along du where it is no straight line."""
+        """Derivatives (N, nu, nt) of `_middle`: by central differences where it is the monotone cubic, which is not linear."""
         if not du.shape[2]:
             return du
         if self.hold != "smooth":
             return self._middle(du, step)
-        h = 1e-5
+        h = SLOPE_STEP
         ends = [(u + h * du[:, :, t], u - h * du[:, :, t]) for t in range(du.shape[2])]
         return np.stack(
             [(self._middle(plus, step) - self._middle(minus, step)) / (2 * h) for plus, minus in ends], axis=2
@@ -221,7 +225,7 @@ class Simulator:
         gain_free: Array | None = None,
         moved: Array | None = None,
     ) -> SegmentMotion:
-        """Motion of one segment from x0 (nx,); dy columns as `columns()` says where sensitivities are asked for."""
+        """Motion of one segment from x0 (nx,), with `sensitivities` also dy, whose columns are those of `columns`."""
         drive = self.drive(segment, values, sensitivities, moved)
         columns = self.columns(gain_free, 0 if moved is None else moved.shape[2]) if sensitivities else None
         x0 = np.ascontiguousarray(x0, float)
@@ -239,10 +243,10 @@ class Simulator:
         sensitivities: bool = False,
         moved: Array | None = None,
     ) -> SegmentMotion:
-        """Motion at every other sample, x, y and dy of those only, of a segment whose samples between them are the middles of the
-        intervals. The steps and the inputs are those of `run` on straight lines.
+        """Motion x, y, dy at the even samples of a segment whose odd samples are the middles of the intervals between them.
+        Steps and inputs are those of `run` with inputs on straight lines.
 
-        moved: (samples, nu, k) changes of the inputs, for which dy has the last k columns.
+        moved: (samples, nu, k) changes of the inputs; the last k columns of dy are derivatives along them.
         """
         if self.model.output_delays:  # interpolated between all samples
             motion = self.run(segment, values, x0, sensitivities=sensitivities, moved=moved)
@@ -288,7 +292,7 @@ class Simulator:
         return dy
 
     def _delayed(self, motion: SegmentMotion, time: Array, values: Mapping[str, float]) -> SegmentMotion:
-        """Outputs shown later than they happen: cubic interpolation between samples, values before the record held."""
+        """Delayed outputs: cubic interpolation between samples, the first value before the record."""
         y = motion.y.copy()
         dy = None if motion.dy is None else motion.dy.copy()
         for output, name in self.model.output_delays.items():
@@ -303,7 +307,8 @@ class Simulator:
 
 
 def _by_middles(values: Array) -> tuple[Array, Array, Array]:
-    """Values at the samples, half-way to the next one and there, of values (2N - 1, ...) with the middles between the samples."""
+    """Values at the samples, half-way to the next sample and at the next sample, from values (2N - 1, ...) at samples and
+    middles."""
     end = np.ascontiguousarray(np.concatenate([values[2::2], values[-1:]]))
     return np.ascontiguousarray(values[::2]), np.ascontiguousarray(np.concatenate([values[1::2], values[-1:]])), end
 
@@ -319,7 +324,7 @@ def _midpoints(u: Array, step: Array) -> Array:
 
 
 def _cubic(time: Array, times: Array) -> tuple[Array, np.ndarray, Array]:  # type: ignore[type-arg]
-    """Lagrange weights (N, 4), sample indices (N, 4) and weights of the derivative for values at `times` times."""
+    """Lagrange weights (N, 4), sample indices (N, 4) and weights of the derivative for values at `times`."""
     outside = (times < time[0]) | (times > time[-1])
     inside = np.clip(times, time[0], time[-1])
     first = np.clip(np.searchsorted(time, inside, side="right") - 2, 0, time.size - 4)

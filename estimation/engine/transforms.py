@@ -1,7 +1,7 @@
-"""Input transforms: what happens to a measured control between the sensor and the aerodynamics, by name.
+"""Input transforms: functions between a measured control and the input of the equations, such as a delay or backlash, by name.
 
-Each takes time (N,) s, the input (N,) and its parameter, and gives the input that the equations see, taken as straight
-between samples. Derivatives with respect to the parameters are central differences of the same numbers.
+Each takes time (N,) s, the input (N,) and its parameter, and returns the input of the equations (N,), which is linear between
+samples. Derivatives by the parameters are central differences.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -45,12 +45,12 @@ def _lag(time: Array, value: Array, seconds: float) -> Array:
 
 
 def _deadzone(time: Array, value: Array, half_width: float) -> Array:
-    """Nothing within +-half_width, shifted towards zero outside."""
+    """Dead zone: zero within +-half_width, shifted towards zero by as much outside."""
     return np.sign(value) * np.maximum(np.abs(value) - abs(half_width), 0.0)
 
 
 def _backlash(time: Array, value: Array, width: float) -> Array:
-    """Play operator: the surface follows only when the play of total `width` is taken up; starts centred."""
+    """Play operator: the output follows only after the input has crossed the total play `width`; it starts centred."""
     half = 0.5 * abs(width)
     return _clamped(value - half, value + half, float(value[0]))
 
@@ -69,10 +69,10 @@ def _rate_limit(time: Array, value: Array, slowness: float) -> Array:
 
 
 def _clamped(lower: Array, upper: Array, first: float) -> Array:
-    """(N,) x[k] = x[k-1] kept within lower[k] and upper[k], from `first`: all at once, by doubling.
+    """(N,) x[k] = x[k-1] limited to lower[k] .. upper[k], with x[-1] = `first`; all k at once, by doubling.
 
-    Keeping within two intervals, one after the other, is keeping within one, whose ends are those of the first kept within the
-    second.
+    Limiting to two intervals one after the other equals limiting to one interval, whose ends are those of the first limited to
+    the second.
     """
     low, high = lower.copy(), upper.copy()
     reach = 1
@@ -84,8 +84,8 @@ def _clamped(lower: Array, upper: Array, first: float) -> Array:
 
 
 def _bend(time: Array, value: Array, share: float) -> Array:
-    """Nothing at the samples: between them the input is `share` of the step beyond the straight line, half-way
-    (`engine.simulate`): above zero the way of a servo that lags behind an edge on the sampling clock."""
+    """The samples unchanged. Half-way between two samples the input differs from the straight line by `share` times the step
+    (`engine.simulate` applies it): a servo that lags behind an edge on the sampling clock has a share above zero."""
     return value
 
 
@@ -117,9 +117,9 @@ def apply_transforms(
     u: Array,
     values: Mapping[str, float],
 ) -> Array:
-    """Inputs (N, nu) as the equations see them.
+    """The transformed inputs (N, nu).
 
-    All delays of one input act as one, their sum: done one after the other, two opposite ones would blur its edges.
+    Several delays of one input are applied as one, their sum: applied one after the other, two opposite ones would blur edges.
     """
     u = u.copy()
     delays: dict[str, float] = {}
@@ -148,10 +148,10 @@ def transform_derivatives(
     result = np.zeros((*u.shape, len(names)))
     for j, name in enumerate(names):
         h = steps[name]
-        concerned, columns = acting_on({t.input for t in transforms if name in t.parameters}, transforms, input_names)
-        inputs, values_in = tuple(input_names[c] for c in columns), u[:, columns]
-        plus = apply_transforms(concerned, inputs, time, values_in, {**values, name: values[name] + h})
-        minus = apply_transforms(concerned, inputs, time, values_in, {**values, name: values[name] - h})
+        acting, columns = acting_on({t.input for t in transforms if name in t.parameters}, transforms, input_names)
+        inputs, u_acting = tuple(input_names[c] for c in columns), u[:, columns]
+        plus = apply_transforms(acting, inputs, time, u_acting, {**values, name: values[name] + h})
+        minus = apply_transforms(acting, inputs, time, u_acting, {**values, name: values[name] - h})
         result[:, columns, j] = (plus - minus) / (2 * h)
     return result
 
@@ -159,5 +159,5 @@ def transform_derivatives(
 def acting_on(
     inputs: Collection[str], transforms: tuple[InputTransform, ...], input_names: tuple[str, ...]
 ) -> tuple[tuple[InputTransform, ...], list[int]]:
-    """The transforms of some inputs, and the columns of those: no transform reaches from one input to another."""
+    """The transforms of some inputs, and the columns of these inputs (no transform acts from one input on another)."""
     return tuple(t for t in transforms if t.input in inputs), [i for i, n in enumerate(input_names) if n in inputs]

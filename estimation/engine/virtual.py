@@ -1,9 +1,8 @@
 """The back end that needs no compiler: the same scheme as `loop.c`, on CasADi's virtual machine.
 
 Variational Runge-Kutta written in MX around SX rates and Jacobians, mapped over samples by mapaccum, called through
-`Function.buffer()` (the ordinary call triples the cost). A built function serves any segment, which goes through it in
-blocks: short ones, because building one takes time in proportion to its length, and the last padded with steps of zero
-length.
+`Function.buffer()` (the ordinary call triples the cost). A built function serves segments of any length: they are processed in
+blocks, the last padded with steps of zero length. Blocks are short because the time to build one is proportional to its length.
 """
 
 from collections.abc import Iterator
@@ -17,8 +16,8 @@ from estimation.engine.kernel import Array, SegmentInputs, SegmentMotion, Sensit
 from estimation.engine.trace import Pattern, Traced, rk4, trace
 from estimation.models.parts import ModelStructure
 
-BLOCKS = (128, 16)
-LIMIT = 1e12
+BLOCKS = (128, 16)  # samples: long ones for speed, short ones to pad little
+LIMIT = 1e12  # of a state, beyond which the motion has diverged
 
 
 class VirtualKernel:
@@ -106,7 +105,7 @@ def _samples(drive: SegmentInputs, p: Array, transforms: int, gain: Array | None
 
 
 def _parts(count: int) -> Iterator[tuple[slice, int]]:
-    """(samples, length of the block) that cover `count` samples with little padding."""
+    """(samples, length of the block) of each block of `count` samples."""
     first = 0
     while first < count:
         remaining = count - first
@@ -116,6 +115,7 @@ def _parts(count: int) -> Iterator[tuple[slice, int]]:
 
 
 def _initial(nx: int, columns: SensitivityColumns | None) -> Array:
+    """(nx, n) sensitivities at the start: 1 for the initial states that have a column."""
     if columns is None:
         return np.zeros((nx, 0))
     s = np.zeros((nx, columns.count))
@@ -142,7 +142,7 @@ class _Stepper:
             self._buffer.set_res(i, memoryview(array))  # type: ignore[call-arg,arg-type]
 
     def advance(self, samples: list[Array], part: slice, state: Array, x: Array, y: Array, dy: Array) -> Array:
-        """Fill x, y, dy of one part; the state that the next part begins with."""
+        """Fill x, y, dy of one part; returns the state with which the next part begins."""
         size = part.stop - part.start
         self.state[:] = state
         for array, values in zip(self.inputs, samples, strict=True):
@@ -206,6 +206,7 @@ def _corrected(
     gain_columns: tuple[tuple[int, ...], ...],
     n: int,
 ) -> tuple[ca.MX, ca.MX]:
+    """State and sensitivities after the correction x + gain e; e: prediction error (ny,), zero where nothing is measured."""
     ny, nx = y.shape[0], x.shape[0]
     masked_gain = gain * ca.repmat(measured.T, nx, 1)
     x = x + ca.mtimes(masked_gain, e)
@@ -249,11 +250,12 @@ class _Variation:
         return ca.densify(ca.MX(sparsity, nonzeros[[i for _, _, i in entries]]))
 
     def _total(self, key: str, by_state: ca.MX, by_parameter: ca.MX, rows: int, s: ca.MX) -> ca.MX:
+        """Derivatives through the state and by the parameters themselves, (rows, n)."""
         nx = self.traced.sizes[0]
         return ca.mac(self._matrix(f"{key}_x", by_state, rows, nx), s, self._by_column(f"{key}_p", by_parameter, rows))
 
     def _through_inputs(self, key: str, by_input: ca.MX, rows: int, d: ca.MX) -> ca.MX:
-        """What the parameters of input transforms change by way of the inputs, (rows, n) dense."""
+        """Derivatives by the parameters of input transforms through the inputs, (rows, n) dense."""
         nu = self.traced.sizes[1]
         return ca.densify(ca.mtimes(ca.mtimes(self._matrix(f"{key}_u", by_input, rows, nu), d), self.place))
 

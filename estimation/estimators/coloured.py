@@ -4,10 +4,10 @@ V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 6.4
 34(1), 1997): with M the information matrix and S_i the sensitivities, Cov = M^-1 B M^-1 with
 B = sum_i sum_j S_i' R^-1 Rvv(i-j) R^-1 S_j. Two refinements, both needed for nominal coverage on 30 s flights:
 
-- Rvv comes from an autoregression through all outputs, because a lag window wide enough to be steady
-  flattens the Dutch-roll peak, where most of the information lies;
-- the residuals of a fit are smaller than the noise, most of all where the parameters act. How much smaller is found by
-  sending noise of the found spectrum through the same projection, and the spectrum is raised by that ratio.
+- Rvv comes from an autoregression of all outputs: a lag window with enough averaging flattens the Dutch-roll peak, where most of
+  the information lies;
+- the residuals of a fit are smaller than the noise, above all in the directions of the parameters. The ratio is found by
+  simulation: noise with the spectrum of the residuals is projected in the same way, and the spectrum is raised by the ratio.
 
 Spectra are of residuals in units of their standard deviation; time series are (N, ny).
 """
@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
-LONGEST_ORDER = 10
-DRAWS = 10
-ROUNDS = 2
-LARGEST_RAISE = 4.0  # of the spectrum, so that a direction fitted away entirely cannot run off
+LONGEST_ORDER = 10  # of the autoregression
+DRAWS = 10  # of noise for the ratio: each has the length of the record
+ROUNDS = 2  # of raising the spectrum
+LARGEST_RAISE = 4.0  # of the spectrum in one round, so that a direction that the fit absorbs entirely does not diverge
+NOISE_SEED = 20  # fixed, so that a fit always gives the same bounds
 
 
 @dataclass(frozen=True)
@@ -55,15 +56,14 @@ Belonging = TypeVar("Belonging")
 def with_something_known(
     pieces: list[ResidualSegment], belonging: list[Belonging]
 ) -> tuple[list[ResidualSegment], list[Belonging]]:
-    """The pieces without those of which nothing is left (short ones may have no output measured at all), and what belongs to
-    them."""
+    """The pieces with at least one sample (of a short one no output may be measured at all), and what belongs to each of them."""
     pairs = [(p, b) for p, b in zip(pieces, belonging, strict=True) if p.residual.size]
     return [p for p, _ in pairs], [b for _, b in pairs]
 
 
 def without_empty_rows(piece: ResidualSegment) -> ResidualSegment:
-    """The piece without samples at which nothing is known, as between those of a log that was brought to a faster grid: colour is
-    then seen over as long a time as on the log's own."""
+    """The piece without samples at which no output is known, as on a grid that is finer than the log's samples: the orders of the
+    autoregression then span as much time as on the log's own samples."""
     return ResidualSegment(
         piece.residual[piece.known.any(axis=1)],
         without_empty(piece, piece.jacobian),
@@ -91,8 +91,8 @@ def filtered_covariance(pieces: list[ResidualSegment], projected: list[Array], s
 
 
 def white_products(piece: ResidualSegment, columns: Array, inverse_spectrum: Spectrum) -> Array:
-    """(m, m) inner products of columns (N ny, m) in the metric in which noise of the spectrum is white, with what the piece's
-    initial states and sensitivities can make of them: order nuisance, jacobian, columns, residual."""
+    """(m, m) inner products of nuisance, jacobian, columns (N ny, m) and residual, in that order, in the metric in which noise of
+    the spectrum is white."""
     columns_of_all = np.concatenate([piece.nuisance, piece.jacobian, columns, piece.residual.reshape(-1, 1)], axis=1)
     return _quadratic(columns_of_all.reshape(piece.residual.shape[0], -1, columns_of_all.shape[1]), inverse_spectrum)
 
@@ -115,10 +115,10 @@ def noise_spectrum(
     nuisance_inverse: list[Array],
     known_lags: Array | None = None,
 ) -> Spectrum:
-    """Spectrum (size/2 + 1, ny, ny) of the noise of one flight, in units of R: colour as the residuals show it, raised
-    by what the fit took away. size: even, at least twice the longest piece.
+    """Spectrum (size/2 + 1, ny, ny) of the noise of one flight, in units of R: that of the residuals, raised by what the fit
+    absorbed. size: even, at least twice the longest piece.
 
-    known_lags: (lags, ny, ny) autocovariance that residuals have from a cause accounted for elsewhere: taken out."""
+    known_lags: (lags, ny, ny) autocovariance of the residuals by a cause accounted for elsewhere, which is subtracted."""
     size = _fast_length(2 * max(p.residual.shape[0] for p in pieces))
     lags = autocovariance([p.residual for p in pieces], [p.known for p in pieces])
     order = order_for(lags, sum(p.residual.shape[0] for p in pieces))
@@ -126,7 +126,7 @@ def noise_spectrum(
         lags = _without(lags, known_lags, order)
     observed = autoregressive_spectrum(lags, order, size)
     spectrum = observed
-    rng = np.random.default_rng(20)
+    rng = np.random.default_rng(NOISE_SEED)
     for _ in range(ROUNDS):
         after_fit = _after_fit(spectrum, pieces, projected, inverse, nuisance_inverse, order, size, rng)
         raise_by = np.real(np.einsum("fii->f", observed)) / np.real(np.einsum("fii->f", after_fit))
@@ -135,7 +135,7 @@ def noise_spectrum(
 
 
 def _fast_length(shortest: int) -> int:
-    """The smallest of 2^k, 3 2^k and 5 2^k from `shortest` on: what a Fourier transform likes."""
+    """The smallest of 2^k, 3 2^k and 5 2^k from `shortest` on: lengths with a fast Fourier transform."""
     return min(a << max(1, int(np.ceil(np.log2(shortest / a)))) for a in (1, 3, 5))
 
 
@@ -159,8 +159,8 @@ def autocovariance(series: list[Array], known: list[NDArray[np.bool_]], lags: in
 
 
 def _without(lags: Array, known_lags: Array, order: int) -> Array:
-    """`lags` less those of a known cause, or less as great a part of them as leaves every direction half its smallest
-    share: the known part is an expectation, and a record can have less of it."""
+    """`lags` minus those of a known cause, scaled down where the difference would not be positive definite: every direction
+    retains at least half the smallest eigenvalue. The known part is an expectation, of which a record can have less."""
     total, part = _toeplitz(lags, order), _toeplitz(known_lags, order)
     smallest = float(np.linalg.eigvalsh(total)[0])
     if smallest <= 0.0:
@@ -172,8 +172,8 @@ def _without(lags: Array, known_lags: Array, order: int) -> Array:
 
 
 def order_for(lags: Array, samples: int) -> int:
-    """The longest order that the data supports. Information criteria choose far too short here: colour that hides under
-    white noise still dominates the estimates, and the ratio of `_after_fit` takes care of an order too long."""
+    """The longest order that the data supports. Information criteria choose one far too short: colour below the level of white
+    noise still dominates the estimates. The ratio of `_after_fit` corrects for an order that is too long."""
     ny = lags.shape[1]
     return int(min(lags.shape[0] - 1, samples // (6 * ny)))
 
@@ -202,10 +202,10 @@ def autoregressive_spectrum(lags: Array, order: int, size: int) -> Spectrum:
     """(size/2 + 1, ny, ny) spectral density matrix on the Fourier frequencies of `size`, covariance = its mean."""
     ny = lags.shape[1]
     coefficients, innovation = _autoregression(lags, order)
-    turn = np.exp(-2j * np.pi * np.arange(size // 2 + 1) / size)
-    a = np.broadcast_to(np.eye(ny, dtype=complex), (turn.size, ny, ny)).copy()
+    delay = np.exp(-2j * np.pi * np.arange(size // 2 + 1) / size)  # of one sample, at each frequency
+    a = np.broadcast_to(np.eye(ny, dtype=complex), (delay.size, ny, ny)).copy()
     for k in range(order):
-        a -= coefficients[None, :, k * ny : (k + 1) * ny] * (turn ** (k + 1))[:, None, None]
+        a -= coefficients[None, :, k * ny : (k + 1) * ny] * (delay ** (k + 1))[:, None, None]
     inverse = np.linalg.inv(a)
     return np.asarray(inverse @ innovation @ inverse.conj().transpose(0, 2, 1))
 
@@ -220,7 +220,7 @@ def _after_fit(
     size: int,
     rng: np.random.Generator,
 ) -> Spectrum:
-    """Spectrum that the residuals of a fit would show if the noise had `spectrum`."""
+    """Spectrum of the residuals of a fit to noise with `spectrum`, by simulation."""
     ny = spectrum.shape[1]
     root = square_root(spectrum)
     residuals: list[Array] = []
@@ -247,9 +247,9 @@ def coloured_noise(root: Spectrum, count: int, draws: int, rng: np.random.Genera
     frequencies, ny = root.shape[:2]
     size = 2 * (frequencies - 1)
     white = rng.standard_normal((2, frequencies, ny, draws))
-    kick = (white[0] + 1j * white[1]) / np.sqrt(2.0)
-    kick[0], kick[-1] = white[0, 0], white[0, -1]
-    return np.asarray(np.fft.irfft(root @ kick, size, axis=0)[:count] * np.sqrt(size))
+    excitation = (white[0] + 1j * white[1]) / np.sqrt(2.0)
+    excitation[0], excitation[-1] = white[0, 0], white[0, -1]
+    return np.asarray(np.fft.irfft(root @ excitation, size, axis=0)[:count] * np.sqrt(size))
 
 
 def _quadratic(jacobian: Array, spectrum: Spectrum) -> Array:
@@ -257,8 +257,8 @@ def _quadratic(jacobian: Array, spectrum: Spectrum) -> Array:
     n = jacobian.shape[2]
     size = 2 * (spectrum.shape[0] - 1)
     transformed = np.fft.rfft(jacobian, size, axis=0)
-    part = np.full(spectrum.shape[0], 2.0)
-    part[0] = part[-1] = 1.0
-    weighted = (transformed.conj() * part[:, None, None]).reshape(-1, n)
+    multiplicity = np.full(spectrum.shape[0], 2.0)  # of each frequency in the two-sided sum
+    multiplicity[0] = multiplicity[-1] = 1.0
+    weighted = (transformed.conj() * multiplicity[:, None, None]).reshape(-1, n)
     total = np.real(weighted.T @ (spectrum @ transformed).reshape(-1, n)) / size
     return np.asarray(0.5 * (total + total.T))

@@ -1,12 +1,12 @@
 """Equation error: parameters by least squares at the measured states, no simulation (`ls`).
 
 The increments of the measured (smoothed) states over each interval are compared with the mean of the model's rates at
-both ends, and the measured outputs with the model's at each sample; where parameters enter linearly this is one least-squares
-solution. Any model whose states are all measured can be treated so, from its text alone. `stepwise` chooses among
-the parameters by partial F ratios (V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 5.4).
+both ends, and the measured outputs with the model's at each sample. Where the parameters enter linearly this is one least-squares
+solution. It works for any model whose states are all measured. `stepwise` chooses among the parameters by partial F ratios
+(V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 5.4).
 
-Known error: at 20 Hz a roll mode of 20 rad/s lies near the sampling rate, and increments of measured
-rates are flattened by smoothing; the roll derivatives come out some 10 % off. It is a start value and a second opinion.
+Known error: at 20 Hz a roll mode of 20 rad/s is near the sampling rate, and smoothing flattens the increments of measured rates;
+the roll derivatives are some 10 % off. The estimates serve as start values and for comparison.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,12 +33,13 @@ Index = NDArray[np.intp]
 
 ROUNDS = 2  # of relinearisation (for parameters that enter nonlinearly) and reweighting
 F_IN = 25.0  # partial F ratio above which a term enters (residuals at 20 Hz are coloured: the nominal 4 is too low)
-F_OUT = 20.0
+F_OUT = 20.0  # below which it leaves; less than F_IN, so that no term enters and leaves in turn
+WEIGHT_ROUNDS = 3  # of weighting each equation by its misfit
 
 
 @dataclass
 class Regression:
-    """Regressors of one segment: e (N, m) misfit of the m equations, A (N, m, n) derivatives by free parameter."""
+    """The m equations of one segment: e (N, m) misfit at the present parameters, A (N, m, n) derivatives by free parameter."""
 
     e: Array
     A: Array
@@ -78,8 +79,8 @@ def start_values(simulator: Simulator, flights: Sequence[FlightData]) -> dict[st
 def equation_error(model: Model | str, flights: FlightsToFit, *, stepwise: bool = False) -> Result:
     """Estimates by equation error with bounds, over one flight or several together.
 
-    stepwise: choose the parameters by partial F; the rest stay at zero and say so. Raises DataError where a state of
-    the model is not measured.
+    stepwise: choose the parameters by partial F; the others stay at zero. Raises DataError where a state of the model is not
+    measured.
     """
     loaded = load_model(model)
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, FOR_REGRESSION))
@@ -135,21 +136,23 @@ def _piece(regression: Regression, weights: Array) -> ResidualSegment:
 
 
 def stepwise_choice(regressions: list[Regression]) -> Index:
-    """Indices of the parameters that a backward-forward selection by partial F keeps.
+    """Indices of the parameters that a backward-forward selection by partial F chooses.
 
-    It begins with all of them: terms that only explain the motion together (roll damping and dihedral) would never be
-    found one by one.
+    It begins with all of them: a forward selection would never find terms that explain the motion only together (roll damping
+    and dihedral).
     """
     A, e = _stacked(regressions)
     _, weight = _solve(regressions, np.arange(A.shape[2]))
     flat, z = (A * weight[None, :, None]).reshape(-1, A.shape[2]), (e * weight).ravel()
     gram, moment, energy = flat.T @ flat, flat.T @ z, float(z @ z)
-    everything = [j for j in range(gram.shape[0]) if gram[j, j] > 0]
-    active = list(everything)
-    for _ in range(4 * len(everything)):
-        full = _rest(gram, moment, energy, active)
+    candidates = [j for j in range(gram.shape[0]) if gram[j, j] > 0]
+    active = list(candidates)
+    for _ in range(4 * len(candidates)):
+        full = _residual_energy(gram, moment, energy, active)
         losses = {
-            j: _partial_f(_rest(gram, moment, energy, [i for i in active if i != j]), full, z.size - len(active))
+            j: _partial_f(
+                _residual_energy(gram, moment, energy, [i for i in active if i != j]), full, z.size - len(active)
+            )
             for j in active
         }
         weakest = min(losses, key=lambda j: losses[j], default=None)
@@ -157,8 +160,8 @@ def stepwise_choice(regressions: list[Regression]) -> Index:
             active.remove(weakest)
             continue
         gains = {
-            j: _partial_f(full, _rest(gram, moment, energy, [*active, j]), z.size - len(active) - 1)
-            for j in everything
+            j: _partial_f(full, _residual_energy(gram, moment, energy, [*active, j]), z.size - len(active) - 1)
+            for j in candidates
             if j not in active
         }
         strongest = max(gains, key=lambda j: gains[j], default=None)
@@ -168,7 +171,8 @@ def stepwise_choice(regressions: list[Regression]) -> Index:
     return np.array(sorted(active), int)
 
 
-def _rest(gram: Array, moment: Array, energy: float, columns: Sequence[int]) -> float:
+def _residual_energy(gram: Array, moment: Array, energy: float, columns: Sequence[int]) -> float:
+    """Sum of squares that a regression on some columns leaves of `energy`."""
     if not len(columns):
         return energy
     pick = np.array(columns, int)
@@ -196,8 +200,8 @@ def _regressions(simulator: Simulator, flights: Sequence[FlightData], values: Ma
 
 
 def _repeats(model: Model, flights: Sequence[FlightData]) -> Array:
-    """(m,) of how many samples of each equation one was measured, for a state that is logged more slowly than the flight samples:
-    increments between two of its own samples say the same over again. 1 for outputs, which are compared at their own samples."""
+    """(m,) samples of the flight per measured sample of each equation's state: of a state that is logged more slowly, several
+    increments in a row repeat the same information. 1 for outputs, which are compared at their own samples only."""
     z = np.concatenate([s.z for f in flights for s in f.segments])
     measured_share = np.isfinite(z).mean(axis=0)
     outputs = {s.source: measured_share[j] for j, s in enumerate(model.outputs)}
@@ -206,7 +210,7 @@ def _repeats(model: Model, flights: Sequence[FlightData]) -> Array:
 
 
 def _means(values: Array) -> Array:
-    """Mean of each sample and the next: what belongs to the increment over the interval (NaN after the last)."""
+    """Mean over the interval from each sample to the next (NaN after the last)."""
     result = np.full_like(values, np.nan)
     result[:-1] = 0.5 * (values[:-1] + values[1:])
     return result
@@ -224,7 +228,7 @@ def _solve(regressions: list[Regression], active: Index) -> tuple[Array, Array]:
     A, e = _stacked(regressions)
     weight = np.ones(e.shape[1])
     change = np.zeros(A.shape[2])
-    for _ in range(3):
+    for _ in range(WEIGHT_ROUNDS):
         flat = (A[:, :, active] * weight[None, :, None]).reshape(-1, len(active))
         change[active] = pseudo_inverse(flat.T @ flat)[0] @ (flat.T @ (e * weight).ravel())
         misfit = e - A @ change

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq.utilities.constants import NORMAL_95
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import GOOD, TransferFunction
 from estimation.report.drawing.figures import ABOVE, Picture, picture, save_figure, styled
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DATA, FIT, OUT = "#0072B2", "#D55E00", "#9aa3ad"
-SURE = 1.96  # standard deviations of the band
 SPLIT = 1.35  # ratio of neighbouring frequencies from which points between them were left out
 
 
@@ -32,11 +32,11 @@ def draw(response: FrequencyResponse, fit: TransferFunction | None = None) -> "F
 def draw_on(axes: Any, response: FrequencyResponse, fit: TransferFunction | None = None) -> None:
     """Magnitude, phase and coherence on three axes."""
     omega = response.omega
-    relative = SURE * response.std / response.magnitude
+    relative = NORMAL_95 * response.std / response.magnitude
     decibels, degrees = 20 * np.log10(response.magnitude), np.degrees(response.phase)
     upper_error, lower_error = 20 * np.log10(1 + relative), 20 * np.log10(np.maximum(1 - relative, 0.1))
     _banded(axes[0], omega, decibels, decibels + lower_error, decibels + upper_error)
-    wide = SURE * np.degrees(response.std_phase)
+    wide = NORMAL_95 * np.degrees(response.std_phase)
     _banded(axes[1], omega, degrees, degrees - wide, degrees + wide)
     if fit is not None:
         _fit(axes, response, fit)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.signal import czt
 from scipy.special import stdtrit
 
+from daq.utilities.constants import NORMAL_95
 from estimation.frequency.records import DetrendedStretch
 from estimation.signals.curves import Complex
 from groundstation.flight import Array
@@ -31,7 +32,6 @@ from groundstation.flight import Array
 OVERLAP = 0.8  # of a window, as CIFER takes (Tischler and Remple, chapter 7)
 MOST_WINDOWS = 1000  # of one length: beyond, they are spread wider, down to half overlap and less
 FEWEST_FREEDOM = 3.0  # complex degrees of freedom that an error can be told from
-NORMAL = 1.96  # of a normal distribution's 95 %
 
 
 @dataclass(frozen=True)
@@ -166,5 +166,5 @@ def _solved(X: Complex, Y: Complex, R: Array, length: float) -> WindowResponse |
     variance = rest / residual_freedom * (PR @ inverse)[:, 0, 0].real
     explained = np.abs(H[:, 0]) ** 2 / inverse[:, 0, 0].real
     first = size[:, 0, 0]
-    std = np.sqrt(0.5 * variance) * stdtrit(2 * freedom, 0.975) / NORMAL
+    std = np.sqrt(0.5 * variance) * stdtrit(2 * freedom, 0.975) / NORMAL_95
     return WindowResponse(length, H[:, 0] / first, std / first, explained / (explained + rest), freedom, first**2)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.utilities.constants import GRAVITY
+from daq.utilities.constants import GRAVITY, NORMAL_95
 from estimation.aircraft import Aircraft
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 OFFSET = math.radians(0.3)  # standard deviation of what an aligned vane and accelerometer are off by together
 SURE = 2.0  # bounds from zero below which a coefficient is not known
-BOUNDS = 1.96  # standard deviations: 95 %
 POINTS = 13  # of the curve
 EDGES = (0.02, 0.98)  # quantiles of the lift flown between which the curve stands
 
@@ -41,9 +40,9 @@ class Bounded:
     def ends(self) -> tuple[float, float]:
         """Bounds that hold the truth in 95 %; of what is above zero by its logarithm, where it is known to be."""
         if self.estimate > SURE * self.std:
-            factor = math.exp(BOUNDS * self.std / self.estimate)
+            factor = math.exp(NORMAL_95 * self.std / self.estimate)
             return self.estimate / factor, self.estimate * factor
-        return self.estimate - BOUNDS * self.std, self.estimate + BOUNDS * self.std
+        return self.estimate - NORMAL_95 * self.std, self.estimate + NORMAL_95 * self.std
 
 
 @dataclass(frozen=True)
@@ -184,7 +183,7 @@ def draw_performance(flights: Sequence[Usable], polar: Polar, curve: Sequence[Po
     lift = np.linspace(*polar.lift, 60)
     drag = polar.values[0] + polar.values[1] * lift**2
     rows = np.column_stack([np.ones(60), lift**2])
-    band = BOUNDS * np.sqrt(np.einsum("ij,jk,ik->i", rows, polar.covariance[:2, :2], rows))
+    band = NORMAL_95 * np.sqrt(np.einsum("ij,jk,ik->i", rows, polar.covariance[:2, :2], rows))
     axes[0].fill_betweenx(lift, drag - band, drag + band, color=COLOUR, alpha=0.3, linewidth=0)
     axes[0].plot(drag, lift, color=COLOUR, label="polar")
     axes[0].set_xlabel("CD")
@@ -197,7 +196,7 @@ def draw_performance(flights: Sequence[Usable], polar: Polar, curve: Sequence[Po
 
 
 def _banded(ax: Any, speed: Sequence[float], values: Sequence[Bounded]) -> None:
-    middle, band = np.array([v.estimate for v in values]), BOUNDS * np.array([v.std for v in values])
+    middle, band = np.array([v.estimate for v in values]), NORMAL_95 * np.array([v.std for v in values])
     ax.fill_between(speed, middle - band, middle + band, color=COLOUR, alpha=0.3, linewidth=0)
     ax.plot(speed, middle, color=COLOUR)
 

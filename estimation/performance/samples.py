@@ -17,6 +17,7 @@ from estimation.prepare.columns import bridge_gaps, with_derived
 from estimation.prepare.measured_mass import mass_history
 from estimation.signals.denoise import denoise, noise_level
 from groundstation.flight import Flight
+from groundstation.flight.arrays import true_runs
 
 NEEDED = ("V", "alpha", "ax", "az", "rho")
 CLOSED = 0.02  # of the throttle's range: dead band of a stick and rounding of PWM
@@ -118,8 +119,7 @@ def _closed(time: Array, throttle: Array) -> NDArray[np.bool_]:
 
 def _runs(usable: NDArray[np.bool_], start: int, stop: int) -> list[slice]:
     """Stretches of enough samples in a row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[start:stop], [False]]).astype(int)))
-    return [slice(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2) if b - a >= LEAST]
+    return [slice(a, b) for a, b in true_runs(usable, [slice(start, stop)]) if b - a >= LEAST]
 
 
 def _stretch(

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from daq.utilities.constants import NORMAL_95
 from estimation.models.base import ParameterRole
 from estimation.report import published
 from estimation.report.advice import grouped, untold_parameters
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from estimation.session.verdict import Verdict
 
 WIDTH = 78  # columns of the printed answer: a terminal of 80
-TWO_SIDED_95 = 1.96  # bounds from the estimate to either end of its 95 % interval
 FLY_NEXT = 3  # manoeuvres named on the first screen: the table of all is below it
 SIMPLIFIED = "lateral-simple"
 WHOLE_KINEMATICS = (
@@ -191,7 +191,7 @@ def answer_lines(session: "EstimationSession") -> Iterator[str]:
             yield f"{row.name:<12}{CANNOT_TELL:>22}{'':22}{others}".rstrip()
             continue
         value, bound = rounded(row.value, row.bound)
-        low, high = (rounded(row.value + side * TWO_SIDED_95 * row.bound, row.bound)[0] for side in (-1, 1))
+        low, high = (rounded(row.value + side * NORMAL_95 * row.bound, row.bound)[0] for side in (-1, 1))
         yield f"{row.name:<12}{value:>11}{bound:>11}{low:>11}{high:>11}{others}".rstrip()
     yield "-" * WIDTH
     yield from (f"next: {step}" for step in next_steps(session, answer))

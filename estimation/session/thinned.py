@@ -1,9 +1,9 @@
-"""Long records at high rates, thinned to what the model's motion needs.
+"""Decimation of long records at high rates to the rate that the model's motion needs.
 
-A rigid body moves by a few Hz; a record of 200 Hz or 1 kHz says the same of it many times over. Where a flight has more than
-LONG samples, all its columns go through one linear-phase low pass and every n-th sample is taken: a linear motion driven by
-filtered inputs is the filtered motion, so that the filter is no part of the model, and nothing folds back from above the new
-rate. The rate is chosen by the fastest mode of the model with the derivatives that a regression finds in the liveliest part.
+A rigid body moves with a few Hz, and a record of 200 Hz or 1 kHz is redundant. A flight with more than LONG samples is passed
+through one linear-phase low pass, every column alike, and every n-th sample is taken. A linear system driven by filtered inputs
+gives the filtered outputs, so that the model needs no filter; and no frequency above the new rate is aliased. The new rate is
+chosen by the fastest mode of the model, with derivatives from a regression on the part in which the controls move most.
 """
 
 from collections.abc import Sequence
@@ -24,20 +24,20 @@ from groundstation.flight.arrays import Mask
 from groundstation.flight.findings import Finding, FindingKind
 
 LONG = 20_000  # samples of a flight up to which it is fitted as it is: 100 s at 200 Hz, a quarter of an hour at 20 Hz
-SLOWEST = 50.0  # Hz that are left at least: edges of surfaces and gusts, whatever the modes are
-EACH_TIME_CONSTANT = 2.0  # samples in the time constant of the fastest mode: the filter then passes five times its rate
-UNKNOWN = 100.0  # Hz where no regression tells the modes
-LOOKED_AT = 3_000  # samples of the liveliest part
-TAPS = 10  # of the filter on either side, times the factor of thinning
+LOWEST_RATE = 50.0  # Hz: edges of surfaces and gusts need it, whatever the modes are
+SAMPLES_PER_TIME_CONSTANT = 2.0  # of the fastest mode: the filter then passes five times its rate
+RATE_WITHOUT_MODES = 100.0  # Hz, where the regression gives no modes
+REGRESSION_SAMPLES = 3_000  # of the part for the regression, at RATE_WITHOUT_MODES: half a minute
+TAPS = 10  # of the filter on either side, times the factor of decimation
 CORNER = 0.8  # of half the new rate
 
 
 def thinned(model: Model, flights: Sequence[Flight], *, keep_held: bool = False) -> Sequence[Flight]:
-    """The flights as a fit needs them: long ones at a rate that the model's fastest mode asks for, which is said in a note."""
+    """The flights with the long ones decimated to the rate that the model's fastest mode needs; a note on the flight says so."""
     if all(len(f) <= LONG for f in flights):
         return flights
     fastest = _fastest_mode(model, max(flights, key=len))
-    rate = UNKNOWN if fastest is None else max(SLOWEST, EACH_TIME_CONSTANT * fastest)
+    rate = RATE_WITHOUT_MODES if fastest is None else max(LOWEST_RATE, SAMPLES_PER_TIME_CONSTANT * fastest)
     return [_thinned(model, f, rate, fastest, keep_held) if len(f) > LONG else f for f in flights]
 
 
@@ -59,13 +59,13 @@ def _columns(model: Model) -> list[str]:
     return [*(s.source for s in (*model.inputs, *model.outputs, *model.states)), *starts]
 
 
-def low_passed(flight: Flight, factor: int, looked_at: Sequence[str], *, keep_held: bool = False) -> Flight:
+def low_passed(flight: Flight, factor: int, conditioned_columns: Sequence[str], *, keep_held: bool = False) -> Flight:
     """The flight at every `factor`-th sample of each segment, low-passed.
 
-    looked_at: columns whose wild, repeated and stuck values are taken out before. A sample is measured where one of the
-    samples it stands for is; commands that hold between their records are taken as they are.
+    conditioned_columns: columns whose wild, repeated and stuck values are removed before. A sample counts as measured where at
+    least one of the samples that it replaces is; commands that hold between their records are not filtered.
     """
-    conditioned = condition_columns(flight, looked_at, keep_held=keep_held)
+    conditioned = condition_columns(flight, conditioned_columns, keep_held=keep_held)
     notes = list(conditioned.notes)
     rows = np.concatenate([np.arange(s.start, s.stop, factor) for s in flight.segments])
     selected = np.zeros(len(flight), bool)
@@ -74,7 +74,7 @@ def low_passed(flight: Flight, factor: int, looked_at: Sequence[str], *, keep_he
     for name in (n for n in flight.columns if flight.measured(n) and flight.held(n) is None):
         values = conditioned.flight[name]
         measured = np.isfinite(values)
-        if name in looked_at:
+        if name in conditioned_columns:
             measured = conditioned.fresh(name) & ~conditioned.stuck(name)
             notes += conditioned.slow_notes(name, "filtered on straight lines between new values")
             notes += conditioned.stuck_notes(name, "left out there")
@@ -84,7 +84,7 @@ def low_passed(flight: Flight, factor: int, looked_at: Sequence[str], *, keep_he
 
 
 def _filtered(flight: Flight, values: Array, measured: Mask, factor: int) -> Array:
-    """(N,) values behind the low pass, NaN where none of the samples about one is measured."""
+    """(N,) low-passed values, NaN where none of the samples around one is measured."""
     reach = TAPS * factor
     kernel = np.sinc(CORNER / factor * np.arange(-reach, reach + 1)) * np.hamming(2 * reach + 1)
     kernel /= kernel.sum()
@@ -108,19 +108,19 @@ def _filtered(flight: Flight, values: Array, measured: Mask, factor: int) -> Arr
 
 
 def _convolved(values: Array, kernel: Array) -> Array:
-    """Where the kernel (M,) lies wholly on the values (N,): (N - M + 1,), by Fourier transforms. Written out: scipy.signal takes
-    longer to load than ten minutes take to filter."""
+    """(N - M + 1,) convolution of values (N,) with a kernel (M,) where they overlap completely, by Fourier transforms. Not by
+    scipy.signal, which takes longer to import than ten minutes of flight take to filter."""
     size = 1 << int(values.size - 1).bit_length()
     product = np.fft.rfft(values, size) * np.fft.rfft(kernel, size)
     return np.asarray(np.fft.irfft(product, size)[kernel.size - 1 : values.size])
 
 
 def _fastest_mode(model: Model, flight: Flight) -> float | None:
-    """Largest eigenvalue [rad/s] of the motion about what was flown; None where no regression tells it."""
+    """Largest eigenvalue [rad/s] of the motion linearised about the flown mean; None where the regression fails."""
     from estimation.estimators.frequency_domain.transformed import state_matrices  # with scipy
 
-    factor = max(1, int(1.0 / flight.sample_interval / UNKNOWN))
-    part = _liveliest(model, flight, LOOKED_AT * factor)
+    factor = max(1, int(1.0 / flight.sample_interval / RATE_WITHOUT_MODES))
+    part = _most_excited(model, flight, REGRESSION_SAMPLES * factor)
     try:
         with numerical_failures():
             thin = low_passed(part, factor, _columns(model)) if factor > 1 else part
@@ -128,15 +128,17 @@ def _fastest_mode(model: Model, flight: Flight) -> float | None:
             values = {**model.starts(), **equation_error(slim, data).values}
             states = np.concatenate([data[0].states[s.rows] for s in data[0].segments])
             inputs = np.concatenate([s.u for s in data[0].segments])
-            at = np.nan_to_num(np.nanmean(states, axis=0)), np.nan_to_num(np.nanmean(inputs, axis=0))
-            A = state_matrices(trace(slim.structure), *at, Simulator.build(slim, compile_="never").vector(values))[0]
+            mean_state = np.nan_to_num(np.nanmean(states, axis=0))
+            mean_inputs = np.nan_to_num(np.nanmean(inputs, axis=0))
+            parameters = Simulator.build(slim, compile_="never").vector(values)
+            A, _ = state_matrices(trace(slim.structure), mean_state, mean_inputs, parameters)
             fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
     except (UserError, NumericalFailure):
         return None
     return fastest if np.isfinite(fastest) else None
 
 
-def _liveliest(model: Model, flight: Flight, count: int) -> Flight:
+def _most_excited(model: Model, flight: Flight, count: int) -> Flight:
     """The stretch of `count` samples in which the controls move most."""
     controls = [s.source for s in model.inputs if s.control and flight.measured(s.source)]
     if len(flight) <= count or not controls:

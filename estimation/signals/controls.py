@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.signals.denoise import denoise_many
+from groundstation.flight.arrays import true_runs
 
 Array = NDArray[np.float64]
 FEWEST = 100  # differences that tell a level to a tenth
@@ -144,10 +145,8 @@ def with_feedback(
 
 def _stretches(piece: ControlStretch, noise: float) -> Iterator[tuple[Array, Array]]:
     """Control (n,) and regressors (n, 2 motions) of each stretch between steps, less their straight lines."""
-    step_mask = np.concatenate([[True], near_steps(piece.smooth, noise, STEP, AROUND), [True]])
     x = piece.regressors()
-    edges = np.flatnonzero(np.diff(step_mask.astype(int)))
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
+    for a, b in true_runs(~near_steps(piece.smooth, noise, STEP, AROUND)):
         if b - a < SHORTEST:
             continue
         ends = np.linspace(a, b, max(1, round((b - a) / STRETCH)) + 1).round().astype(int)

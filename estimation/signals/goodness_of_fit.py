@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.utilities.constants import NORMAL_95
 from estimation.signals.denoise import noise_level
 
 Array = NDArray[np.float64]
@@ -100,7 +101,7 @@ def whiteness(residual: Array) -> float:
     count = residual.size
     lags = max(1, count // 4)
     r = autocorrelation(residual, min(lags, count - 1))[1:]
-    return float(np.mean(np.abs(r) <= 1.96 / np.sqrt(count))) if r.size else float("nan")
+    return float(np.mean(np.abs(r) <= NORMAL_95 / np.sqrt(count))) if r.size else float("nan")
 
 
 def to_json(fit: Mapping[str, ChannelFit]) -> dict[str, Any]:

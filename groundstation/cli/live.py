@@ -13,6 +13,7 @@ import click
 from daq.utilities.errors import UserError
 from daq.utilities.options import aircraft_option, json_option, model_option, path_option
 from daq.utilities.outputs import tried_folder
+from daq.utilities.utc_stamps import name_stamp
 from groundstation.cli.view import LAYOUT, VIEW, VIEW_HELP, terminated_is_interrupt
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iter
 
     dated = out is None and settings.output.dated
     base = settings.output.directory
-    folder_name = out or (base / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()) if dated else base)
+    folder_name = out or (base / name_stamp(time.time()) if dated else base)
     old = sorted([*folder_name.glob("*.tlog"), *folder_name.glob("*.journal")]) if replayed else []
     if old:
         raise GroundConfigError(

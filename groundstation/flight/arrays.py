@@ -1,4 +1,4 @@
-"""Sampled arrays: runs of True, integrals, and how one signal follows another where slow errors are straight lines."""
+"""Sampled arrays: runs of True, unwrapped angles, integrals, and how one signal follows another but for a straight line."""
 
 from collections.abc import Iterable, Iterator
 
@@ -45,8 +45,16 @@ def longest_run(mask: Mask) -> int:
 
 
 def integral(time: Array, rate: Array) -> Array:
-    """Running integral by the trapezoidal rule, from 0."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+    """Running integral of a rate (N,), or of the columns of one (N, m), by the trapezoidal rule, from 0."""
+    steps = np.diff(time).reshape(-1, *[1] * (rate.ndim - 1))
+    return np.concatenate([np.zeros((1, *rate.shape[1:])), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps, axis=0)])
+
+
+def unwrapped(angle: Array) -> Array:
+    """An angle (N,) [rad] without jumps of a whole turn between its finite samples; NaN stays."""
+    result, finite = angle.copy(), np.isfinite(angle)
+    result[finite] = np.unwrap(angle[finite])
+    return result
 
 
 def windows(time: Array, *signals: Array) -> Iterator[tuple[Array, ...]]:

@@ -17,14 +17,19 @@ class ByName(Protocol):
 GYROS = {"phi": "p", "theta": "q", "psi": "r"}  # angle of attitude -> the gyro that turns it most
 
 
+def _rate_about_vertical(c: ByName) -> Array:
+    """Rate [rad/s] about the z axis that yaw and pitch leave, before roll."""
+    return c["q"] * np.sin(c["phi"]) + c["r"] * np.cos(c["phi"])
+
+
 def heading_rate(c: ByName) -> Array:
     """Rate of psi [rad/s] from q, r, phi, theta."""
-    return np.asarray((c["q"] * np.sin(c["phi"]) + c["r"] * np.cos(c["phi"])) / np.cos(c["theta"]))
+    return np.asarray(_rate_about_vertical(c) / np.cos(c["theta"]))
 
 
 def roll_rate(c: ByName) -> Array:
     """Rate of phi [rad/s] from p, q, r, phi, theta."""
-    return np.asarray(c["p"] + np.sin(c["theta"]) * heading_rate(c))
+    return np.asarray(c["p"] + np.tan(c["theta"]) * _rate_about_vertical(c))
 
 
 def pitch_rate(c: ByName) -> Array:
@@ -34,6 +39,12 @@ def pitch_rate(c: ByName) -> Array:
 
 EULER_RATES = {"phi": roll_rate, "theta": pitch_rate, "psi": heading_rate}
 """Angle of attitude -> its rate by the gyros; it takes whatever gives columns by name."""
+
+
+def attitude_rates(p: Array, q: Array, r: Array, phi: Array, theta: Array) -> dict[str, Array]:
+    """Rates of phi, theta, psi [rad/s] from body rates [rad/s] and attitude [rad]."""
+    columns = {"p": p, "q": q, "r": r, "phi": phi, "theta": theta}
+    return {angle: rate(columns) for angle, rate in EULER_RATES.items()}
 
 
 def earth_acceleration(c: ByName) -> tuple[Array, Array, Array]:

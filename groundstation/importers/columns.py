@@ -11,7 +11,7 @@ import numpy as np
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.utilities.constants import SEA_LEVEL_DENSITY
 from daq.utilities.plain_words import LONGEST_NAME, listed
-from groundstation.flight.arrays import Array
+from groundstation.flight.arrays import Array, unwrapped
 from groundstation.flight.contradictions.air import air_density
 from groundstation.flight.expression import parse
 from groundstation.flight.findings import Finding, FindingKind, unknown_columns
@@ -203,10 +203,7 @@ def _unwrapped(series: TimeSeries, name: str, scale: float) -> TimeSeries:
     """A heading made continuous before it is interpolated: between 359 and 1 deg lies 0, not 180."""
     if name not in _WRAPPED:
         return series
-    values = series.values.copy()
-    finite = np.isfinite(values)
-    values[finite] = np.unwrap(values[finite] * scale) / scale
-    return TimeSeries(series.time, values)
+    return TimeSeries(series.time, unwrapped(series.values * scale) / scale)
 
 
 def source_text(source: ColumnSource) -> str:

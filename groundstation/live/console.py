@@ -22,6 +22,7 @@ from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
 from daq.utilities.plain_words import did_you_mean, visible
 from daq.utilities.rotating_log import RotatingLog
 from daq.utilities.standard_streams import Speaker
+from daq.utilities.utc_stamps import log_stamp
 from groundstation.identification.words import lines
 from groundstation.live.station import Station
 from groundstation.receiver.downloads import LogFetcher
@@ -243,7 +244,7 @@ def spoken(folder: Path) -> Iterator[Callable[[str], None]]:
     with RotatingLog(folder / LOG) as log:
 
         def write_down(line: str) -> None:
-            stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+            stamp = log_stamp(time.time())
             log.write(f"{stamp} {visible(line)}\n".encode("utf-8", "backslashreplace"))
 
         descriptor = _descriptor()

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimation.compatibility.records import attitude_rates
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.records.attitudes import white_share
@@ -12,6 +11,7 @@ from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.signals.denoise import noise_level
 from groundstation.flight.arrays import integral
+from groundstation.flight.kinematics import attitude_rates
 
 KNOWN = 0.2  # of the steps from sample to sample, for what is seen of them to stand for the rest
 QUIETEST = 1e-4  # of the span of a channel: a coarsely rounded one shows no scatter at all

@@ -9,12 +9,12 @@ An attitude that is measured afresh each time (optically, say) is none of these 
 
 import numpy as np
 
-from estimation.compatibility.records import attitude_rates
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.records.sampling import Mask, known_at
 from groundstation.flight import Flight
 from groundstation.flight.arrays import integral
+from groundstation.flight.kinematics import attitude_rates
 
 MOTION = ("p", "q", "r", "phi", "theta")
 PHASES = 20  # instants within an interval at which its lines may begin: the sag of one is known to a hundredth

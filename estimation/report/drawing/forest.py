@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq.utilities.constants import NORMAL_95
 from estimation.report.drawing.figures import MEASURED, Picture, broken_at_gaps, grid, picture, styled
 from estimation.report.names import axis_label, face, literal, tex
 
@@ -39,7 +40,7 @@ def draw_forest(axis: Any, rows: "Sequence[AnswerRow]") -> Any:
             if abs(d) > REACH:
                 axis.plot(100 * REACH * np.sign(d), y, ">" if d > 0 else "<", color=colour, ms=5, mfc="none")
     told = [(y, row) for y, row in enumerate(shown) if row.told and row.value and np.isfinite(row.bound)]
-    bars = [100 * min(1.96 * abs(row.bound / row.value), REACH) for _, row in told]
+    bars = [100 * min(NORMAL_95 * abs(row.bound / row.value), REACH) for _, row in told]
     axis.errorbar(
         np.zeros(len(told)), [y for y, _ in told], xerr=bars, fmt="o", color=INK, ms=4, capsize=2.5, label="estimate"
     )

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq.utilities.constants import NORMAL_95
 from estimation.estimators.result import FlightFit, Result
 from estimation.report.drawing.figures import LARGE, Picture, broken_at_gaps, grid, look, picture, styled
 from estimation.report.names import axis_label, face, tex
@@ -65,7 +66,7 @@ def _residual(fit: FlightFit, i: int) -> Array:
 def _correlation(axis: Any, residual: Array, step: float, colour: str) -> None:
     lags = min(residual.size // 4, 100)
     axis.vlines(step * np.arange(lags + 1), 0, autocorrelation(residual, lags), color=colour, lw=1.0)
-    band = 1.96 / np.sqrt(residual.size)
+    band = NORMAL_95 / np.sqrt(residual.size)
     axis.axhspan(-band, band, color="0.6", alpha=0.25, lw=0)
 
 
@@ -138,5 +139,5 @@ def binned(x: Array, residual: Array) -> tuple[Array, Array, Array]:
     parts = [p for p in np.array_split(np.arange(x.size), BINS) if p.size >= FEWEST]
     centres = np.array([x[p].mean() for p in parts])
     means = np.array([residual[p].mean() for p in parts])
-    errors = np.array([1.96 * residual[p].std(ddof=1) / np.sqrt(p.size) for p in parts])
+    errors = np.array([NORMAL_95 * residual[p].std(ddof=1) / np.sqrt(p.size) for p in parts])
     return centres, means, errors

@@ -14,7 +14,7 @@ import numpy as np
 from daq.utilities.constants import DEGREE
 from daq.utilities.constants import SEA_LEVEL_DENSITY as DENSITY
 from estimation.simulation.autopilot.gathering import symmetric_throws
-from estimation.simulation.autopilot.linear import LINES, SLOPES, Body, LinearAircraft, remaining_body, rotated_body
+from estimation.simulation.autopilot.linear import LINES, SLOPES, Body, LinearAircraft, remaining_body, rotation_matrix
 from estimation.simulation.oracle import Array
 
 STALL = 2.0  # rad, where nobody says: so far that the blend, of fixed width, changes nothing at which an aircraft flies
@@ -223,7 +223,7 @@ def _propeller(craft: LinearAircraft) -> Body:
 
 def _rotor(propeller: Body, span: float) -> ET.Element:
     """The link of the propeller, z along its shaft, as the plugin of the motor pushes."""
-    upright = rotated_body(*FORWARD)
+    upright = rotation_matrix(*FORWARD)
     turned_body = Body(propeller.mass, np.zeros(3), upright.T @ propeller.inertia @ upright)
     return _link("rotor_puller", turned_body, (0.15 * span, 0.02 * span, 0.01 * span), propeller.centre, FORWARD)
 

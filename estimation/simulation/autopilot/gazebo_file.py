@@ -9,7 +9,7 @@ import numpy as np
 
 from estimation.aircraft import Aircraft
 from estimation.simulation.autopilot.equations import CONTROLS, KEYS, GazeboPlane, Hinged
-from estimation.simulation.autopilot.linear import Body, combined_body, rotated_body
+from estimation.simulation.autopilot.linear import Body, combined_body, rotation_matrix
 from estimation.simulation.bounded_xml import bounded_tree
 from estimation.simulation.oracle import Array, SimulationError
 
@@ -136,7 +136,7 @@ def _pose(element: ET.Element | None, path: Path) -> tuple[Array, Array]:
     if element is None:
         return np.zeros(3), np.eye(3)
     x, y, z, *angles = _vector(element, "pose", path, (0.0,) * 6)
-    return np.array([x, y, z]), rotated_body(angles[0], angles[1], angles[2])
+    return np.array([x, y, z]), rotation_matrix(angles[0], angles[1], angles[2])
 
 
 def _body(link: ET.Element, path: Path) -> Body:

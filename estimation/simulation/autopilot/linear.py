@@ -192,11 +192,8 @@ def remaining_body(total: Body, parts: Sequence[Body]) -> Body:
     return Body(mass, centre, np.asarray(inertia))
 
 
-def rotated_body(roll: float, pitch: float, yaw: float) -> Array:
-    """(3, 3) rotation of a pose: from its axes to those it stands in, fixed-axis roll, pitch, yaw [rad]."""
-    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (roll, pitch, yaw))
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip
+def rotation_matrix(roll: float, pitch: float, yaw: float) -> Array:
+    """(3, 3) matrix from the axes of a pose to those of its parent; roll, pitch, yaw about the parent's fixed axes [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_euler("xyz", (roll, pitch, yaw)).as_matrix())
