@@ -1,15 +1,16 @@
-"""Maximum likelihood by filter error (`fem`, `fem-noise`): for flights in turbulence, where output error gives nonsense slowly.
+"""Maximum likelihood by filter error (`fem`, `fem-noise`): for flights in turbulence, where output error converges slowly, to
+wrong estimates.
 
 The model is driven by its own one-step prediction errors: x <- x + K (z - y) at every sample (steady-state Kalman
 filter in innovations form; Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5). Innovations of the right
-model are white, so both bounds agree. The fit that a result reports is that of one-step predictions. An output that shows
-later than it happens is compared and corrects nothing: what it shows is of a state gone by. Two forms:
+model are white, so both bounds agree. The fit that a result reports is that of one-step predictions. A delayed output is compared
+but corrects no state, since it shows a past one. Two forms:
 
 - `filter_error`: the gain is estimated together with the parameters, with exact sensitivities, instead of being derived from a
   process-noise model: asymptotically the same estimate without a Riccati equation.
 - `process_noise_error`: the published form. Unknown is the process noise of each state that forces drive; the gain follows
-  from it by the Riccati equation of the model linearised where it flew (`GainLaw`), anew at the estimates. Few unknowns, and
-  stable always: where the air is calm a free gain can find a filter that blows up, and this one ends at output error.
+  from it by the Riccati equation of the model linearised about the flown mean (`GainLaw`), once more at the estimates. It has few
+  unknowns and is always stable: in calm air a free gain can lead to an unstable filter, and this form becomes output error.
 
 Small motion about a point of flight, dx = (A x + w) dt, y = C x + v, sampled every `dt`: Phi = exp(A dt), P the covariance of
 the prediction from the discrete Riccati equation, K = P C' (C P C' + R)^-1 (Maine and Iliff, NASA RP-1168, section 6).
@@ -38,13 +39,14 @@ from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.prepare.pipeline import FlightsToFit, prepare_all
 from groundstation.flight.quality.noise import noise as noise_of
 
-STEP = 1e-4  # of a noise, for the slope of the gain
+SLOPE_STEP = 1e-4  # of a relative process noise, for the central difference of the gain
 
 
 @dataclass(frozen=True)
 class GainLaw:
-    """transition: Phi (nx, nx); C: (ny, nx); noise: (ny,) std of the measurements; unit: (n,) what 1 means for each unknown, as
-    the std that a state gathers in a sample interval; states: (n,) the state each is of."""
+    """The gain as a function of process noise. transition: Phi (nx, nx); C: (ny, nx); noise: (ny,) std of the measurements;
+    states: (n,) index of the state of each unknown; unit: (n,) std of that state's change in a sample interval at an unknown of
+    1."""
 
     transition: Array
     C: Array
@@ -53,8 +55,8 @@ class GainLaw:
     states: tuple[int, ...]
 
     def gain(self, relative: Array) -> Array:
-        """K (nx, ny) at process noise `relative` (n,), in units of `unit`. LinAlgError where the filter has no steady state that
-        can be calculated, as where the model grows or decays beyond all numbers within a sample interval."""
+        """K (nx, ny) at process noise `relative` (n,), in units of `unit`. LinAlgError where no steady state of the filter can be
+        calculated, for instance because the model overflows within a sample interval."""
         Q = np.zeros(self.transition.shape)
         for state, unit, size in zip(self.states, self.unit, relative, strict=True):
             Q[state, state] = (unit * size) ** 2
@@ -63,12 +65,12 @@ class GainLaw:
         return np.asarray(np.linalg.solve(S, self.C @ P).T)
 
     def slopes(self, relative: Array) -> Array:
-        """dK/d relative (n, nx, ny); at zero, where the gain begins, the slope to the right. LinAlgError as of `gain`."""
+        """dK/d relative (n, nx, ny); one-sided at zero, the lower limit. LinAlgError as of `gain`."""
         slopes = []
         for i in range(relative.size):
             plus, minus = relative.copy(), relative.copy()
-            plus[i] += STEP
-            minus[i] = max(minus[i] - STEP, 0.0)
+            plus[i] += SLOPE_STEP
+            minus[i] = max(minus[i] - SLOPE_STEP, 0.0)
             slopes.append((self.gain(plus) - self.gain(minus)) / (plus[i] - minus[i]))
         return np.array(slopes).reshape(relative.size, *self.transition.shape[:1], self.C.shape[0])
 
@@ -77,11 +79,11 @@ class GainLaw:
         if not (np.isfinite(self.transition).all() and np.isfinite(self.C).all() and np.isfinite(Q).all()):
             raise np.linalg.LinAlgError("the linearised motion grows beyond all numbers within one sample interval")
         R = np.diag(self.noise**2)
-        # a state that nothing disturbs and that does not decay is known for good: its filter has no steady state but zero gain
+        # a state without noise or decay becomes known exactly; the Riccati equation then has no steady state but a gain of zero
         floor = TINY * max(float(Q.max()), float(R.min())) * np.eye(len(Q))
         try:
             return np.asarray(solve_discrete_are(self.transition.T, self.C.T, Q + floor, R))
-        except ValueError as error:  # scipy's word for infinite intermediate results
+        except ValueError as error:  # what scipy raises for infinite intermediate results
             raise np.linalg.LinAlgError("the Riccati equation of its filter has no finite solution") from error
 
 
@@ -90,17 +92,15 @@ TINY = 1e-12  # of the largest process noise, or of the smallest noise of measur
 
 def gain_law(A: Array, C: Array, dt: float, noise: Array, unit: Array, states: tuple[int, ...]) -> GainLaw:
     """The law at a point of flight; A (nx, nx), C (ny, nx), dt [s] between samples."""
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # what grows beyond all numbers is refused where the gain is asked for
+    with np.errstate(over="ignore", invalid="ignore"):  # `gain` raises where the transition has overflowed
         return GainLaw(np.asarray(expm(A * dt)), C, noise, unit, states)
 
 
-FIRST_GAIN = 0.2  # of each measured state on itself: a filter that follows from the first step
+FIRST_GAIN = 0.2  # of each measured state on itself: the filter follows the measurement from the first step
 LOOP = LoopOptions(iterations=150, tolerance=1e-3)  # relaxation of the full covariance converges slowly
-FIRST_NOISE = 0.3  # of what a state gathers in a sample interval, over the noise of its measurement
-NOISE_PRIOR = 3.0  # standard deviation of the same
-LINEARISED = 2  # at the estimates of output error, and once at its own
+FIRST_NOISE = 0.3  # start of a state's process noise in a sample interval, over the noise of its measurement
+NOISE_PRIOR = 3.0  # standard deviation of its prior about zero
+LINEARISATIONS = 2  # at the estimates of output error, and at those of the first fit
 GAIN_PRIOR = 1.0  # standard deviation of a gain, in units of the noise of state over the noise of output
 
 
@@ -139,12 +139,12 @@ class _Filtered(OutputErrorProblem, ABC):
             count = len(self.free) + self.nx
             dy = motion.dy[:, :, :count].copy()
             self._by_unknowns(values, motion.dy[:, :, count:], dy)
-        except np.linalg.LinAlgError:  # no such filter: the search steps back
+        except np.linalg.LinAlgError:  # no such filter: the cost is infinite, and the search halves its step
             return self._no_motion(flight, segment)
         return replace(motion, dy=dy) if np.isfinite(dy).all() else replace(motion, dy=None, reached=0)
 
     def _no_motion(self, flight: int, segment: int) -> SegmentMotion:
-        """A motion that left the finite numbers at once."""
+        """A motion that is not finite from the first sample on."""
         count = len(self.flights[flight].segments[segment])
         return SegmentMotion(np.full((count, self.nx), np.nan), np.full((count, self.ny), np.nan), None, 0)
 
@@ -154,11 +154,11 @@ class _Filtered(OutputErrorProblem, ABC):
 
     @abstractmethod
     def _by_unknowns(self, values: Mapping[str, float], by_gain: Array, dy: Array) -> None:
-        """Add to dy (N, ny, unknowns) what the unknowns do by way of the gain; by_gain: (N, ny, entries)."""
+        """Add to dy (N, ny, unknowns) the derivatives through the gain; by_gain: (N, ny, entries)."""
 
 
 class FilterErrorProblem(_Filtered):
-    """A gain of its own: `gains` (nx, ny) names of the gain parameters, '' where the gain is zero."""
+    """The entries of the gain are unknowns: `gains` (nx, ny) names of these parameters, '' where the gain is zero."""
 
     gains: Sequence[Sequence[str]] = ()
 
@@ -174,7 +174,7 @@ class FilterErrorProblem(_Filtered):
 
 
 class ProcessNoiseProblem(_Filtered):
-    """A gain that follows from process noise. noises: names of its parameters, in the order of the law's unknowns."""
+    """The gain follows from process noise. noises: names of its parameters, in the order of the law's unknowns."""
 
     law: GainLaw
     noises: Sequence[str] = ()
@@ -202,8 +202,8 @@ def filter_error(
 ) -> Result:
     """Fit `model` with state corrections to one flight or several together; arguments as `output_error`.
 
-    The gain is in `extra["gain"]`: state -> output -> number. Where a free gain comes to no result, or to one that can tell
-    nothing because its filter is not stable, the gain is that of process noise, and `extra["process_noise"]` is there too.
+    The gain is in `extra["gain"]`: state -> output -> number. Where the fit of a free gain fails, or gives no information because
+    its filter is unstable, the gain is that of process noise, and `extra["process_noise"]` is there too.
     """
     loaded = require_states(load_model(model), "fem").with_starts(start or {})
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
@@ -211,7 +211,7 @@ def filter_error(
 
 
 def _by_free_gain(model: Model, data: list[FlightData], options: OutputErrorOptions) -> Result:
-    """The fit with a gain of its own, of a model that has its unknowns of the inputs."""
+    """The fit with a free gain, of a model that already has the nuisance parameters of its inputs."""
     first = output_error(model, data, options=options)
     if first.status is Status.DIVERGED:
         return first.with_method("fem")
@@ -252,9 +252,8 @@ def process_noise_error(
 ) -> Result:
     """Fit `model` with the steady-state Kalman filter of its process noise; arguments as `output_error`.
 
-    `extra["process_noise"]`: state -> std that it gathers in one second, in its unit by the root of a second; `extra["gain"]` as
-    of `filter_error`.
-    """
+    `extra["process_noise"]`: state -> std of its random change in one second [unit/sqrt(s)]; `extra["gain"]` as of
+    `filter_error`."""
     loaded = require_states(load_model(model), "fem-noise").with_starts(start or {})
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
     full = with_paths(loaded, data) if options.paths else loaded
@@ -265,9 +264,9 @@ def process_noise_error(
 
 
 def _by_process_noise(model: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
-    """The fit from an output error that came to a result; one that says why where the arithmetic of the filter fails."""
+    """The fit, started at the result of output error; a diverged result with the reason where no filter can be calculated."""
     try:
-        with np.errstate(all="ignore"):  # what leaves the numbers is refused where it does
+        with np.errstate(all="ignore"):  # results that are not finite are tested for
             return _steady_filter(model, data, first, options)
     except (np.linalg.LinAlgError, ArithmeticError) as error:
         text = (
@@ -277,14 +276,14 @@ def _by_process_noise(model: Model, data: list[FlightData], first: Result, optio
 
 
 def _steady_filter(model: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
-    """The fit with the filter of its process noise. LinAlgError where the law of that has no gain to begin with."""
+    """The fit with the filter of its process noise. LinAlgError where there is no gain at the start values."""
     noise = _white_noise(model, data, first)
     disturbed = force_states(model)
     fallback = float(np.median(noise))
     unit = {s: float(noise[model.output_names.index(s)]) if s in model.output_names else fallback for s in disturbed}
     names = [f"noise_{s}" for s in disturbed]
     values, last = {**first.values, **dict.fromkeys(names, FIRST_NOISE)}, None
-    for _ in range(LINEARISED):
+    for _ in range(LINEARISATIONS):
         extended = model.with_starts({n: values[n] for n in first.values}).plus(
             parameters=[Parameter(n, start=values[n], lower=0.0, prior_mean=0.0, prior_std=NOISE_PRIOR) for n in names]
         )
@@ -294,7 +293,7 @@ def _steady_filter(model: Model, data: list[FlightData], first: Result, options:
         )
         problem.noises = names
         problem.law = _law(simulator, data, values, noise, unit)
-        problem.law.gain(np.array([values[n] for n in names]))  # a law without a gain here says why
+        problem.law.gain(np.array([values[n] for n in names]))  # raises LinAlgError with the reason
         outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
         last = fit_result(problem, outcome, "fem-noise")
         if not last.converged:
@@ -313,7 +312,7 @@ def _steady_filter(model: Model, data: list[FlightData], first: Result, options:
 
 
 def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Array:
-    """(ny,) noise of the outputs from sample to sample; where a channel has none of its own, what output error left."""
+    """(ny,) white noise of the outputs; of a channel without any, the rms residual of output error."""
     levels = []
     for i, name in enumerate(model.output_names):
         segment_levels = [noise_of(s.z[:, i]) for flight in data for s in flight.segments]
@@ -323,11 +322,12 @@ def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Arr
 
 
 def _step(data: Sequence[FlightData]) -> float:
+    """Median sample interval [s]."""
     return float(np.median(np.concatenate([np.diff(s.time) for flight in data for s in flight.segments])))
 
 
 def mean_matrices(simulator: Simulator, data: Sequence[FlightData], values: Mapping[str, float]) -> tuple[Array, Array]:
-    """A (nx, nx) and C (ny, nx) of the motion linearised about the mean of what was flown."""
+    """A (nx, nx) and C (ny, nx) of the motion linearised about the flown mean."""
     model = simulator.model
     inputs = np.concatenate([s.u for flight in data for s in flight.segments])
     starts = np.mean([s.x0 for flight in data for s in flight.segments], axis=0)
@@ -349,15 +349,17 @@ def _law(
     noise: Array,
     unit: Mapping[str, float],
 ) -> GainLaw:
-    """The gain's law about the mean of what was flown."""
+    """The gain as a function of process noise, about the flown mean. unit: state -> std as of `GainLaw`."""
     A, C = mean_matrices(simulator, data, values)
-    C[[simulator.model.output_names.index(o) for o in simulator.model.output_delays]] = 0.0  # corrects nothing
+    C[[simulator.model.output_names.index(o) for o in simulator.model.output_delays]] = (
+        0.0  # a delayed output corrects no state
+    )
     states = tuple(simulator.model.state_names.index(s) for s in unit)
     return gain_law(A, C, _step(data), noise, np.array(list(unit.values())), states)
 
 
 def _without_gains(result: Result, model: Model, names: list[list[str]]) -> Result:
-    """The result in terms of the model's own parameters, the gain beside them."""
+    """The result with the model's own parameters; the gain in `extra`."""
     gain = {
         state: {o: result.parameters[n].estimate for o, n in zip(model.output_names, row, strict=True) if n}
         for state, row in zip(model.state_names, names, strict=True)

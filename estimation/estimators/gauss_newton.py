@@ -1,10 +1,10 @@
-"""The one optimisation loop: Gauss-Newton with step halving, Levenberg-Marquardt where that stalls.
+"""The optimisation loop of all likelihood fits: Gauss-Newton with step halving, Levenberg-Marquardt where that stalls.
 
-Near the optimum, where steps shrink by a steady factor because the model is not quite right or R relaxes, several are
-combined into one (Anderson mixing; Walker and Ni, SIAM J. Numer. Anal. 49, 2011): the fixed point is the same.
+Near the optimum, where steps shrink by a constant factor because the model is not exact or R relaxes, several steps are
+combined into one (Anderson mixing; Walker and Ni, SIAM J. Numer. Anal. 49, 2011). The fixed point is the same.
 
-A problem evaluates its cost (a negative log likelihood) and proposes steps; limits, acceptance, damping and the
-non-finite checks live here. The outcome is a named state with a sentence, never an exception.
+A problem evaluates its cost (a negative log likelihood) and proposes steps; the loop limits, accepts and damps them, and
+handles costs that are not finite. The outcome is a status with a sentence, never an exception.
 """
 
 import math
@@ -35,7 +35,7 @@ class Status(Enum):
 
 
 class EvaluatedPoint(Protocol):
-    """A place at which a problem has been evaluated; `cost` is inf where the simulation left the finite numbers."""
+    """The unknowns at which a problem has been evaluated; `cost` is inf where the simulation is not finite."""
 
     @property
     def cost(self) -> float: ...
@@ -59,7 +59,7 @@ class SolverStep:
 
 
 class SolverProblem(Protocol[P]):
-    """What the loop needs of a problem."""
+    """A problem that the loop can solve."""
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> P:
         """Cost, and derivatives if asked for."""
@@ -76,21 +76,22 @@ class SolverProblem(Protocol[P]):
 
 @dataclass(frozen=True)
 class LoopOptions:
-    """tolerance: predicted reduction [log likelihood] below which the estimates have settled (1e-7: steps below
-    5e-4 of a bound). relative: the same as a share of the cost, where that is more. gain: a step that lowered the cost by
-    less than the tolerance ends the search too. kept: so does one that promised less than this and gave it to within
-    half the tolerance, where the next, smaller in the ratio in which this one was smaller than the last, would promise less
-    than the tolerance (a promise kept alone says little, but it is all that a first step can tell). beyond: cost which a
-    search has to come near to be worth going on with. flat: tolerances a step that lowers nothing may still promise at
-    rounding."""
+    """When the loop ends; all costs and reductions in log-likelihood units.
+
+    tolerance: predicted reduction below which the estimates have settled (1e-7: steps below 5e-4 of a bound). relative: the same
+    as a fraction of the cost; the larger counts. gain: also end after a step that lowered the cost by less than the tolerance.
+    kept: also end after a step that predicted a reduction below this and achieved it to within half the tolerance, if the next
+    predicted reduction, extrapolated from the last two, is below the tolerance. beyond: end as LIMIT if not even PREDICTED_LEFT
+    times the predicted reduction would reach this cost. flat: predicted reduction, in tolerances, that counts as rounding where
+    no step lowers the cost."""
 
     iterations: int = 60
     tolerance: float = 1e-7
     halvings: int = 8
     first_damping: float = 1e-3
     most_damping: float = 1e8
-    near: float = 10.0  # predicted reduction from which steps are combined
-    memory: int = 4  # steps combined
+    near: float = 10.0  # predicted reduction below which steps are combined
+    memory: int = 4  # steps that are combined
     relative: float = 0.0
     gain: bool = False
     kept: float = 0.0
@@ -98,17 +99,17 @@ class LoopOptions:
     flat: float = 1e3
 
     def settled(self, cost: float) -> float:
-        """Reduction at that cost that is not worth a step."""
+        """The reduction that is negligible at a cost."""
         return max(self.tolerance, self.relative * max(cost, 1.0))
 
 
-HOPED = 3.0  # times what a step promises that it and those after it may give
+PREDICTED_LEFT = 3.0  # times the predicted reduction of a step: the most that it and all later steps may achieve
 AS_USUAL_LOOP = LoopOptions()
 
 
 @dataclass(frozen=True)
 class SolverOutcome(Generic[P]):
-    """Where the loop ended. point: evaluated there, with derivatives."""
+    """The result of the loop. point: evaluated at `unknowns`, with derivatives; history: costs."""
 
     status: Status
     unknowns: Array
@@ -127,17 +128,15 @@ def minimise(problem: SolverProblem[P], start: Array, options: LoopOptions = AS_
     if not math.isfinite(point.cost):
         return SolverOutcome(Status.DIVERGED, unknowns, point, 0, count, tuple(history))
     damping = 0.0
-    last = math.inf
-    history_of_steps = _Past(options.memory)
+    previous_predicted = math.inf
+    memory = _StepMemory(options.memory)
     for iteration in range(1, options.iterations + 1):
         step = problem.step(unknowns, point, damping)
         if step.decrement < options.settled(point.cost):
             return SolverOutcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
-        if point.cost - HOPED * step.decrement > options.beyond:
+        if point.cost - PREDICTED_LEFT * step.decrement > options.beyond:
             return SolverOutcome(Status.LIMIT, unknowns, point, iteration - 1, count, tuple(history))
-        combined = (
-            history_of_steps.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
-        )
+        combined = memory.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
         next_unknowns, moved_point, evaluations = _search(problem, unknowns, point, step, combined, options)
         count += evaluations
         if next_unknowns is None or moved_point is None:
@@ -148,48 +147,45 @@ def minimise(problem: SolverProblem[P], start: Array, options: LoopOptions = AS_
                 return SolverOutcome(Status.STALLED, unknowns, point, iteration, count, tuple(history))
             continue
         damping = damping / 10.0 if damping > options.first_damping else 0.0
-        gained, promised = point.cost - moved_point.cost, step.decrement
+        achieved, predicted = point.cost - moved_point.cost, step.decrement
         unknowns, point = next_unknowns, moved_point
         history.append(point.cost)
-        if options.gain and gained < options.settled(point.cost):
-            return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
         negligible = options.settled(point.cost)
-        if (
-            promised < options.kept
-            and abs(gained - promised) < 0.5 * negligible
-            and promised * promised < negligible * last
-        ):
+        if options.gain and achieved < negligible:
             return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
-        last = promised
+        as_predicted = predicted < options.kept and abs(achieved - predicted) < 0.5 * negligible
+        if as_predicted and predicted * predicted < negligible * previous_predicted:
+            return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
+        previous_predicted = predicted
     return SolverOutcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
 
 
-class _Past:
-    """The last places and the steps proposed there."""
+class _StepMemory:
+    """The last unknowns and the steps proposed at them."""
 
     def __init__(self, memory: int) -> None:
         self.memory = memory
-        self.places: list[Array] = []
+        self.points: list[Array] = []
         self.directions: list[Array] = []
 
     def combined(self, unknowns: Array, step: SolverStep) -> Array | None:
-        """The step to where a straight-line law through the last steps would vanish; None while there is only one."""
+        """The step to the point at which the steps, linear in the unknowns, would vanish; None at the first step."""
         if step.weight is None:
             return None
-        self.places = [*self.places[-self.memory :], unknowns]
+        self.points = [*self.points[-self.memory :], unknowns]
         self.directions = [*self.directions[-self.memory :], step.direction]
-        if len(self.places) < 2:
+        if len(self.points) < 2:
             return None
-        change = np.diff(np.array(self.places), axis=0).T
-        turn = np.diff(np.array(self.directions), axis=0).T
-        share = np.linalg.lstsq(turn * step.weight[:, None], step.direction * step.weight, rcond=1e-8)[0]
-        return np.asarray(step.direction - (change + turn) @ share)
+        change = np.diff(np.array(self.points), axis=0).T
+        step_change = np.diff(np.array(self.directions), axis=0).T
+        share = np.linalg.lstsq(step_change * step.weight[:, None], step.direction * step.weight, rcond=1e-8)[0]
+        return np.asarray(step.direction - (change + step_change) @ share)
 
 
 def halve_until(
     evaluate: Callable[[float], Place], acceptable: Callable[[Place], bool], halvings: int
 ) -> tuple[float, Place] | None:
-    """The largest of a whole step, its half, its quarter ... that leads to an acceptable place, and that place."""
+    """The largest of a whole step, its half, its quarter ... that leads to an acceptable point, and that point."""
     for fraction in (0.5**k for k in range(halvings)):
         place = evaluate(fraction)
         if acceptable(place):
@@ -200,7 +196,8 @@ def halve_until(
 def _search(
     problem: SolverProblem[P], unknowns: Array, point: P, step: SolverStep, combined: Array | None, options: LoopOptions
 ) -> tuple[Array | None, P | None, int]:
-    """First of the combined and the halved steps that lowers the cost, evaluated with derivatives."""
+    """Unknowns and point, with derivatives, of the first of the combined and the halved steps that lowers the cost, and the
+    number of evaluations; None and None where no step does."""
     count = 0
 
     def lower(place: P) -> bool:
@@ -211,7 +208,7 @@ def _search(
         trial = problem.clip(unknowns + fraction * step.direction)
         place = problem.evaluate(trial, fraction == 1.0)
         count += 1
-        if fraction < 1.0 and lower(place):  # a place without derivatives is none to go on from
+        if fraction < 1.0 and lower(place):  # the loop continues from a point with derivatives only
             place = problem.evaluate(trial, True)
             count += 1
         return place

@@ -2,10 +2,9 @@
 
 Two fits of the same form: with the cost of CIFER's NAVFIT (M. B. Tischler and R. K. Remple, Aircraft and Rotorcraft System
 Identification, 2nd ed., chapter 11: magnitude in dB weighted 1, phase in degrees 0.01745, coherence [1.58 (1 - exp(-g2))]^2;
-J <= 100 is acceptable, <= 50 cannot be told from the data) and, for estimates with bounds, by maximum likelihood: complex
-differences over their random errors. Its bounds count that neighbouring points share windows, and widen where the
-form does not fit.
-"""
+J <= 100 is acceptable, <= 50 cannot be distinguished from the data) and, for estimates with bounds, by maximum likelihood:
+complex differences over their random errors. The bounds account for the correlation of neighbouring points, and widen where the
+form does not fit."""
 
 import math
 from collections.abc import Mapping
@@ -26,10 +25,11 @@ from groundstation.flight import Array
 GOOD = 0.6  # coherence from which a point is fitted (Tischler and Remple, chapter 7)
 PHASE_WEIGHT = 0.01745  # of one degree squared against one dB squared
 DELAYS = (0.0, 0.05, 0.1, 0.2, 0.4)  # s, from which searches begin
-SEARCHES = 2  # of the starts, the best
+SEARCHES = 2  # from the best of the starts
 ROUNDS = 8  # of Sanathanan and Koerner's iteration for a start
 SPARE = 2  # numbers beyond the unknowns that a fit needs
-SMALLEST_STEP = 1e-8
+SMALLEST_NORM = 1e-8  # of a column of the Jacobian, in place of zero
+TAPER_POINTS, LARGEST_PHASE, PHASE_POINTS = 201, 60.0, 601  # of the table of correlations; beyond its end they are zero
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class TransferFunction:
 
 
 def fit_transfer(response: FrequencyResponse, form: str | TransferForm = "auto") -> TransferFunction:
-    """The transfer function of a form: roll, dutch-roll, short-period, orders M/N, or auto, which knows them from
-    input and output.
+    """The transfer function of a form: roll, dutch-roll, short-period, orders M/N, or auto: the form for this input and output,
+    else the best of the general forms.
 
     Raises EstimationError for an unknown form, DataError where fewer points are coherent than the form has unknowns.
     """
@@ -100,10 +100,9 @@ def fit_transfer(response: FrequencyResponse, form: str | TransferForm = "auto")
 
 
 def _information(transfer_function: TransferFunction) -> float:
-    """Bayes's criterion: misfit and what every unknown must earn."""
-    return 2.0 * transfer_function.points * transfer_function.misfit**2 + len(transfer_function.parameters) * math.log(
-        2.0 * transfer_function.points
-    )
+    """Bayesian information criterion; a frequency counts as two numbers."""
+    count = 2.0 * transfer_function.points
+    return count * transfer_function.misfit**2 + len(transfer_function.parameters) * math.log(count)
 
 
 def _fitted(response: FrequencyResponse, coherent: NDArray[np.bool_], form: TransferForm) -> TransferFunction:
@@ -195,9 +194,8 @@ def _errors(form: TransferForm, x: Array, omega: Array, H: Complex, std: Array) 
 
 
 def _covariance(jacobian: Array, scaled_errors: Array, omega: Array, length: Array) -> tuple[Array, float]:
-    """(covariance of the unknowns, rms of `scaled_errors`). Neighbouring points share noise as far as their windows cannot
-    tell them apart."""
-    size = np.maximum(np.linalg.norm(jacobian, axis=0), SMALLEST_STEP)
+    """(covariance of the unknowns, rms of `scaled_errors`), with the noise of neighbouring frequencies correlated."""
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), SMALLEST_NORM)
     J = jacobian / size
     shared = _shared_noise(omega, length)
     half = len(omega)
@@ -209,11 +207,11 @@ def _covariance(jacobian: Array, scaled_errors: Array, omega: Array, length: Arr
 
 
 def _shared_noise(omega: Array, length: Array) -> Array:
-    """(points, points) correlation of noise between frequencies seen through Hann windows of those lengths."""
+    """(points, points) correlation of the noise between frequencies [rad/s] with Hann windows of those lengths [s]."""
     mean = np.sqrt(length[:, None] * length[None, :])
     phase = np.abs(omega[:, None] - omega[None, :]) * mean
-    taper = tapers(201)[0] ** 2
-    window_time = np.linspace(-0.5, 0.5, 201)
-    table = np.linspace(0.0, 60.0, 601)
+    taper = tapers(TAPER_POINTS)[0] ** 2
+    window_time = np.linspace(-0.5, 0.5, TAPER_POINTS)
+    table = np.linspace(0.0, LARGEST_PHASE, PHASE_POINTS)
     values = np.abs(np.exp(-1j * np.outer(table, window_time)) @ taper) / taper.sum()
     return np.interp(phase, table, values, right=0.0)

@@ -1,9 +1,9 @@
-"""Whether the process noise of a filter error looks like gusts. Where it does not, the filter has taken up what model or record
-lack, and its estimates are no more to be believed than those of a model without a filter.
+"""Whether the process noise of a filter error looks like gusts. Where it does not, the filter has absorbed an error of the model
+or of the record, and its estimates are no better than those without a filter.
 
-Gusts, however rough: what they do cannot be foretold from what the controls did before (`follows_controls`); the filter leaves
-white innovations, whose periodogram is flat (`coloured_spectrum`); and they turn the relative wind before the aircraft answers
-by its moments (`turns_no_wind`). That they do not follow the motion is asked term by term (`score_test`).
+Gusts have three properties. They cannot be predicted from past movements of the controls (`follows_controls`). The innovations of
+the filter are white, with a flat periodogram (`coloured_spectrum`). And they change the relative wind before the aircraft
+responds with its moments (`turns_no_wind`). That they do not depend on the motion is tested term by term (`score_test`).
 """
 
 from collections.abc import Sequence
@@ -18,17 +18,18 @@ from estimation.prepare.flight_data import FlightData
 
 Array = NDArray[np.float64]
 
-STEPS = 8  # samples of the past that count: what lacks shows within half a second of a movement
+STEPS = 8  # past samples of the controls: an error of the model shows within half a second of a movement
 FOLLOWS = 0.08
-"""Share of the innovations of one output that past movements of the controls foretell: 0.03 at most in plain and gusty
-flights, 0.13 to 0.35 with a late vane, a late rudder or another product of inertia (random aeroplanes, docs/validation.md)."""
-FOLLOWS_BY_CHANCE = 1e-6  # probability of so much by chance
+"""Share of the innovations of one output that past movements of the controls predict, from which they follow the controls: at
+most 0.03 in calm and gusty flights, 0.13 to 0.35 with a late vane, a late rudder or another product of inertia (random
+aeroplanes, docs/validation.md)."""
+FOLLOWS_BY_CHANCE = 1e-6  # probability of such a share by chance
 
 NO_GUSTS = "its process noise is no gusts"
 
 
 def not_gusts(result: Result, data: Sequence[FlightData]) -> str:
-    """A sentence on why the process noise of a filter error is no gusts; empty where it may be.
+    """A sentence on why the process noise of a filter error is not gusts; empty where it may be.
 
     result: of a filter error; data: its flights, prepared for its model.
     """
@@ -41,7 +42,7 @@ def not_gusts(result: Result, data: Sequence[FlightData]) -> str:
 
 
 def _driven(result: Result) -> list[int]:
-    """Columns of the outputs that forces move."""
+    """Columns of the outputs that depend on forces or moments."""
     outputs = driven_outputs(result.model)
     return [c for c, name in enumerate(result.model.output_names) if name in outputs]
 
@@ -72,7 +73,7 @@ def follows_controls(result: Result, data: Sequence[FlightData]) -> str:
 
 
 def _rows(result: Result, data: Sequence[FlightData], controls: list[int], output: int) -> tuple[Array, Array]:
-    """(N, controls STEPS) past movements and (N,) innovations of one output, over all flights."""
+    """(N, controls * STEPS) past movements and (N,) innovations of one output about their mean, over all flights."""
     history, rest = [np.zeros((0, len(controls) * STEPS))], [np.zeros(0)]
     for fit, flight in zip(result.flights, data, strict=True):
         for s in flight.segments:
@@ -87,10 +88,10 @@ def _rows(result: Result, data: Sequence[FlightData], controls: list[int], outpu
     return np.concatenate(history), np.concatenate(rest)
 
 
-BY_CHANCE = 1e-4  # probability of a spectrum as far out by chance
+BY_CHANCE = 1e-4  # probability of such a deviation by chance
 UNEVEN = 0.18
-"""Most that the share of the innovations' power below some frequency may differ from that frequency's share of the band: 0.14 at
-most in gusts, 0.22 to 0.55 with backlash, a lag or a curved derivative left out (docs/validation.md)."""
+"""Largest deviation of the cumulated periodogram of white innovations from a straight line: at most 0.14 in gusts, 0.22 to 0.55
+where the model lacks backlash, a lag or a curved derivative (docs/validation.md)."""
 
 
 def coloured_spectrum(result: Result, data: Sequence[FlightData]) -> str:
@@ -127,15 +128,15 @@ SHARES = np.linspace(0.0, 1.0, BINS)  # of the band, at which cumulated power is
 WIND: tuple[tuple[str, str], ...] = (("beta", "r"), ("alpha", "q"))
 """Angle of the relative wind, and the rate that turns the aircraft into it."""
 MOMENTS = 0.8
-"""Of what turns the angle by the moment, over what turns it as a gust does: 0.3 at most in gusts of 0.4 to 1.2 deg, 1.2 to 17
-with something left out in calm air (docs/validation.md). Roll is no part of it: rolling air is as real as side gusts."""
+"""Effect of the process noise on the angle through the moment, over its direct effect as a gust: at most 0.3 in gusts of 0.4 to
+1.2 deg, 1.2 to 17 in calm air where the model lacks something (docs/validation.md). Roll is not tested: the air does roll."""
 
 
 def turns_no_wind(result: Result, data: Sequence[FlightData]) -> str:
-    """A sentence where what drives the filter are moments, and not gusts, which turn the relative wind; empty where it is gusts.
+    """A sentence where the process noise acts on moments rather than on the relative wind, as gusts do; empty for gusts.
 
-    White noise w_r of a yawing acceleration turns sideslip as much as white noise w_r / sqrt(N_beta) of its rate does, where
-    N_beta is the stiffness [1/s2]: the natural mode makes one of the other within its own time.
+    White noise w_r of the yaw acceleration changes sideslip by as much as white noise w_r / sqrt(N_beta) of the rate of sideslip,
+    where N_beta is the stiffness [1/s2]: the natural mode converts one into the other within its period.
     """
     from estimation.estimators.filter_error import mean_matrices  # with scipy
 
@@ -146,12 +147,12 @@ def turns_no_wind(result: Result, data: Sequence[FlightData]) -> str:
     if not pairs:
         return ""
     A, _ = mean_matrices(Simulator.build(result.model), data, result.values)
-    drives = {s: _driving(result, gain[s]) for pair in pairs for s in pair}
+    corrections = {s: _rms_correction(result, gain[s]) for pair in pairs for s in pair}
     worst, which = 0.0, pairs[0]
     for angle, rate in pairs:
         stiffness = abs(float(A[states.index(rate), states.index(angle)]))
-        if stiffness > 0.0 and drives[angle] > 0.0:
-            ratio = drives[rate] / (np.sqrt(stiffness) * drives[angle])
+        if stiffness > 0.0 and corrections[angle] > 0.0:
+            ratio = corrections[rate] / (np.sqrt(stiffness) * corrections[angle])
             worst, which = max((worst, which), (ratio, (angle, rate)))
     if worst <= MOMENTS:
         return ""
@@ -161,7 +162,7 @@ def turns_no_wind(result: Result, data: Sequence[FlightData]) -> str:
     )
 
 
-def _driving(result: Result, gains: dict[str, float]) -> float:
+def _rms_correction(result: Result, gains: dict[str, float]) -> float:
     """Root-mean-square correction of one state by the filter."""
     row = np.array([gains.get(o, 0.0) for o in result.model.output_names])
     corrections = np.concatenate([np.where(np.isfinite(f.residuals), f.residuals, 0.0) @ row for f in result.flights])
