@@ -165,18 +165,8 @@ def assemble(
     logger.judge(AirTruth(config.sensors, auto_zero=config.preflight.auto_zero))
     if actuation is not None:
         logger.actuate(actuation)
-    link = None
-    if config.downlink is not None and edge.radio is not None:
-        link = radio_link(
-            config.downlink,
-            edge.radio,
-            edge.clock,
-            papers=lambda: replace(identity, details={**identity.details, **sampler.metadata()}),
-            recordings=config.recorder.directories,
-            boot=boot,
-            turn_ns=min(TURN_NS, round(_UPLINK_SHARE * config.together * config.scan.period_ns)),
-            facts=sampler.metadata,
-        )
+    link = _radio_link(config, edge, identity, sampler, boot)
+    if link is not None:
         link.report_on(logger)
         logger.connect(link, link.uplink)
         if actuation is not None:
@@ -187,6 +177,24 @@ def assemble(
         if actuation is not None:
             actuation.known = companion.known
     return Assembly(logger, sampler, recorder, link, first, actuation)
+
+
+def _radio_link(
+    config: LoggerConfig, edge: HardwareEdge, identity: RecordingInfo, sampler: Sampler, boot: int | None
+) -> RadioLink | None:
+    """The link to the ground; None without a downlink or a radio. identity: sent as the papers, with the sensors' metadata."""
+    if config.downlink is None or edge.radio is None:
+        return None
+    return radio_link(
+        config.downlink,
+        edge.radio,
+        edge.clock,
+        papers=lambda: replace(identity, details={**identity.details, **sampler.metadata()}),
+        recordings=config.recorder.directories,
+        boot=boot,
+        turn_ns=min(TURN_NS, round(_UPLINK_SHARE * config.together * config.scan.period_ns)),
+        facts=sampler.metadata,
+    )
 
 
 def _companion(config: LoggerConfig, wanted: IdentificationConfig, logger: Logger, link: RadioLink | None) -> Companion:

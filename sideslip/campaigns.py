@@ -1,8 +1,9 @@
-"""Many flights in Python: what `campaign` and `ss.campaign` do."""
+"""`campaign`: the estimation of many flights into a data set."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from estimation.campaign.plan import CampaignPlan
     from estimation.campaign.run import CampaignEngine, CampaignOutcome
 
-SHOWN = 20  # sentences on failed flights, and on groups, that are printed; the tables hold all
+SHOWN = 20  # printed sentences on failed flights, and on groups; the tables have all
 Names = str | Sequence[str] | None
 
 
@@ -43,12 +44,12 @@ def campaign(
     progress: Callable[..., None] | None = None,
     notice: Callable[[str], None] = lambda sentence: None,
 ) -> "CampaignAnswer":
-    """Estimate many flights into a data set; what lies there already is not done again.
+    """Estimate many flights into a data set; work that is in the data set already is not repeated.
 
     Args:
-        flights: files, patterns, folders, URLs, or one PLAN.toml, which the other arguments go before.
+        flights: files, patterns, folders, URLs, or one PLAN.toml, whose keys the other arguments replace.
         out: the folder of the data set.
-        methods: as `method` of `estimate`; None, as for all up to time_limit: the plan's, or its default.
+        methods: as `method` of `estimate`; None, here and up to time_limit: the plan's value, or its default.
         model: as of `estimate`.
         aircraft: a built-in name or a file; by default what the flights carry.
         groups: of aircraft, configuration, day, manoeuvre.
@@ -56,29 +57,28 @@ def campaign(
         joint: also one estimate over all flights of a group.
         envelope: also one model over the envelope.
         match: also predict each flight with the others of its group.
-        bootstrap: replicates a flight.
-        each_segment: each segment of a flight as a manoeuvre of its own.
-        seed: of every random draw.
+        bootstrap: replicates of each flight.
+        each_segment: each segment of a flight as a separate manoeuvre.
+        seed: of all random draws.
         time_limit: of one piece of work [s].
-        workers: processes of this machine, by default one a processor.
-        scheduler: address of a dask scheduler instead.
-        serial: in this process.
-        retry: "failed" tries again what failed.
-        dashboard: of the engine; needs bokeh.
-        no_report: tables only.
-        trust_code: run the Python that a plan names.
-        progress: called with what is being done, and the share done.
-        notice: called with what a person must know before the work.
+        workers: processes of this computer, by default one for each processor.
+        scheduler: address of a dask scheduler, in place of workers.
+        serial: all work in this process.
+        retry: "failed" repeats failed work.
+        dashboard: open the dashboard of the engine; needs bokeh.
+        no_report: write the tables only.
+        trust_code: run the Python code that a plan names.
+        progress: called with a text and the fraction done.
+        notice: called with sentences to read before the work begins.
 
     Raises:
-        CampaignError: a plan that is none.
+        CampaignError: one sentence, for a plan that cannot be carried out.
 
     Example::
 
         answer = ss.campaign("flights/*.mcap", "campaign", aircraft="cdfp", methods=["ml", "ls"], serial=True)
         print(answer.summary())
     """
-    from daq.utilities.plain_words import comma_separated
     from estimation.campaign.run import Campaign
     from estimation.campaign.sources import entries_of
     from estimation.campaign.store import Store
@@ -87,21 +87,18 @@ def campaign(
 
     begin = time.monotonic()
     options = {
-        "methods": comma_separated(methods) if isinstance(methods, str) else methods,
-        "groups": comma_separated(groups) if isinstance(groups, str) else groups,
-        "model": None if model is None else str(model), "aircraft": None if aircraft is None else str(aircraft),
-        "check": check, "joint": joint, "envelope": envelope, "match": match, "bootstrap": bootstrap,
-        "each_segment": each_segment, "seed": seed, "time_limit": time_limit,
+        "methods": methods, "groups": groups, "model": model, "aircraft": aircraft, "check": check, "joint": joint,
+        "envelope": envelope, "match": match, "bootstrap": bootstrap, "each_segment": each_segment, "seed": seed,
+        "time_limit": time_limit,
     }  # fmt: skip
     sources = [str(f) for f in ([flights] if isinstance(flights, str | Path) else flights)]
-    plan, folder = _plan(sources, {k: v for k, v in options.items() if v is not None}, trust_code, notice)
+    plan, folder = _plan(sources, _plan_keys(options), trust_code, notice)
     out = Path(out)
     with Store(out, time.monotonic) as store:
         work = work_list(plan, entries_of(plan, folder, simulator(), send=bool(scheduler)), folder)
-
-        def engine(pieces: int) -> "CampaignEngine":
-            return _engine(pieces, workers, scheduler, serial, dashboard, notice)
-
+        engine = partial(
+            _engine, workers=workers, scheduler=scheduler, serial=serial, dashboard=dashboard, notice=notice
+        )
         tell = progress or (lambda *words_and_share: None)
         outcome = Campaign(plan, work, store, engine, tell).run(retry_failed=retry is not None)
     page = None if no_report else _page(outcome, plan, out / "report")
@@ -110,7 +107,7 @@ def campaign(
 
 @dataclass(frozen=True, repr=False)
 class CampaignAnswer(Answer):
-    """What a campaign has done. folder: of the data set; page: of the report, where one was written; wall_s: how long it took."""
+    """The outcome of a campaign. folder: of the data set; page: of the report, None without one; wall_s: duration [s]."""
 
     outcome: "CampaignOutcome"
     folder: Path
@@ -161,10 +158,22 @@ class CampaignAnswer(Answer):
         return bars({"estimated": self.outcome.done, "failed": len(self.outcome.failed)}, ax)
 
 
+def _plan_keys(options: dict[str, Any]) -> dict[str, Any]:
+    """The given arguments as keys of a plan; None leaves a key to the plan."""
+    from daq.utilities.plain_words import comma_separated
+
+    keys = {name: value for name, value in options.items() if value is not None}
+    for name in {"methods", "groups"} & keys.keys():
+        keys[name] = comma_separated(keys[name]) if isinstance(keys[name], str) else keys[name]
+    for name in {"model", "aircraft"} & keys.keys():
+        keys[name] = str(keys[name])
+    return keys
+
+
 def _plan(
     flights: Sequence[str], options: dict[str, Any], trust_code: bool, notice: Callable[[str], None]
 ) -> "tuple[CampaignPlan, Path]":
-    """The plan, and the folder its paths begin at. Options go before what a file says."""
+    """The plan, and the folder of its relative paths. `options` replace keys of a plan file."""
     from estimation.campaign.plan import named_programs, plan_from, read_plan
 
     if len(flights) != 1 or not flights[0].endswith(".toml"):
@@ -173,7 +182,7 @@ def _plan(
     data = read_plan(path, trust_code=trust_code).model_dump(exclude_unset=True)
     for program in named_programs(data):
         notice(f"{path} names {program}: a program, which runs because of --trust-code")
-    for key in ("model", "aircraft"):  # a file named here is where the person is, not beside the plan
+    for key in ("model", "aircraft"):  # relative to the working directory, not to the plan
         if str(options.get(key, "")).endswith(".toml"):
             options[key] = str(Path.cwd() / options[key])
     return plan_from({**data, **options}, str(path)), path.parent
@@ -197,7 +206,7 @@ def _engine(
 
 
 def _page(outcome: "CampaignOutcome", plan: "CampaignPlan", folder: Path) -> Path:
-    """The page; drawn anew only where something is new."""
+    """The report's page; an existing one is reused where the results have not changed."""
     page = folder / "index.html"
     if outcome.unchanged and page.is_file():
         return page

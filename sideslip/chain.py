@@ -6,22 +6,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from firmware_sim.runs.flight import SimulatedFlightRun
     from firmware_sim.world.scenario import Scenario
     from groundstation.live.station import Station
     from groundstation.receiver.receive import Receiver
     from groundstation.viewer.live import LiveView
 
-TELLS_S = 60.0  # of the radio's time within which the aircraft tells of every scan whether it was sent
-SILENT_S = 60.0
-"""Of the radio's time without a word from the aircraft, after which nobody is taken to answer: requests repeat in seconds."""
+SENT_REPORT_S = 60.0  # simulated time in which the aircraft reports of every scan whether it was sent
+SILENT_S = (
+    60.0  # simulated time without a frame after which backfill is given up: requests are repeated every few seconds
+)
+BACKFILL_LIMIT_S = 3600.0  # simulated time of backfill at most
 
 
 @dataclass(frozen=True)
 class ChainFlight:
-    """What one simulated flight has left. summary: as `ground --json`; agreed: air and ground hold the same scans.
-
-    sequencer: time [s] and words of each of its transitions.
-    """
+    """The files and results of a simulated flight. summary: as `ground --json`; agreed: air and ground have the same scans;
+    lines: messages for the terminal; sequencer: time [s] and text of each of its transitions."""
 
     onboard: Path
     ground: Path | None
@@ -46,9 +47,9 @@ def fly_scenario(
 ) -> ChainFlight:
     """Fly one scenario through the real logger, a simulated radio and the real ground station.
 
-    config_file: of the logger, calibration: set it carries; those of the CDFP by default. speed: until it has landed; what
-    comes down afterwards, by a radio as slow, does so as fast as it goes.
-    tell: told the share of the flight that has been flown, then what else is done. live: makes the view of an aircraft.
+    config_file: of the logger; calibration: the set in its recording; by default those of the CDFP. speed: simulated seconds a
+    second until landing; backfill after it runs as fast as the computer can. tell: called with the fraction of the flight that is
+    flown, then with a text. live: makes the view of an aircraft.
     """
     from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
@@ -74,52 +75,75 @@ def fly_scenario(
         station = Station(config, receiver, flight.clock, ground_folder, make_view=live, aircraft=live_aircraft)
         start_ns = flight.clock.monotonic_ns()
 
-        def in_step(now_ns: int) -> None:
+        def in_flight(now_ns: int) -> None:
             station.step()
             tell((now_ns - start_ns) * 1e-9 / flight.duration_s)
 
-        def after_landing(now_ns: int) -> None:
+        def after_scans(now_ns: int) -> None:
             station.step()
 
-        def no_room() -> bool:
-            """Files that fail go on failing in simulated time: scans would be fetched again and again."""
-            return any(not what.startswith("radio") for what in receiver.port_faults)
-
-        def agreed() -> bool:
-            return all(receiver.backfill_agreed(s) for s in receiver.systems)
-
-        def silent() -> bool:
-            return flight.clock.monotonic_ns() - receiver.heard_ns > SILENT_S * 1e9
-
-        flight.each_scan = in_step
+        flight.each_scan = in_flight
         files = flight.run()
         flight.clock.unpaced()
-        flight.each_scan = after_landing
-        backfill_agreed = False
-        if receiver.systems:  # the radio stays on until the aircraft has told of every scan whether it was sent
-            flight.serve(lambda: no_room() or not any(a.unknown for a in receiver.accounting()), limit_s=TELLS_S)
+        flight.each_scan = after_scans
+        after_landing = _AfterLanding(flight, receiver)
+        after_landing.wait_for_sent_report()
         if backfill and receiver.systems:
             tell("landed; fetching what the radio lost")
-            receiver.set_backfill("all")
-            flight.serve(lambda: no_room() or agreed() or silent(), limit_s=3600.0)
-            backfill_agreed = agreed()
+            after_landing.backfill()
         station.close()
         summary = receiver.summary()
     onboard = _onboard_flight(folder)
-    origin = "telemetry and backfill" if backfill_agreed else "telemetry"
+    origin = "telemetry and backfill" if after_landing.agreed else "telemetry"
     ground, lines = _received_flight(ground_folder, receiver, station, origin)
     if ground is not None:
         summary["flight"] = str(ground)
-    if backfill and receiver.systems and silent():
+    if backfill and receiver.systems and after_landing.silent():
         lines.append(
             f"backfill given up: nobody answered for {SILENT_S:g} s; what is missing is in the recording on board"
         )
     sequencer = _sequencer_words(folder / "onboard") if scenario.sequencer is not None else ()
-    return ChainFlight(onboard, ground, files.truth, summary, backfill_agreed, lines, sequencer)
+    return ChainFlight(onboard, ground, files.truth, summary, after_landing.agreed, lines, sequencer)
+
+
+class _AfterLanding:
+    """The radio after landing. agreed: backfill has ended with the same scans in the air and on the ground."""
+
+    def __init__(self, flight: "SimulatedFlightRun", receiver: "Receiver") -> None:
+        self._flight, self._receiver = flight, receiver
+        self.agreed = False
+
+    def wait_for_sent_report(self) -> None:
+        """Keep the radio on until the aircraft has reported of every scan whether it was sent."""
+        if self._receiver.systems:
+            self._flight.serve(lambda: self._files_fail() or not self._unreported(), limit_s=SENT_REPORT_S)
+
+    def backfill(self) -> None:
+        """Fetch every lost scan."""
+        self._receiver.set_backfill("all")
+        self._flight.serve(
+            lambda: self._files_fail() or self._backfill_agreed() or self.silent(), limit_s=BACKFILL_LIMIT_S
+        )
+        self.agreed = self._backfill_agreed()
+
+    def silent(self) -> bool:
+        """Whether the aircraft has not been received for SILENT_S."""
+        return self._flight.clock.monotonic_ns() - self._receiver.heard_ns > SILENT_S * 1e9
+
+    def _unreported(self) -> bool:
+        """Whether the aircraft has not yet reported of some scan whether it was sent."""
+        return any(a.unknown for a in self._receiver.accounting())
+
+    def _backfill_agreed(self) -> bool:
+        return all(self._receiver.backfill_agreed(s) for s in self._receiver.systems)
+
+    def _files_fail(self) -> bool:
+        """Whether files cannot be written: they would go on failing in simulated time, and scans be fetched again and again."""
+        return any(not fault.startswith("radio") for fault in self._receiver.port_faults)
 
 
 def fly_onboard(scenario: "Scenario", folder: Path, *, seed: int | None = None) -> Path:
-    """Fly one scenario of the CDFP through the real logger alone, with nobody at the ground; the flight's file."""
+    """Fly one scenario of the CDFP through the real logger, without a ground station; returns the flight's file."""
     from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 
@@ -130,7 +154,7 @@ def fly_onboard(scenario: "Scenario", folder: Path, *, seed: int | None = None) 
 
 
 def _onboard_flight(folder: Path) -> Path:
-    """What was recorded on board, calibrated; the flight's file."""
+    """Calibrate the recording on board; returns the flight's file."""
     from groundstation.calibration.recording import calibrate_recording
     from groundstation.flight import write_flight
 

@@ -73,13 +73,13 @@ def export(
     """Write a flight, recording or model for another program.
 
     Args:
-        file: what to export.
+        file: the flight, recording or model.
         output: its ending chooses the format; of target gazebo a folder.
         target: as `--to`: ardupilot, gazebo, neutral, jsbsim or model.
         out: of target jsbsim: the folder to write into.
-        aircraft_from: of target jsbsim: what the model was found on.
-        rate: of target jsbsim: its steps a second [Hz].
-        aircraft: with what a model lacks: beliefs, throws, thrust.
+        aircraft_from: of target jsbsim: the aircraft on which the model was estimated.
+        rate: of target jsbsim: its integration steps a second [Hz].
+        aircraft: file with values that the model lacks: derivatives, throws, thrust.
         throws: deflections at full stick, texts like delta_e=25deg.
         thrust: static [N]; 0 for a glider.
         alpha_stall: angle of attack of the stall [rad].
@@ -92,7 +92,7 @@ def export(
     Raises:
         UserError: one sentence, for what cannot be written.
 
-    `passed` is False where what was written is not the model.
+    `passed` is False where the written file does not reproduce the model.
 
     Example::
 
@@ -118,15 +118,20 @@ def export(
     if output is None:
         raise EstimationError("export: give the file to write: -o OUTPUT, whose ending chooses the format")
     if Path(file).suffix.lower() in _MODELS:
-        from estimation.report.model_export import export_model
-
-        export_model(Path(file), output)
-        return _written(file, output.suffix[1:], [output])
+        return _model_table(Path(file), output)
     from groundstation.export.run import export_file
 
     folder = None if calibration is None else Path(calibration)
     exported = export_file(Path(file), output, units_row=units_row, raw=raw, calibration=folder)
     return _written(file, output.suffix[1:], [exported.path], notes=exported.notes)
+
+
+def _model_table(file: Path, output: Path) -> FileAnswer:
+    """A model as .json, .tex or .csv."""
+    from estimation.report.model_export import export_model
+
+    export_model(file, output)
+    return _written(file, output.suffix[1:], [output])
 
 
 def _written(

@@ -1,4 +1,4 @@
-"""`design`: an input designed from what is known, with what it will do to the aircraft and what it will tell."""
+"""`design`: an input for parameter estimation, with the predicted motion of the aircraft and the predicted bounds."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -15,14 +15,12 @@ from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
     from daq.contract.manoeuvre import Manoeuvre
-    from estimation.design.design import InputDesign
+    from estimation.design.design import DesignTask, InputDesign
     from estimation.models import Model
     from estimation.resolve import AnyAircraft, AnyModel, Names
 
-CRUISE_LIFT = 0.3
-"""Lift coefficient at which an aircraft is taken to fly where no speed is given."""
-HIGHEST_BAND_HZ = 25.0
-"""Above it no actuator of a small aircraft follows."""
+CRUISE_LIFT = 0.3  # lift coefficient of the speed, where none is given
+HIGHEST_BAND_HZ = 25.0  # above it no actuator of a small aircraft follows
 
 
 @single_threaded
@@ -46,30 +44,29 @@ def design(
     values: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
 ) -> "DesignAnswer":
-    """The input of a given time that tells most.
+    """The input of a given length that gives the smallest bounds.
 
     Args:
         model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
-        time: its length [s].
+        time: length of the input [s].
         aircraft: a built-in name or a file.
         kind: doublet, 121, 3211, chirp, multisine or optimal.
-        estimate: an answer of `estimate`, or its JSON: its model, aircraft, values and noise go before what else is
-            given.
+        estimate: an answer of `estimate`, or its JSON: its model, aircraft, values and noise replace those given here.
         limits: a LIMITS.toml.
         separate: two effects of the gap catalogue, or parameters, to separate.
         criterion: of kind optimal: worst, D, A, or the name of a parameter.
-        controls: those to move; by default all of the model.
+        controls: controls that move; by default all of the model.
         band: of chirps and multisines [Hz].
         speed: true airspeed [m/s]; by default that of a lift coefficient of 0.3.
         density: of the air [kg/m3].
         rate_hz: samples a second.
-        held: a pilot holds bank and pitch gently meanwhile.
+        held: a pilot gently holds bank and pitch during the input.
         seed: of the search for phases.
-        values: of parameters, in place of beliefs.
+        values: of parameters, in place of the aircraft file's.
         noise: of outputs, one sigma, in place of usual instruments'.
 
     Raises:
-        EstimationError: what cannot be designed, with the way out.
+        EstimationError: one sentence, for an input that cannot be designed.
 
     Example::
 
@@ -89,17 +86,13 @@ def design(
         raise EstimationError(
             "design: name the aircraft with --aircraft (a built-in one or an AIRCRAFT.toml), or --from an estimate"
         )
-    low, high = band
-    if not 0.0 < low < high < HIGHEST_BAND_HZ:
-        raise EstimationError(
-            f"--band {low:g},{high:g}: give two frequencies in Hz, like 0.1,1.5 (at most {HIGHEST_BAND_HZ:g})"
-        )
+    _check_band(band)
     problem = resolve([], from_estimate.get("model", model), aircraft_name)
-    loaded, craft = problem.model, problem.aircraft
+    airframe = problem.aircraft
     task = DesignTask(
         kind=kind,
         duration=time,
-        speed=speed or math.sqrt(2 * craft.mass * GRAVITY / (density * craft.area * CRUISE_LIFT)),
+        speed=speed or math.sqrt(2 * airframe.mass * GRAVITY / (density * airframe.area * CRUISE_LIFT)),
         density=density,
         controls=comma_separated(controls),
         band=band,
@@ -111,12 +104,30 @@ def design(
         held=held,
         seed=seed,
     )
-    if effect_names := comma_separated(separate):
-        if kind != "optimal":
-            raise EstimationError("--separate designs an optimal input: leave --kind out")
-        loaded, sizes = with_effects(loaded, effect_names)
-        task = replace(task, separate=tuple(sizes), sizes=sizes)
-    return DesignAnswer(designed(loaded, craft, task, load_limits(Path(limits)) if limits else None))
+    loaded, task = _separating(problem.model, task, comma_separated(separate))
+    return DesignAnswer(designed(loaded, airframe, task, load_limits(Path(limits)) if limits else None))
+
+
+def _check_band(band: tuple[float, float]) -> None:
+    from estimation.errors import EstimationError
+
+    low, high = band
+    if not 0.0 < low < high < HIGHEST_BAND_HZ:
+        raise EstimationError(
+            f"--band {low:g},{high:g}: give two frequencies in Hz, like 0.1,1.5 (at most {HIGHEST_BAND_HZ:g})"
+        )
+
+
+def _separating(model: "Model", task: "DesignTask", effects: tuple[str, ...]) -> "tuple[Model, DesignTask]":
+    """Model and task for an input that separates the effects; unchanged without effects."""
+    from estimation.errors import EstimationError
+
+    if not effects:
+        return model, task
+    if task.kind != "optimal":
+        raise EstimationError("--separate designs an optimal input: leave --kind out")
+    model, sizes = with_effects(model, effects)
+    return model, replace(task, separate=tuple(sizes), sizes=sizes)
 
 
 @dataclass(frozen=True, repr=False)

@@ -7,6 +7,7 @@ Iliff 1981; Jategaonkar, Flight Vehicle System Identification, ch. 5). Normalise
 one when model and noise levels are right: that is what the bounds rest on and what is tested.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -168,7 +169,8 @@ def delayed_outputs(model: Model) -> tuple[tuple[int, int], ...]:
 
 
 def _filter_step(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
-    """(state and covariance; data; constants) -> (the same one sample on; normalised innovations, log variances, ...)."""
+    """(state and covariance; data; constants) -> (the same one sample later; normalised innovations, log variances, corrected
+    state, predicted outputs)."""
     traced = trace(structure)
     nx, nu, np_, ny = traced.sizes
     x, P = ca.SX.sym("x", nx), ca.SX.sym("P", nx, nx)
@@ -181,41 +183,29 @@ def _filter_step(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]
     xs, d = ca.SX.sym("xs", nx), ca.SX.sym("d", nu)
     zero = ca.DM.zeros(nu)
 
-    def moved_on(state: ca.SX, inputs: tuple[ca.SX, ca.SX, ca.SX], step: ca.SX) -> ca.SX:
+    def integrated(state: ca.SX, inputs: tuple[ca.SX, ca.SX, ca.SX], step: ca.SX) -> ca.SX:
         return rk4(lambda states, u: (traced.rates(*states, u, p),), (state,), inputs, step)[0]
 
     lagging = {output: i for i, (output, _) in enumerate(delayed)}
     y_now = traced.outputs(x, u0, p)
-    predicted, on_the_way = [], []
+    predicted, delay_variances = [], []
     for j in range(ny):
         if j in lagging:
             part = fraction[lagging[j]]
             u_end = u0 + part * (u1 - u0)
-            delayed_state = moved_on(x, (u0 + d, (u0 + u_end) / 2 + d, u_end + d), part * h)
+            delayed_state = integrated(x, (u0 + d, (u0 + u_end) / 2 + d, u_end + d), part * h)
             delayed_output = traced.outputs(delayed_state, u_end, p)[j]
             # noise of the inputs within that part of the interval: the state does not hold it yet
             by_noise = ca.substitute(ca.jacobian(delayed_output, d), d, zero)
             predicted.append(ca.substitute(delayed_output, d, zero))
-            on_the_way.append(ca.mtimes(ca.mtimes(by_noise, ca.diag(q)), by_noise.T))
+            delay_variances.append(ca.mtimes(ca.mtimes(by_noise, ca.diag(q)), by_noise.T))
         else:
             predicted.append(y_now[j])
-            on_the_way.append(ca.SX(0))
+            delay_variances.append(ca.SX(0))
     y = ca.vertcat(*predicted)
     H = ca.jacobian(y, x)
-    xf, Pf = x, P
-    normalised, logs = [], []
-    for j in range(ny):  # one output after the other: R is diagonal, so no matrix need be inverted
-        row = H[j, :]
-        innovation = z[j] - y[j] - ca.mtimes(row, xf - x)
-        s = ca.mtimes(ca.mtimes(row, Pf), row.T) + r[j] + on_the_way[j]
-        gain = measured[j] * ca.mtimes(Pf, row.T) / s
-        xf = xf + gain * innovation
-        Pf = Pf - ca.mtimes(gain, ca.mtimes(row, Pf))
-        normalised.append(measured[j] * innovation / ca.sqrt(s))
-        logs.append(ca.log(s))
-    Pf = (Pf + Pf.T) / 2
-
-    advanced = moved_on(xs, (u0 + d, (u0 + u1) / 2 + d, u1 + d), h)
+    xf, Pf, normalised, logs = _measurement_update(x, P, H, measured, z - y, r, delay_variances)
+    advanced = integrated(xs, (u0 + d, (u0 + u1) / 2 + d, u1 + d), h)
     F, G = (ca.substitute(ca.jacobian(advanced, v), d, zero) for v in (xs, d))
     move = ca.Function("move", [xs, u0, u1, p, h], [ca.substitute(advanced, d, zero), F, G])
     next_state, Fk, Gk = move(xf, u0, u1, p, h)
@@ -225,5 +215,33 @@ def _filter_step(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]
     data = ca.vertcat(u0, u1, z, measured)
     fixed = ca.vertcat(p, q, r, drift, h, fraction)
     state_out = ca.vertcat(next_state, ca.reshape(Pn, nx * nx, 1))
-    delayed_output = ca.vertcat(*normalised, *logs, xf, y)
-    return ca.Function("kalman", [state_in, data, fixed], ca.cse([state_out, delayed_output]))
+    outputs = ca.vertcat(normalised, logs, xf, y)
+    return ca.Function("kalman", [state_in, data, fixed], ca.cse([state_out, outputs]))
+
+
+def _measurement_update(
+    x: ca.SX,
+    P: ca.SX,
+    H: ca.SX,
+    measured: ca.SX,
+    difference: ca.SX,
+    r: ca.SX,
+    delay_variances: Sequence[ca.SX],
+) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Corrected state and covariance, normalised innovations and log variances (ny,) of the measured outputs.
+
+    difference: measured minus predicted outputs (ny,); r: variances of their noise (ny,), which is independent, so that the
+    outputs are processed one after the other without inverting a matrix; delay_variances: of the inputs' noise during an
+    output's delay."""
+    xf, Pf = x, P
+    normalised, logs = [], []
+    for j in range(difference.numel()):
+        row = H[j, :]
+        innovation = difference[j] - ca.mtimes(row, xf - x)
+        s = ca.mtimes(ca.mtimes(row, Pf), row.T) + r[j] + delay_variances[j]
+        gain = measured[j] * ca.mtimes(Pf, row.T) / s
+        xf = xf + gain * innovation
+        Pf = Pf - ca.mtimes(gain, ca.mtimes(row, Pf))
+        normalised.append(measured[j] * innovation / ca.sqrt(s))
+        logs.append(ca.log(s))
+    return xf, (Pf + Pf.T) / 2, ca.vertcat(*normalised), ca.vertcat(*logs)

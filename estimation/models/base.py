@@ -43,11 +43,6 @@ class Model(ModelParts):
             f"<Model {self.name}: {len(self.free_names)} free parameters, outputs {outputs}; .equations has its text>"
         )
 
-    def output_expression(self, name: str) -> str:
-        """What output `name` shows: `<name>_measured` where the text defines it, else the quantity itself."""
-        measured = f"{name}_measured"
-        return self.definitions.get(measured, name)
-
     # ------------------------------------------------------------------------------------------------ new models
     def plus(
         self,
@@ -178,10 +173,6 @@ class Model(ModelParts):
             for s in self.states
         )
         return replace(self, states=states)
-
-    def with_role(self, role: ParameterRole, *names: str) -> "Model":
-        """A new model in which the named parameters have another role."""
-        return self._changed({n: {"role": role} for n in names})
 
     def free_of(self, *roles: ParameterRole) -> tuple[str, ...]:
         """Names of the estimated parameters that have one of the roles."""

@@ -1,4 +1,4 @@
-"""A table as data: the same rows become HTML on a page, folded to a sheet, and CSV and LaTeX beside it."""
+"""A report's table as data, and its forms: CSV and LaTeX files, and the pieces in which a page shows it where it is too wide."""
 
 import csv
 import math
@@ -16,10 +16,9 @@ _SENTENCES = r"p{0.6\linewidth}"  # a column whose cells break into lines
 
 @dataclass(frozen=True)
 class ReportTable:
-    """name: of its files. groups: (label, columns spanned) over `head`, or empty. The first cell of a row is a parameter
-    or signal name where `symbols`. note: what the reader must know of the columns. texts: columns of sentences, which may
-    break. failed: (row, column) of the cells that are beyond their limit; marked on the page alone. filed: whether it is also
-    written beside the page."""
+    """name: of its files. groups: (label, columns spanned) over `head`, or empty. symbols: the first cell of each row is a name
+    of a parameter or signal, set as a formula. note: explains the columns. texts: columns of sentences, which may break into
+    lines. failed: (row, column) of the cells beyond their limit, marked on the page only. filed: write files beside the page."""
 
     name: str
     caption: str
@@ -64,8 +63,8 @@ class ReportTable:
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
     def _latex_cells(self, row: tuple[str, ...]) -> list[str]:
-        """Cells after the first. A group of columns that ends in `cannot tell` says only that: a number printed in a thesis is
-        believed, whatever stands beside it."""
+        """Cells after the first. A group of columns that ends in `cannot tell` shows only these words: readers of a thesis would
+        believe the numbers beside them."""
         cells: list[str] = []
         position = 1
         for _, span in self.groups[1:] or [("", 1)] * (len(row) - 1):
@@ -79,7 +78,7 @@ class ReportTable:
 
 
 def _no_formula(cell: str) -> str:
-    """A cell that a spreadsheet takes for text or a number, never for a formula: one that begins like a formula gets a mark."""
+    """A cell that a spreadsheet reads as text or a number: one that begins like a formula is prefixed with an apostrophe."""
     signed = cell[:1] in ("+", "-") and cell[1:].replace(".", "", 1).replace("e-", "", 1).isdigit()
     return f"'{cell}" if cell[:1] in ("=", "+", "-", "@") and not signed and cell != "-" else cell
 
@@ -92,7 +91,7 @@ _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
 
 
 def latex_text(text: str) -> str:
-    """Text of a cell or of a sentence, with what LaTeX has a meaning for written so that it is printed."""
+    """Text of a cell or of a sentence with the special characters of LaTeX escaped."""
     return "".join(_ESCAPES.get(c, c) for c in visible(text))
 
 
@@ -119,6 +118,7 @@ def rounded(value: float, bound: float | None) -> tuple[str, str]:
 
 
 def _unsigned_zero(text: str) -> str:
+    """A number as text, without the sign of a rounded zero."""
     return text[1:] if text.startswith("-") and not text.strip("-0.") else text
 
 
@@ -127,29 +127,27 @@ def value_and_bound(value: float | None, bound: float | None) -> list[str]:
     return ["", ""] if value is None or not math.isfinite(value) else list(rounded(value, bound))
 
 
-# Where a table is too wide for a sheet: it is cut between groups of columns, and each piece repeats the first column.
-#
-# Widths are counted from the characters of a column, for the widest of the fonts that the style sheet names (DejaVu Sans).
+# A table that is too wide for a sheet is cut between groups of columns; each piece repeats the first column. Widths are estimated
+# from the characters of a column, for the widest font of the style sheet (DejaVu Sans).
 
 SHEET = 1124
 """Width of a page's text [CSS pixels]: 1180 less its margins, as in style.css; fits a window of 1280."""
 
 PORTRAIT = 840
-"""A table wider than this [CSS pixels of the screen] is printed on a sheet laid across: A4 upright has 703 of them, and print
-is set 0.83 times as large."""
+"""A table wider than this [CSS pixels of the screen] is printed in landscape: A4 in portrait has 703, and print is scaled by
+0.83."""
 
-LETTER, MARGIN = (
-    7.6,
-    14.0,
-)  # a letter of DejaVu Sans at 13.2 px, digits, signs and points together; both margins of a cell
-SMALL_LETTER, SMALL_MARGIN = 6.8, 10.0  # at 12 px, the class `wide`
-SENTENCE = 24  # characters that a column of sentences is given
-SHORT = 16  # rows of a table that a printed page keeps in one piece
+# [CSS pixels]: a letter of DejaVu Sans at 13.2 px, the mean of digits, signs and points; both margins of a cell
+LETTER, MARGIN = 7.6, 14.0
+SMALL_LETTER, SMALL_MARGIN = 6.8, 10.0  # the same at 12 px, the class `wide`
+SENTENCE = 24  # characters of a column of sentences
+SHORT = 16  # rows up to which print does not break a table
 
 
 @dataclass(frozen=True, slots=True)
 class TableSlice:
-    """Columns of a table that go beside each other. groups: (label, columns spanned); wide: to be set small."""
+    """Columns of a table that are shown together. groups: (label, columns spanned); wide: use the small font; short: do not
+    break."""
 
     columns: tuple[int, ...]
     groups: tuple[tuple[str, int], ...]
@@ -171,7 +169,7 @@ def _letters(table: ReportTable, column: int) -> int:
 
 
 def table_slices(table: ReportTable) -> list[TableSlice]:
-    """The table in as few pieces as fit the sheet; one that has no groups stays whole."""
+    """The table in as few pieces as fit the sheet; without groups it is not cut."""
     columns = tuple(range(len(table.head)))
     groups = _spans(table)
     if table_width(table, columns) <= SHEET or len(groups) < 3:
@@ -204,21 +202,21 @@ def _piece(table: ReportTable, groups: Sequence[tuple[str, tuple[int, ...]]]) ->
 
 
 def word_columns(table: ReportTable) -> frozenset[int]:
-    """Columns that hold no number: they are read from the left."""
+    """Columns without numbers, which are aligned left."""
     return frozenset(
         c
         for c in range(len(table.head))
         if not any(ch.isdigit() for row in table.rows for ch in row[c].strip("+-−(.")[:1])
-    ) - _without_words(table)
+    ) - _columns_without_text(table)
 
 
-def _without_words(table: ReportTable) -> frozenset[int]:
-    """Columns that are empty, or say of a number that it cannot be told."""
+def _columns_without_text(table: ReportTable) -> frozenset[int]:
+    """Columns whose cells are all empty or `cannot tell`."""
     return frozenset(c for c in range(len(table.head)) if {row[c] for row in table.rows} <= {"", CANNOT_TELL})
 
 
 def cell_label(table: ReportTable, column: int) -> str:
-    """What a cell is called where the head of its table is not in sight: group and head."""
+    """The label of a cell away from its column head, as on a narrow page: group and head."""
     group_label = next((g for g, span in _spans(table) if column in span), "")
     return f"{group_label} {table.head[column]}".strip()
 

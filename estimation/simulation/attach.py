@@ -1,4 +1,5 @@
-"""What a verb with `--simulation` does first: which simulation, along which flights, and the model that stands on it."""
+"""A model on a simulation (`--simulation`): the simulation is evaluated along the flights, and its coefficients become columns of
+the flights that the model reads as inputs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,12 +24,10 @@ from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulat
 from estimation.simulation.own_simulations import function_simulation, text_simulation
 from groundstation.flight import Flight
 
-# From the text after `--simulation` to a simulation: `jsbsim:AIRCRAFT`, `ardupilot:FILE.json`, `gazebo:FILE.sdf`,
-# `module:function` or `MODEL.toml`.
-
 
 def simulation_of(spec: str) -> Simulation:
-    """The simulation that `spec` names. Raises SimulationError (one sentence) where there is none."""
+    """The simulation named by `spec`: `jsbsim:AIRCRAFT`, `ardupilot:FILE.json`, `gazebo:FILE.sdf`, `module:function` or
+    `MODEL.toml`. Raises SimulationError (one sentence) where there is none."""
     if spec.startswith(PREFIX):
         return jsbsim_simulation(spec.removeprefix(PREFIX))
     if spec.startswith(ARDUPILOT):
@@ -45,13 +44,14 @@ def simulation_of(spec: str) -> Simulation:
     )
 
 
-MOST = 6  # renewals; each squares what is left of the distance, so that more would not help
-SETTLED = 1e-3  # of a motion's own scatter: far below any noise beside it
+MOST_RENEWALS = 6  # each squares the remaining distance, so that more would not help
+SETTLED = 1e-3  # of a motion's standard deviation: far below the noise of its measurement
 
 
 @dataclass(frozen=True)
 class Attached:
-    """A model on a simulation with flights that carry its columns. notes: what of the simulation is held or not measured."""
+    """A model on a simulation, and the flights with its columns. notes: which inputs of the simulation are constant or not
+    measured."""
 
     simulation: Simulation
     aircraft: Aircraft
@@ -75,32 +75,32 @@ def attach(
     given: str | Path | Aircraft | None = None,
     free: Free = Free.FACTORS,
 ) -> Attached:
-    """The simulation `spec` under the model `which`: a built-in name, or a MODEL.toml that was found on a simulation.
+    """The simulation `spec` with the model `which`: a built-in name, or a MODEL.toml that was estimated on a simulation.
 
-    given: the aircraft asked for; else the one the flights carry or name, else the simulation's own. Raises SimulationError,
-    ModelError, AircraftError or DataError (one sentence each).
+    given: the requested aircraft; without one that of the flights, else the simulation's. Raises SimulationError, ModelError,
+    AircraftError or DataError (one sentence each).
     """
     simulation = simulation_of(spec)
-    craft = aircraft_for(simulation, flights, given)
+    aircraft = aircraft_for(simulation, flights, given)
     if simulation.referred is not None:
-        simulation = simulation.referred(craft)
+        simulation = simulation.referred(aircraft)
     if which in BUILDERS:
-        along_flights = simulate_along(simulation, load_model(which, craft), flights)
-        model = base_model(simulation, which, craft, along_flights, free)
+        along_flights = simulate_along(simulation, load_model(which, aircraft), flights)
+        model = base_model(simulation, which, aircraft, along_flights, free)
     else:
-        model = _standing_on(which)
+        model = _model_on_simulation(which)
         along_flights = simulate_along(simulation, without_simulation(model), flights, names=computed(model))
     return Attached(
-        simulation, craft, model, carrying(flights, along_flights), (*simulation.notes, *_unmeasured(along_flights))
+        simulation, aircraft, model, carrying(flights, along_flights), (*simulation.notes, *_unmeasured(along_flights))
     )
 
 
 def renewed_attachment(attached: Attached, fitted: Model | None = None) -> Attached:
-    """The same with the simulation evaluated at the motion that `fitted` (by default the model as it stands) makes of each
-    flight, instead of at the measured one.
+    """The same with the simulation evaluated at the motion that `fitted` (by default the present model) predicts for each flight,
+    instead of at the measured motion.
 
-    A model that predicts a flight leaves the measured motion by degrees, where slopes taken there no longer hold. Where only the
-    initial states are fitted and that does not converge, the measured motion stays. The means that derivatives begin at stay too.
+    The prediction can differ from the measured motion by some degrees, where slopes at the measured motion do not hold. Where the
+    fit of the initial states does not converge, the measured motion stays. The means from which derivatives start stay too.
     """
     motion_model = fitted or attached.model
     along_flights = simulate_along(
@@ -111,19 +111,19 @@ def renewed_attachment(attached: Attached, fitted: Model | None = None) -> Attac
 
 
 def motion_settled(attached: Attached) -> Attached:
-    """The same with the simulation at the motion that the model predicts with it, renewed until that motion stays where it is."""
+    """The same with the simulation evaluated at the predicted motion, repeated until the prediction no longer changes."""
     old_motions = [_motion_of(attached.model, flight) for flight in attached.flights]
-    for _ in range(MOST):
+    for _ in range(MOST_RENEWALS):
         attached = renewed_attachment(attached)
         new_motions = [_motion_of(attached.model, flight) for flight in attached.flights]
-        if all(_same_motion(old_motion, two) for old_motion, two in zip(old_motions, new_motions, strict=True)):
+        if all(_same_motion(old, new) for old, new in zip(old_motions, new_motions, strict=True)):
             break
         old_motions = new_motions
     return attached
 
 
 def estimated_about_its_motion(attached: Attached) -> Attached:
-    """The same with the simulation at the motion of its own best fit to all flights; the measured one where that fit fails."""
+    """The same with the simulation evaluated at the motion of the best fit to all flights; unchanged where that fit fails."""
     try:
         with numerical_failures():
             first = output_error(attached.model, attached.flights)
@@ -133,25 +133,26 @@ def estimated_about_its_motion(attached: Attached) -> Attached:
 
 
 def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str | Path | Aircraft | None) -> Aircraft:
-    """Mass and inertia of the aircraft that is asked for, or that the flights name, else of the simulation; area, span and chord
-    of the simulation where it has them, for its coefficients are referred to these, unless it refers them to any aircraft."""
+    """Mass and inertia of the given aircraft, without one of that of the flights, else of the simulation. Area, span and chord
+    are the simulation's where it has them, because its coefficients are referred to these, unless it can refer them to any
+    aircraft."""
     simulation_aircraft = simulation.aircraft
     if given is None and simulation_aircraft is not None and not any(f.provenance.aircraft for f in flights):
         return simulation_aircraft
-    craft = aircraft_of(flights, given)
+    aircraft = aircraft_of(flights, given)
     if simulation.referred is not None:
-        return craft
+        return aircraft
     if simulation_aircraft is None or any(
         np.isnan(v) for v in (simulation_aircraft.area, simulation_aircraft.span, simulation_aircraft.chord)
     ):
-        return craft
-    return craft.with_values(
+        return aircraft
+    return aircraft.with_values(
         area=simulation_aircraft.area, span=simulation_aircraft.span, chord=simulation_aircraft.chord
     )
 
 
 def without_simulation(model: Model) -> Model:
-    """A model with nothing for coefficients: it decides which variables are known and which columns a flight must have."""
+    """The model with the simulation's coefficients at zero; it shows which variables and columns of a flight the model needs."""
     inputs = tuple(s for s in model.inputs if not s.computed)
     coefficients = [c for c in ("CL", "CD", *COEFFICIENTS) if c in model.definitions]
     zero_lines = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in coefficients else f"{n} = {text}"
@@ -159,8 +160,8 @@ def without_simulation(model: Model) -> Model:
     return replace(model, inputs=inputs, equations=tuple(zero_lines))
 
 
-def _standing_on(which: str) -> Model:
-    """A model file that has inputs of a simulation."""
+def _model_on_simulation(which: str) -> Model:
+    """The model of a file, which must have inputs of a simulation."""
     if not which.endswith(".toml"):
         raise SimulationError(
             f"--simulation with model {which!r}: choose a built-in model ({', '.join(BUILDERS)}),"
@@ -180,6 +181,7 @@ def computed(model: Model) -> tuple[str, ...]:
 
 
 def carrying(flights: Sequence[Flight], along_flights: Along) -> tuple[Flight, ...]:
+    """The flights with the columns of the simulation."""
     return tuple(flight.with_columns(**columns) for flight, columns in zip(flights, along_flights.columns, strict=True))
 
 
@@ -189,7 +191,7 @@ def _unmeasured(along_flights: Along) -> tuple[str, ...]:
 
 
 def _motion_of(model: Model, flight: Flight) -> Mapping[str, Array]:
-    """Motion of a flight by the model as it stands, only its initial state fitted; nothing where that does not converge."""
+    """State -> predicted history (N,) with only the initial state fitted; empty where that does not converge."""
     frozen = model.fixed(*model.parameter_names)
     result = output_error(frozen, flight, options=OutputErrorOptions(improve_start=False))
     if not result.converged:

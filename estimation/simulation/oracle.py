@@ -1,4 +1,4 @@
-"""What is asked of a simulation: six aerodynamic coefficients at given states, controls and air. Nothing else of it is used.
+"""The interface of a simulation: six aerodynamic coefficients at given states, controls and air. Nothing else of it is used.
 
 Body axes x forward, y right, z down; SI and radians; surfaces with the signs of the flight columns (+delta_a rolls left,
 +delta_e nose down, +delta_r nose left). Moments are about the centre of gravity.
@@ -18,14 +18,14 @@ from groundstation.flight import Array
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 SURFACES = ("delta_e", "delta_a", "delta_r")
 VARIABLES = ("V", "alpha", "beta", "p", "q", "r", *SURFACES, "thrust")
-"""What coefficients are differentiated by."""
+"""The variables of the coefficients, by which they are differentiated."""
 ALPHA_RATE = "alpha_dot"
-"""Rate of alpha [rad/s], which moments may go with: its name in states, models and functions, and as a column of a flight
-without noise (what a simulator says that its aerodynamics read)."""
+"""Rate of alpha [rad/s], on which moments may depend: its name in states, models and functions, and as a column of a flight
+without noise (the value that a simulator's aerodynamics use)."""
 
 
 class SimulationError(EstimationError):
-    """A simulation that cannot be found, or that does not do what is asked of it."""
+    """A simulation that cannot be found, or that cannot give its coefficients."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class States:
 
     @classmethod
     def joined(cls, several: "list[States]") -> "States":
-        """Many states one after the other, for a simulation that answers faster when asked once."""
+        """Many states as one, for a simulation that is faster in one call."""
         values = {n: np.concatenate([s.values[n] for s in several]) for n in VARIABLES}
         return cls(values, np.concatenate([s.rho for s in several]), np.concatenate([s.alpha_dot for s in several]))
 
@@ -66,7 +66,7 @@ class Oracle(Protocol):
 
 @dataclass(frozen=True)
 class PolarOfAlpha:
-    """Induced drag CD_k (CL_0 + CL_alpha alpha)^2 of a simulation that knows the lift of the angle of attack alone there."""
+    """Induced drag CD_k (CL_0 + CL_alpha alpha)^2 of a simulation whose drag depends only on the lift by angle of attack."""
 
     CL_0: float
     CL_alpha: float
@@ -75,12 +75,12 @@ class PolarOfAlpha:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A simulation as it was asked for.
+    """A simulation and its properties.
 
-    spec: the text that names it. name: a short word for models and files. aircraft: its geometry, mass and inertia, NaN where
-    it does not say, or None where it says nothing. notes: what of it is not used, or held. referred: for a simulation that flies
-    accelerations rather than coefficients, itself for the mass, inertia and geometry of an aircraft. polar: where its drag leaves
-    out the lift of elevator and pitch rate.
+    spec: the text that names it. name: a short name for models and files. aircraft: its geometry, mass and inertia, NaN where
+    not stated, or None without any. notes: which parts of it are not used or held constant. referred: for a simulation that is
+    defined by accelerations rather than coefficients: aircraft -> the simulation referred to its mass, inertia and geometry.
+    polar: only where its drag leaves out the lift of elevator and pitch rate.
     """
 
     spec: str

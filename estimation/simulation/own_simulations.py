@@ -1,4 +1,10 @@
-"""A simulation of one's own: a model in our own text, evaluated and never executed, or a Python function."""
+"""Simulations of the user: a model file, whose text is evaluated and never executed, or a Python function.
+
+The function is `base(V, alpha, beta, p, q, r, surfaces, thrust, rho) -> (CX, CY, CZ, Cl, Cm, Cn)`: V m/s, angles rad, rates
+rad/s, thrust N, rho kg/m3, surfaces a mapping with delta_e, delta_a, delta_r [rad]; body axes, moments about the centre of
+gravity. It may take arrays (N,) and return six arrays, or take numbers and return six numbers: it is tried with arrays and,
+where that fails, called state by state. A coefficient that it does not have is None. A parameter alpha_dot is given the rate of
+alpha [rad/s]. The module may have an AIRCRAFT: an `estimation.aircraft.Aircraft`, or the path of an aircraft file beside it."""
 
 import inspect
 import math
@@ -56,7 +62,7 @@ class TextOracle:
 
 
 def text_simulation(spec: str) -> Simulation:
-    """The simulation that a model file is. Raises ModelError for no such file, SimulationError where it has no coefficient."""
+    """A model file as a simulation. Raises ModelError for no such file, SimulationError where it has no coefficient."""
     model = read_model(Path(spec))
     if not set(COEFFICIENTS) & set(model.definitions):
         raise SimulationError(
@@ -71,46 +77,38 @@ def text_simulation(spec: str) -> Simulation:
     return Simulation(spec, model.name, TextOracle(model), stated_aircraft)
 
 
-# A simulation as a Python function: `base(V, alpha, beta, p, q, r, surfaces, thrust, rho) -> (CX, CY, CZ, Cl, Cm, Cn)`.
-#
-# V m/s, angles rad, rates rad/s, thrust N, rho kg/m3, surfaces a mapping with delta_e, delta_a, delta_r [rad]; body axes,
-# moments about the centre of gravity. The function may take arrays (N,) and give six arrays, or numbers and give six numbers:
-# it is tried with arrays and, where it cannot take them, asked state by state. A coefficient it does not have is None. Where
-# it has a parameter alpha_dot, the rate of alpha [rad/s] is given, too. The module may have an AIRCRAFT: an
-# `estimation.aircraft.Aircraft`, or the path of an aircraft file beside it.
-
 EXAMPLE = "module:function, like my_aircraft:base"
-SAME = 1e-9  # by which one state asked alone and among many may differ, relative
+SAME = 1e-9  # relative difference allowed between the coefficients of a state alone and among many
 
 
 @dataclass(frozen=True)
 class FunctionOracle:
-    """See `estimation.simulation.oracle.Oracle`. spec: how messages name it. takes_rate: it asks for the rate of alpha."""
+    """See `estimation.simulation.oracle.Oracle`. spec: its name in messages. takes_rate: it has a parameter alpha_dot."""
 
     spec: str
     function: Callable[..., Any]
     takes_rate: bool = False
 
     def coefficients(self, states: States) -> Array:
-        first_answer = self._asked(states.part(slice(0, 1)))
+        first_answer = self._single(states.part(slice(0, 1)))
         if len(states) == 1:
             return first_answer
         try:
-            all_answers = self._columns(self._called(states, arrays=True), len(states))
+            all_answers = self._columns(self._call(states, arrays=True), len(states))
         except (*MISTAKES, ValueError):
             all_answers = None
         if all_answers is not None and np.allclose(all_answers[:1], first_answer, rtol=SAME, atol=SAME, equal_nan=True):
             return all_answers
-        return np.concatenate([self._asked(states.part(slice(i, i + 1))) for i in range(len(states))])
+        return np.concatenate([self._single(states.part(slice(i, i + 1))) for i in range(len(states))])
 
-    def _asked(self, state: States) -> Array:
-        """(1, 6) of one state given as plain numbers; SimulationError tells a mistake in the function."""
+    def _single(self, state: States) -> Array:
+        """(1, 6) coefficients of one state, passed as plain numbers; SimulationError names a mistake in the function."""
         try:
-            return self._columns(self._called(state, arrays=False), 1)
+            return self._columns(self._call(state, arrays=False), 1)
         except MISTAKES as error:
             raise SimulationError(f"simulation {self.spec}: {mistake_text(error)}") from error
 
-    def _called(self, states: States, arrays: bool) -> Any:
+    def _call(self, states: States, arrays: bool) -> Any:
         values = {n: v if arrays else float(v[0]) for n, v in {**states.values, "rho": states.rho}.items()}
         motion = [values[n] for n in ("V", "alpha", "beta", "p", "q", "r")]
         rate = states.alpha_dot if arrays else float(states.alpha_dot[0])
@@ -155,5 +153,5 @@ def function_simulation(spec: str) -> Simulation:
 def _takes_rate(function: Callable[..., Any]) -> bool:
     try:
         return ALPHA_RATE in inspect.signature(function).parameters
-    except (TypeError, ValueError):  # of a compiled function, which does not say
+    except (TypeError, ValueError):  # of a compiled function, which has no signature
         return False

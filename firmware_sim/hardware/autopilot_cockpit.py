@@ -1,6 +1,7 @@
-"""The pilot's side of a flight whose servos are driven by an autopilot: his receiver goes into it, and nothing else out of it.
+"""The simulated pilot, receiver and ArduPlane of a flight in which the sequencer moves the servos through the autopilot.
 
-Sticks are roll, pitch, throttle and yaw on channels 1 to 4, the switch on 5, 500 us for 25 deg; the ArduPlane mixes elevons.
+Channels of the receiver: roll, pitch, throttle and yaw on 1 to 4, the switch on 5; 500 us are 25 deg. The ArduPlane mixes elevons
+and drives the servos.
 """
 
 import numpy as np
@@ -11,21 +12,19 @@ from firmware_sim.hardware.cockpit import SWITCH_US, CockpitTable, Transmitter
 from firmware_sim.physics.plant import Commands
 from firmware_sim.world.truth import PULSE_CENTRE_US, PULSE_PER_RAD_US, THROTTLE_PULSE_US
 
-THROTTLE_MOVED = 0.1
-STILL_FROM_GO_NS = 2_500_000_000
-"""With his switch at go the pilot keeps his hands still so long, by when overrides have come, or will not come."""
-STILL_AFTER_NS = 500_000_000
-"""And as long as overrides come, which he sees by the aircraft, and a little longer."""
+THROTTLE_STEP = 0.1  # by which the pilot moves the throttle at `throttle_s` of the scenario
+STILL_FROM_GO_NS = 2_500_000_000  # after the switch went to go, in which overrides begin if they begin at all
+STILL_AFTER_NS = 500_000_000  # after the last override: the pilot sees from the aircraft that they have ended
 
 
 class AutopilotCockpit(Transmitter):
-    """origin_ns: when the autopilot was switched on; before the first frame of the world."""
+    """origin_ns: time at which the autopilot was switched on, before the first frame of the world."""
 
     def __init__(self, table: CockpitTable, takeoff_s: float, origin_ns: int) -> None:
         super().__init__(table, takeoff_s)
         self.plane = ArduPlane(self.receiver, table.parameters, origin_ns)
         self._modes = sorted(table.modes)
-        self._went_ns: int | None = None  # to go
+        self._go_ns: int | None = None  # since when the switch is at go
         self._overridden_ns = origin_ns - STILL_AFTER_NS
         if table.line_lost_s is not None:
             lost_ns = round(table.line_lost_s * 1e9)
@@ -42,7 +41,7 @@ class AutopilotCockpit(Transmitter):
         idle, span = THROTTLE_PULSE_US
         throttle_s = self.table.throttle_s
         throttle = commands.throttle + (
-            THROTTLE_MOVED if throttle_s is not None and time_ns >= throttle_s * 1e9 else 0.0
+            THROTTLE_STEP if throttle_s is not None and time_ns >= throttle_s * 1e9 else 0.0
         )
         return (roll, pitch, round(idle + span * throttle), yaw, round(self.switch_us(time_ns)), 1500, 1500, 1500)
 
@@ -55,19 +54,19 @@ class AutopilotCockpit(Transmitter):
     # ---------------------------------------------------------------------------------------- for the world
 
     def hands_still(self, airborne_s: float) -> bool:
-        """Whether the pilot leaves his sticks where they are."""
+        """Whether the pilot keeps his sticks still: while overrides hold, or may still begin."""
         time_ns = self.time_ns(airborne_s)
         if self.switch_us(time_ns) != SWITCH_US["go"]:
-            self._went_ns = None
+            self._go_ns = None
             return False
-        self._went_ns = time_ns if self._went_ns is None else self._went_ns
+        self._go_ns = time_ns if self._go_ns is None else self._go_ns
         if self.plane.rc.any_holds(time_ns):
             self._overridden_ns = time_ns
-        waits = time_ns - self._went_ns < STILL_FROM_GO_NS or time_ns - self._overridden_ns < STILL_AFTER_NS
+        waits = time_ns - self._go_ns < STILL_FROM_GO_NS or time_ns - self._overridden_ns < STILL_AFTER_NS
         return waits and not self.takes_over(time_ns)
 
     def route(self, airborne_s: float, wanted: Commands) -> Commands:
-        """What the servos get from the autopilot."""
+        """Commands of the servos as the autopilot drives them."""
         time_ns = self.time_ns(airborne_s)
         self.note(time_ns, wanted)
         while self._modes and time_ns >= self._modes[0][0] * 1e9:

@@ -1,8 +1,8 @@
 """The simulated sensor bus: the `smbus2.SMBus` calls that drivers use, served by simulated chips.
 
-Every transfer takes the time it would take on the wire plus the software's share, and the clock is moved on by it, so the
-offsets at which channels are read within a scan are as real as on hardware. Errors are those of Linux: a chip that does
-not acknowledge raises OSError(EREMOTEIO), a line held low OSError(ETIMEDOUT) after the adapter's time-out.
+Every transfer advances the clock by its time on the wire plus that of the software, so that channels are read at realistic
+offsets within a scan. Errors are those of Linux: a chip that does not acknowledge raises OSError(EREMOTEIO), a line held low
+OSError(ETIMEDOUT) after the adapter's time-out.
 Timing: nine clocks for each byte, two for start and stop (NXP UM10204 rev. 7, 3.1).
 """
 
@@ -36,7 +36,7 @@ class BusModel(SimulatorTable):
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """What a fault does to one transfer."""
+    """The effect of a fault on one transfer."""
 
     refused: bool = False  # the address is not acknowledged
     held: bool = False  # a line is held low: the adapter times out
@@ -53,7 +53,7 @@ Message = Any  # smbus2.i2c_msg, or anything with addr, flags, len and buf
 class SimulatedBus:
     """An I2C bus with chips on it, called as `smbus2.SMBus` is.
 
-    chips: 7-bit address -> chip. disturb: asked before every transfer; None means an undisturbed one.
+    chips: 7-bit address -> chip. disturb: (address, time [ns]) -> disturbance of a transfer, None for an undisturbed one.
     transfers, busy_ns: count and total duration of all transfers so far.
     """
 
@@ -132,7 +132,7 @@ class SimulatedBus:
 
 
 class _Transaction:
-    """One conversation on the wire: chips are told the time within it, the clock is moved on by its whole length."""
+    """One bus transaction: its segments have their times within it; at its end the clock is advanced by its duration."""
 
     def __init__(self, bus: SimulatedBus) -> None:
         self._bus = bus
@@ -156,16 +156,16 @@ class _Transaction:
         bus = self._bus
         bus.transfers += 1
         bit_ns = bus.bit_ns
-        trouble = bus.disturb(address, self._now_ns)
-        if trouble is not None:
-            if trouble.held:
+        disturbance = bus.disturb(address, self._now_ns)
+        if disturbance is not None:
+            if disturbance.held:
                 self._elapsed_ns += bus.timeout_ns
                 raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
-            if trouble.refused:
+            if disturbance.refused:
                 self._refuse()
-            bit_ns *= trouble.stretch
+            bit_ns *= disturbance.stretch
         if address == GENERAL_CALL:
-            return self._call_everybody(data or b"")
+            return self._general_call(data or b"")
         chip = bus.chips.get(address)
         if chip is None or not chip.answers(self._now_ns):
             self._refuse()
@@ -179,7 +179,7 @@ class _Transaction:
         self._elapsed_ns += (_bits(count) - 10.0) * bit_ns
         return answer
 
-    def _call_everybody(self, data: bytes) -> bytes:
+    def _general_call(self, data: bytes) -> bytes:
         self._elapsed_ns += _bits(len(data)) * self._bus.bit_ns
         for chip in self._bus.chips.values():
             if chip.answers(self._now_ns):
@@ -192,6 +192,7 @@ class _Transaction:
 
 
 def _bits(byte_count: int) -> float:
+    """Clock periods of a segment: address and bytes of nine each, start and stop."""
     return 9.0 * (byte_count + 1) + 2.0
 
 

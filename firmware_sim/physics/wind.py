@@ -1,9 +1,9 @@
 """Steady wind and gusts.
 
 Gusts follow Dryden spectra at low altitude (MIL-F-8785C form): first order along the path and for the roll gust, second
-order across it. The level is given as the angle that the lateral gust makes at the trim speed, so the same number means
-the same disturbance of sideslip at any speed. The shaping filters are driven by white noise held over one integration
-step, so a flight does not depend on who looks at it and when.
+order across it. The level is given as the angle of the lateral gust at the trim speed, so the same number means the same
+disturbance of sideslip at any speed. The shaping filters are driven by white noise that is constant over an integration step,
+so that a flight does not depend on the times at which it is sampled.
 """
 
 import math
@@ -16,6 +16,8 @@ from firmware_sim.physics.maths import Maths, State, Value
 
 GUST_STATES = 6  # u; v and its inner state; w and its inner state; p
 NOISE_CHANNELS = 4
+LENGTH, VERTICAL_LENGTH = 50.0, 30.0  # m, scale lengths at some 60 m above ground
+VERTICAL_SHARE = 0.7  # of vertical to lateral gusts near the ground
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,20 +56,18 @@ class Gusts:
         inner_dot = (-x[i + 1] + gain * noise) / tau
         dx[i + 1] = inner_dot
         # x[i] holds the output o = sqrt(3) y + z, so o' = sqrt(3) y' + (-(o - sqrt(3) y) + (1 - sqrt(3)) y) / tau.
-        dx[i] = 1.7320508075688772 * inner_dot + (x[i + 1] - x[i]) / tau
+        dx[i] = math.sqrt(3.0) * inner_dot + (x[i + 1] - x[i]) / tau
 
 
 def gusts_for(level_rad: Value, speed: Value, span: float, xp: Maths) -> Gusts:
     """Gusts whose lateral component is `level_rad` of sideslip (1 sigma) at `speed`.
 
-    Vertical gusts are 0.7 of that near the ground, the roll gust follows MIL-F-8785C scaled to the span; lengths of 50 m
-    across and 30 m vertically suit a flight at some 60 m.
+    The roll gust follows MIL-F-8785C, scaled to the span.
     """
     lateral = xp.full(level_rad * speed)
-    vertical = 0.7 * lateral
-    length_vertical = 30.0
-    roll = 1.9 * vertical / math.sqrt(length_vertical * span)
-    return Gusts(lateral, lateral, vertical, roll, xp.full(speed), 50.0, length_vertical, span)
+    vertical = VERTICAL_SHARE * lateral
+    roll = 1.9 * vertical / math.sqrt(VERTICAL_LENGTH * span)
+    return Gusts(lateral, lateral, vertical, roll, xp.full(speed), LENGTH, VERTICAL_LENGTH, span)
 
 
 def stationary_start(gusts: Gusts, draws: NDArray[np.float64]) -> list[Value]:

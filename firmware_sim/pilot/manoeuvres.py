@@ -1,4 +1,4 @@
-"""What the pilot flies: doublets, multi-steps, 3-2-1-1s, multisines and steps, and the sets made of them.
+"""The stick inputs of the simulated pilot: doublets, multi-steps, 3-2-1-1s, multisines and steps, and sets of them.
 
 A manoeuvre is added to the trimmed stick on one axis; angles are surface angles in degrees with the signs of the flight
 columns. Sets vary amplitude, timing and direction a little from seed to seed, as two flights of one plan would.
@@ -62,19 +62,20 @@ class StickInput:
         index = np.clip((elapsed / self.width).astype(int), 0, len(steps) - 1)
         return np.where(active, self.amplitude * steps[index], 0.0)
 
-    def _multisine(self, since: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _multisine(self, elapsed: NDArray[np.float64]) -> NDArray[np.float64]:
         n = len(self.harmonics)
         phases = [-math.pi * k * k / n for k in range(n)]
         waves = sum(
-            np.sin(2.0 * math.pi * h * since / self.width + p) for h, p in zip(self.harmonics, phases, strict=True)
+            np.sin(2.0 * math.pi * h * elapsed / self.width + p) for h, p in zip(self.harmonics, phases, strict=True)
         )
-        return self.amplitude * math.sqrt(2.0 / n) * np.asarray(waves) * np.minimum(1.0, 4.0 * since.clip(0.0))
+        # it fades in over a quarter of a second
+        return self.amplitude * math.sqrt(2.0 / n) * np.asarray(waves) * np.minimum(1.0, 4.0 * elapsed.clip(0.0))
 
 
 def _varied(plan: Sequence[StickInput], rng: np.random.Generator) -> list[StickInput]:
-    """The plan as flown: amplitude within 12 %, start within 0.2 s, width within 8 %, either direction.
+    """The plan with random changes: amplitude within 12 %, start within 0.2 s, width within 8 %, either direction.
 
-    Inputs that start together with one width belong together and vary together.
+    Inputs with the same start and width, on several axes, get the same changes.
     """
     variations: dict[tuple[float, float], tuple[float, float, float]] = {}
     inputs = []
@@ -86,9 +87,9 @@ def _varied(plan: Sequence[StickInput], rng: np.random.Generator) -> list[StickI
                 side * rng.uniform(0.88, 1.12),
                 rng.uniform(0.92, 1.08),
             )
-        delay, larger, longer = variations[m.start, m.width]
-        width = m.width if m.shape == "multisine" else m.width * longer
-        inputs.append(StickInput(m.axis, m.shape, m.start + delay, m.amplitude * larger, width, m.harmonics))
+        delay, amplitude_factor, width_factor = variations[m.start, m.width]
+        width = m.width if m.shape == "multisine" else m.width * width_factor
+        inputs.append(StickInput(m.axis, m.shape, m.start + delay, m.amplitude * amplitude_factor, width, m.harmonics))
     return inputs
 
 
@@ -158,7 +159,8 @@ MANOEUVRE_SETS: Mapping[str, tuple[StickInput, ...]] = {
 
 
 def flown_set(name: str, rng: np.random.Generator, repeat_every: float, duration: float) -> list[StickInput]:
-    """The manoeuvres of a set as one pilot flies them, repeated until the flight ends; names in MANOEUVRE_SETS."""
+    """The stick inputs of a set of MANOEUVRE_SETS with random variations, repeated every `repeat_every` [s] for `duration`
+    [s]."""
     inputs: list[StickInput] = []
     start = 0.0
     while start < duration:

@@ -1,8 +1,7 @@
-"""A whole simulated flight: world, instruments, chips and radio under the real logger.
+"""A complete simulated flight: simulated world, instruments, chips and radio with the real logger.
 
-This is where the simulated aircraft is put together. Sampler, logger, recorder and downlink are those that fly; they get a
-simulated bus, serial port, card, clock and radio, and cannot tell. The ground end of the radio is handed out, so that
-whoever runs the flight connects a ground station to it.
+Sampler, logger, recorder and downlink are the real ones; they get a simulated bus, serial port, card, clock and radio. The ground
+end of the radio is available to the caller, who may connect a ground station to it.
 """
 
 import datetime as dt
@@ -52,28 +51,25 @@ from firmware_sim.world.world import World
 START_UTC_NS = int(dt.datetime(2026, 6, 1, 6, 30, tzinfo=dt.UTC).timestamp()) * 1_000_000_000
 """UTC at which every simulated flight begins, so that the same seed gives the same recording."""
 
-SERVE_STEP_NS = 50_000_000
+SERVE_STEP_NS = 50_000_000  # of the clock between two turns of the radio after landing
 
 CONFIG_FILE = Path(__file__).parents[2] / "daq" / "configs" / "cdfp.toml"
 SEQUENCER_FILE = CONFIG_FILE.with_name("cdfp_sequencer.toml")
-"""What a configuration with a sequencer has besides; merged in for scenarios with a table [sequencer]."""
+"""Configuration of a sequencer, merged into that of scenarios with a table [sequencer]."""
 ARDUPILOT_FILE = CONFIG_FILE.with_name("cdfp_sequencer_ardupilot.toml")
-"""The same for a sequencer that goes through an ArduPlane."""
-LOOP_HZ = 100.0
-"""SCHED_LOOP_RATE of an autopilot that is the source of samples."""
-BEFORE_NS = 10_000_000_000
-"""An autopilot is on so long before the recording begins, and before the simulated flight settles."""
+"""The same for a sequencer that moves the servos through an ArduPlane."""
+LOOP_HZ = 100.0  # SCHED_LOOP_RATE of an autopilot that is a sensor
+AUTOPILOT_ON_NS = 10_000_000_000  # before the recording begins: time to start up
 MANOEUVRE_FILE = Path(__file__).parents[1] / "scenarios" / "manoeuvres" / "lateral_3211.toml"
-"""Flown by them unless the configuration or `sideslip fly --manoeuvre` names another."""
+"""The manoeuvre of a sequencer unless the configuration or `sideslip fly --manoeuvre` names another."""
 
 
-AS_USUAL = SensorsConfig()
-"""Every chip is the usual one."""
+USUAL_SENSORS = SensorsConfig()
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedHardware:
-    """The simulated hardware: everything that is not our code."""
+    """The simulated hardware under the logger."""
 
     clock: SimulatedClock
     instruments: Instruments
@@ -84,7 +80,7 @@ class SimulatedHardware:
     events: FaultEvents
 
     def newest_pulse(self) -> int | None:
-        """The pulse-per-second line of the GPS, as the kernel would tell it now."""
+        """Time [ns] of the latest pulse on the pulse-per-second line of the GPS, as the kernel reports it."""
         return self.gnss.newest_pulse(self.clock.monotonic_ns())
 
 
@@ -94,7 +90,7 @@ def build_aircraft(
     faults: FaultSet,
     clock: SimulatedClock,
     seed: int,
-    sensors: SensorsConfig = AS_USUAL,
+    sensors: SensorsConfig = USUAL_SENSORS,
     cockpit: Cockpit | AutopilotCockpit | None = None,
 ) -> SimulatedHardware:
     """Instruments, chips, bus and GPS of an aircraft that moves as `source` says, time zero being the clock's now.
@@ -123,18 +119,18 @@ def build_aircraft(
 
 @dataclass(frozen=True, slots=True)
 class FlightFiles:
-    """What a simulated flight has left."""
+    """The files of a simulated flight, and the recorder's statistics."""
 
     folder: Path
     recordings: tuple[Path, ...]
     truth: Path
     scenario: Path
-    books: Statistics
+    statistics: Statistics
 
 
 @dataclass
 class SimulatedFlightRun:
-    """A flight ready to be flown: `run` flies it, `serve` keeps the radio alive afterwards, `close` ends everything.
+    """A prepared flight: `run` flies it, `serve` continues the radio after landing, `close` releases everything.
 
     radio: both ends of the link; a ground station reads and writes `radio.ground`. each_scan: called before every scan
     with monotonic time [ns], in the flight's thread: the place to run a ground station in step. cancelled: set it to end
@@ -166,14 +162,14 @@ class SimulatedFlightRun:
             self.each_scan(now_ns)
             return self.cancelled or now_ns >= end_ns
 
-        books = self.assembly.logger.run(stop)
+        statistics = self.assembly.logger.run(stop)
         self.truth.close()
         scenario = self.folder / "scenario.toml"
         table = self.scenario.model_dump(exclude_defaults=True, mode="json")
         table.setdefault("flight", {})["seed"] = self.scenario.flight.seed
         write_text(scenario, toml_text(table))
         recordings = tuple(sorted((self.folder / "onboard").glob("*.mcap")))
-        return FlightFiles(self.folder, recordings, self.truth.path, scenario, books)
+        return FlightFiles(self.folder, recordings, self.truth.path, scenario, statistics)
 
     def serve(self, until: Callable[[], bool], limit_s: float = 600.0) -> bool:
         """After landing: no scans, but the radio goes on (backfill, log download) until `until()`; False at the limit."""
@@ -191,7 +187,7 @@ class SimulatedFlightRun:
         return True
 
     def close(self) -> None:
-        """Give all ports back."""
+        """Close all ports and files."""
         if self.assembly.link is not None:
             self.assembly.link.close()
         self.truth.close()
@@ -206,7 +202,7 @@ class SimulatedFlightRun:
         self.close()
 
     def note_scans(self) -> None:
-        """Write the truth of every scan, recorded or not, and keep its time."""
+        """From now on write the truth of every scan, recorded or not, and append its time to `scan_times`."""
 
         def note(taken: UnfinishedScan) -> None:
             time = taken.time_monotonic_ns * 1e-9
@@ -228,12 +224,12 @@ def prepare_flight(
     duration_s: float | None = None,
     gnss_port: Literal["memory", "pty"] = "memory",
 ) -> SimulatedFlightRun:
-    """Put a flight together; nothing has been flown when this returns.
+    """Prepare a flight; `run` of the result flies it.
 
     seed: of everything random; the scenario's by default. speed: simulated seconds a second, None as fast as it goes.
     config_file: the logger's configuration, of which `[logger]` of the scenario replaces keys. calibration: directory
-    embedded in the recording. source: something else than the scenario's flight to look at (a bench). gnss_port: the
-    GPS on a serial port in memory, or on a real pseudo-terminal opened by pyserial.
+    embedded in the recording. source: truth in place of the scenario's flight (a calibration bench). gnss_port: the GPS on
+    a serial port in memory, or on a real pseudo-terminal opened by pyserial.
     Raises ScenarioError for a mistake in the scenario's tables, ConfigError for one in the configuration, ManoeuvreError
     for a manoeuvre that this aircraft must not fly.
     """
@@ -260,18 +256,7 @@ def prepare_flight(
         aircraft.autopilot.connect(config.sensors.autopilot.baud, LOOP_HZ)
     radio = SimulatedRadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
     gnss, closers = _gnss_port(aircraft, gnss_port)
-    edge = HardwareEdge(
-        clock,
-        aircraft.bus,
-        gnss,
-        "simulated",
-        autopilot=_line(config.sensors, aircraft),
-        pulse=aircraft.newest_pulse if models.gnss.pulse else None,
-        radio=radio.air if config.downlink is not None else None,
-        storage=SimulatedCard(faults, clock),
-        heartbeat=cockpit.monostable if isinstance(cockpit, Cockpit) else None,
-        override=SimulatedSerial(cockpit.plane, clock.monotonic_ns) if isinstance(cockpit, AutopilotCockpit) else None,
-    )
+    edge = _hardware_edge(config, aircraft, gnss, radio, cockpit)
     session = f"{scenario.name}_{seed}"
     assembly = assemble(config, text, edge, session=session, folder="", boot=1 + seed % 255)
     assembly.recorder.detail({"simulation.scenario": scenario.name, "simulation.seed": str(seed)})
@@ -296,14 +281,31 @@ def prepare_flight(
     return flight
 
 
-def simulate_flight(scenario: Scenario, folder: Path, **options: Any) -> FlightFiles:
-    """Fly a scenario with nobody on the ground; options as `prepare_flight`."""
-    with prepare_flight(scenario, folder, **options) as flight:
-        return flight.run()
+def _hardware_edge(
+    config: LoggerConfig,
+    aircraft: SimulatedHardware,
+    gnss: SerialPortCalls,
+    radio: SimulatedRadioLink,
+    cockpit: Cockpit | AutopilotCockpit | None,
+) -> HardwareEdge:
+    """What the logger sees of the simulated hardware."""
+    clock = aircraft.clock
+    return HardwareEdge(
+        clock,
+        aircraft.bus,
+        gnss,
+        "simulated",
+        autopilot=_line(config.sensors, aircraft),
+        pulse=aircraft.newest_pulse if aircraft.instruments.models.gnss.pulse else None,
+        radio=radio.air if config.downlink is not None else None,
+        storage=SimulatedCard(aircraft.faults, clock),
+        heartbeat=cockpit.monostable if isinstance(cockpit, Cockpit) else None,
+        override=SimulatedSerial(cockpit.plane, clock.monotonic_ns) if isinstance(cockpit, AutopilotCockpit) else None,
+    )
 
 
 def _cockpit(scenario: Scenario, clock: SimulatedClock) -> Cockpit | AutopilotCockpit | None:
-    """The pilot's side, with the scenario's switch; None for a scenario without a sequencer."""
+    """The simulated pilot with his switch; None for a scenario without a sequencer."""
     if scenario.sequencer is None:
         lonely = [f["device"] for f in scenario.faults if f.get("device") in ONLY_WITH_SEQUENCER]
         if lonely:
@@ -313,7 +315,7 @@ def _cockpit(scenario: Scenario, clock: SimulatedClock) -> Cockpit | AutopilotCo
         return None
     table = checked(CockpitTable, scenario.sequencer, scenario.name, "sequencer")
     if table.autopilot is not None:
-        return AutopilotCockpit(table, scenario.takeoff_s, clock.monotonic_ns() - BEFORE_NS)
+        return AutopilotCockpit(table, scenario.takeoff_s, clock.monotonic_ns() - AUTOPILOT_ON_NS)
     return Cockpit(table, Monostable(clock.monotonic_ns), scenario.takeoff_s)
 
 
@@ -332,7 +334,7 @@ def _gnss_port(
 
 
 def _line(sensors: SensorsConfig, aircraft: SimulatedHardware) -> SimulatedSerial | None:
-    """The port to an autopilot, or to a receiver's SBUS; None where the logger listens to neither."""
+    """The port to an autopilot, or to a receiver's SBUS; None where the logger reads neither."""
     if sensors.autopilot_port is None:
         return None
     talker: Talker = aircraft.autopilot
@@ -347,7 +349,7 @@ def logger_config(
 ) -> tuple[LoggerConfig, str]:
     """The logger's configuration for a simulated flight, and its text: the file with the scenario's `[logger]` in it.
 
-    The text goes into the recording, so it names folders as another machine could read them, not where they lie here.
+    The text goes into the recording, so it has paths within the recording's folder, not those of this computer.
     """
     table = tomllib.loads(config_file.read_text(encoding="utf-8"))
     if scenario.sequencer is not None:

@@ -1,5 +1,5 @@
-"""What a log says beside its samples: flight modes, events and messages of the autopilot. They travel with a flight, are drawn,
-and name stretches of it.
+"""Marks of a log: flight modes, events and messages of the autopilot. They are stored with a flight, drawn in figures, and name
+stretches of it.
 
 In a flight file they stand in the provenance: `modes` [{"mode", "from", "to"}], `events` and
 `messages` [{"time", "origin", "text"}].
@@ -7,13 +7,15 @@ In a flight file they stand in the provenance: `modes` [{"mode", "from", "to"}],
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 from daq.utilities.plain_words import one_line
 from groundstation.flight.flight import LATEST, Flight
 
 MODES, EVENTS, MESSAGES, PARAMETERS = "modes", "events", "messages", "parameters"  # keys of a provenance's detail
-MOST = 20_000  # marks of a kind that are kept: a mode every second for five hours
+MOST = 20_000  # marks of each kind that are stored: a mode every second for five hours
 LONGEST_TEXT = 200  # characters of a mark; MAVLink's messages have 50, PX4's 127
 
 
@@ -28,7 +30,7 @@ class FlightMode:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Something that happened, or was said, at `time` [s]. origin: who says it."""
+    """An event or a message at `time` [s]. origin: its source."""
 
     time: float
     text: str
@@ -37,7 +39,7 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Marks:
-    """All in order of time."""
+    """The marks of a flight, each kind in order of time."""
 
     modes: tuple[FlightMode, ...] = ()
     events: tuple[Mark, ...] = ()
@@ -47,7 +49,7 @@ class Marks:
         return bool(self.modes or self.events or self.messages)
 
     def moved(self, later: float) -> "Marks":
-        """The same, so many seconds later."""
+        """The same marks, `later` seconds later."""
         modes = tuple(replace(m, start=m.start + later, stop=m.stop + later) for m in self.modes)
         events, messages = (
             tuple(replace(m, time=m.time + later) for m in marks) for marks in (self.events, self.messages)
@@ -74,7 +76,7 @@ def joined_marks(parts: Iterable[Marks]) -> Marks:
 
 
 def marks_of(flight: Flight) -> Marks:
-    """The marks that a flight carries; what is none (a flight may come from anybody) is left out."""
+    """The marks stored with a flight. Malformed entries, which a flight from elsewhere may have, are left out."""
     detail = flight.provenance.detail
 
     def text(row: Mapping[str, Any], key: str) -> str:
@@ -92,12 +94,13 @@ def marks_of(flight: Flight) -> Marks:
 def mode_changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[FlightMode, ...]:
     """Modes from samples of their name in order of time; the last lasts until `end` [s]."""
     pairs = list(zip(time, names, strict=True))
-    begins = [pair for i, pair in enumerate(pairs) if i == 0 or pair[1] != pairs[i - 1][1]]
+    begins = [next(same) for _, same in groupby(pairs, key=itemgetter(1))]
     stops = [*(t for t, _ in begins[1:]), max(end, begins[-1][0] if begins else end)]
     return tuple(FlightMode(name, start, stop) for (start, name), stop in zip(begins, stops, strict=False))
 
 
 def _rows(detail: Mapping[str, Any], key: str, numbers: tuple[str, ...], word: str) -> list[Mapping[str, Any]]:
+    """The entries under `key` whose fields `numbers` are numbers and whose field `word` is text."""
     rows = detail.get(key)
     return [
         row

@@ -1,4 +1,4 @@
-"""What was shown live, second by second, as it is kept in the finished flight."""
+"""The history of live estimates, as it is stored with the finished flight and read from it."""
 
 import math
 from array import array
@@ -12,26 +12,26 @@ DETAIL = "live_identification"
 """Key of a flight's provenance detail under which the history travels with the flight."""
 BELIEVED = "believed"
 """Key beside the history: derivative -> value, std, source."""
-MOST = 7200  # entries that are kept: two hours, some 3 MB
-DIGITS = 6  # of a number that is kept: the bounds have two
+MOST = 7200  # stored entries: two hours at one a second, some 3 MB
+DIGITS = 6  # stored of a number: bounds are known to two
 
 
 class LiveHistory:
-    """Estimates over time; of a very long flight every other entry is dropped, again and again."""
+    """Estimates over time. At MOST entries every other one is dropped, and from then on only every second is stored, and so
+    on."""
 
     def __init__(self, names: Sequence[str] = DERIVATIVES) -> None:
         self._names = tuple(names)
-        self._rows: list[
-            tuple[float, array[float]]
-        ] = []  # time; estimate and std of each derivative, NaN before it is told
-        self._every = self._skipped = 0
+        # time; estimate and std of each derivative, NaN before it is identified
+        self._rows: list[tuple[float, array[float]]] = []
+        self._to_skip = self._skipped = 0  # entries between two stored ones
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def add(self, time: float, estimates: LiveEstimates) -> None:
         """One entry, at `time` [s] of the flight."""
-        if self._skipped < self._every:
+        if self._skipped < self._to_skip:
             self._skipped += 1
             return
         self._skipped = 0
@@ -40,13 +40,13 @@ class LiveHistory:
         self._rows.append((time, array("d", [x for pair in numbers for x in pair])))
         if len(self._rows) > MOST:
             self._rows = self._rows[::2]
-            self._every = 2 * self._every + 1
+            self._to_skip = 2 * self._to_skip + 1
 
     def to_json(self) -> dict[str, Any]:
-        """`time` and, by derivative, `estimate` and `std`, null before it could be told: as `estimate --method live` has them."""
+        """`time` and, by derivative, `estimate` and `std`, null before it is identified; as in `estimate --method live`."""
 
-        def series(at: int) -> list[float | None]:
-            return [_short(row[at]) for _, row in self._rows]
+        def series(column: int) -> list[float | None]:
+            return [_rounded(row[column]) for _, row in self._rows]
 
         return {
             "time": [round(t, 3) for t, _ in self._rows],
@@ -55,7 +55,7 @@ class LiveHistory:
 
 
 def final_json(estimates: LiveEstimates) -> dict[str, Any]:
-    """The last numbers, each with why it is not told where it is not."""
+    """The last estimates, each with the reason where it is not identified."""
     return {
         n: {"estimate": _finite(d.estimate), "std": _finite(d.std), "told": d.told, "why": d.why}
         for n, d in estimates.derivatives.items()
@@ -66,13 +66,13 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _short(value: float) -> float | None:
+def _rounded(value: float) -> float | None:
     return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
 
 
 def history_of(detail: Mapping[str, Any]) -> tuple[list[float], dict[str, tuple[list[float], list[float]]]] | None:
-    """Times [s] and, by derivative, estimates and bounds (NaN before they were told) that a flight carries; None for anything
-    else under that key, for a flight may come from anybody."""
+    """Times [s] and, by derivative, estimates and bounds (NaN before they were identified) stored with a flight. None where
+    there is no history, or a malformed one, which a flight from elsewhere may have."""
     stored = detail.get(DETAIL)
     history = stored.get("history") if isinstance(stored, Mapping) else None
     if not isinstance(history, Mapping):

@@ -1,7 +1,7 @@
-"""Errors of importing that a person can act on."""
+"""The error of importing, with a message on what to correct."""
 
 from daq.utilities.errors import UserError
 
 
 class ImportDataError(UserError):
-    """Foreign data, or a mapping for it, that cannot be used."""
+    """A file of another program, or its mapping, that cannot be used."""

@@ -1,6 +1,7 @@
-"""Live identification of every aircraft that a station hears: begun when its aircraft is known, told, forwarded, and kept.
+"""Live identification of every aircraft that a station receives: runs the estimator once the aircraft is named, reports and
+forwards its estimates, and gives the result for the finished flight.
 
-Nothing here can end or delay reception: work is done in small pieces, and what the numbers provoke is told once.
+Reception is never delayed or ended: work is done in small pieces, and each fault is reported once.
 """
 
 import math
@@ -26,7 +27,7 @@ from groundstation.live.watches import LandingLimits
 from groundstation.receiver.events import Session
 from groundstation.receiver.ports import open_port
 
-UNNAMED_S = 15.0  # s of flight after which it is said that nobody has named the aircraft
+UNNAMED_S = 15.0  # s of reception without an aircraft's name, after which this is reported
 UNNAMED = (
     "live identification waits: the recording has not named its aircraft yet; name one with --aircraft NAME or FILE, or "
     '[identification] aircraft = "..."'
@@ -34,8 +35,10 @@ UNNAMED = (
 
 
 @dataclass
-class _AircraftRun:
-    """One run of one aircraft's logger. announced: derivatives that have been."""
+class _SessionRun:
+    """Live identification of one session of an aircraft. announced: derivatives already reported as identified; first: time of
+    the first scan [s]; next_line_s: time of the next line of estimates [s]; given_up: the aircraft file or the estimator
+    failed."""
 
     monitor: AircraftMonitor
     alignment: ScanAlignment = field(default_factory=ScanAlignment)
@@ -49,10 +52,10 @@ class _AircraftRun:
 
 
 class LiveIdentifications:
-    """Call `take_scan` and `take_fetched` with what comes, `step` often.
+    """Call `take_scan` and `take_fetched` with every scan, and `step` often.
 
-    landing: from which speed on the aircraft flies. source: reads aircraft files; None where live identification is off.
-    say: for what concerns no aircraft.
+    landing: the speed from which the aircraft flies. source: reads aircraft files; None switches live identification off. say:
+    prints a line that concerns no aircraft.
     """
 
     def __init__(
@@ -65,10 +68,10 @@ class LiveIdentifications:
         self._config = config
         self._landing = (landing.flying_speed, landing.flying_s)
         self._source = source if config.enabled else None
-        self._runs: dict[Session, _AircraftRun] = {}
+        self._runs: dict[Session, _SessionRun] = {}
         self._forward = NamedValues(config.forward if self._source is not None else (), say)
         if self._source is not None and config.aircraft:
-            self._source(config.aircraft, None, config.model)  # a mistake is said at the start, not in the air
+            self._source(config.aircraft, None, config.model)  # raises for a mistake at the start, not in flight
 
     def take_scan(self, session: Session, scan: Scan, monitor: AircraftMonitor) -> None:
         if self._source is None:
@@ -82,21 +85,21 @@ class LiveIdentifications:
             monitor.note("INFO", UNNAMED)
 
     def take_fetched(self, session: Session, data: bytes, monitor: AircraftMonitor) -> None:
-        """A scan in the aircraft's own bytes, by backfill."""
+        """Take a scan from backfill, in the bytes of the recording."""
         if self._source is not None:
             self._run(session, monitor).alignment.add(data)
 
-    def _run(self, session: Session, monitor: AircraftMonitor) -> _AircraftRun:
-        """The run, begun at once where the configuration names the aircraft."""
+    def _run(self, session: Session, monitor: AircraftMonitor) -> _SessionRun:
+        """The run of a session; a new one begins at once if the configuration names the aircraft."""
         run = self._runs.get(session)
         if run is None:
-            run = self._runs[session] = _AircraftRun(monitor)
+            run = self._runs[session] = _SessionRun(monitor)
             if self._config.aircraft:
                 self._begin(run, self._config.aircraft, None)
         return run
 
     def begin(self, session: Session, info: RecordingInfo, monitor: AircraftMonitor) -> None:
-        """The recording has told what it is: its aircraft, and its calibration, which the monitor uses already."""
+        """Take the identity of the recording: its aircraft, and its calibration, which the monitor uses already."""
         if self._source is None:
             return
         run = self._run(session, monitor)
@@ -108,7 +111,7 @@ class LiveIdentifications:
                 return
             self._begin(run, info.aircraft, None if aircraft_file is None else aircraft_file.decode("utf-8", "replace"))
 
-    def _begin(self, run: _AircraftRun, name: str, text: str | None) -> None:
+    def _begin(self, run: _SessionRun, name: str, text: str | None) -> None:
         assert self._source is not None
         try:
             aircraft: LiveAircraft = self._source(name, text, self._config.model)
@@ -131,7 +134,7 @@ class LiveIdentifications:
         run.monitor.note("INFO", f"live identification of {aircraft.name} begins{watched_model}")
 
     def step(self) -> None:
-        """Work on what has come, and tell what is new."""
+        """Process the scans that have come, and report what is new."""
         for run in self._runs.values():
             if run.live is None:
                 continue
@@ -143,7 +146,7 @@ class LiveIdentifications:
                 run.given_up = True
                 run.monitor.note("WARN", run.live.trouble)
 
-    def _report_alarms(self, run: _AircraftRun, *, finish: bool) -> None:
+    def _report_alarms(self, run: _SessionRun, *, finish: bool) -> None:
         watch = None if run.live is None else run.live.watch
         if watch is None:
             return
@@ -153,7 +156,7 @@ class LiveIdentifications:
             run.watch_reported = True
             run.monitor.note("WARN", watch.trouble)
 
-    def _report_state(self, run: _AircraftRun, state: LiveState) -> None:
+    def _report_state(self, run: _SessionRun, state: LiveState) -> None:
         run.monitor.show_identification(state)
         self._forward.send(run.monitor.system, state)
         derivatives = state.estimates.derivatives
@@ -165,19 +168,19 @@ class LiveIdentifications:
             run.monitor.note("INFO", short_line(state))
 
     def state(self, system: int) -> LiveState | None:
-        """The latest state of an aircraft."""
+        """The latest state of an aircraft; None before there is one."""
         runs = [r for s, r in self._runs.items() if s.system == system and r.live is not None]
         return runs[-1].live.state if runs and runs[-1].live is not None else None
 
     def finish(self) -> None:
-        """Everything that has come into the numbers, and what the monitor says of it."""
+        """Process all remaining scans, and report the gap monitor's alarms on them."""
         for run in self._runs.values():
             if run.live is not None:
                 run.live.finish()
                 self._report_alarms(run, finish=True)
 
     def result(self, session: Session) -> Mapping[str, Any] | None:
-        """What goes into the finished flight, after `finish`. None where nothing was identified."""
+        """The content of the finished flight's provenance, after `finish`. None where nothing was identified."""
         run = self._runs.get(session)
         if run is None or run.live is None:
             return None
@@ -207,13 +210,13 @@ class LiveIdentifications:
         self._forward.close()
 
 
-COMPONENT = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: a computer of that aircraft, but not the one that flies or logs
-STD = ".s"  # ends the name of a bound: ten bytes are all there is
-_MILLISECONDS = 2**32  # what time_boot_ms holds
+COMPONENT = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: a computer of that aircraft other than the autopilot and the logger
+STD = ".s"  # the end of the name of a bound; a name has ten bytes
+_MILLISECONDS = 2**32  # range of time_boot_ms
 
 
 class NamedValues:
-    """Forwards to each port. say: told once about a port that fails, and again only after it has worked."""
+    """Sends estimates as NAMED_VALUE_FLOAT to each port. say: prints a line, once for each failure of a port."""
 
     def __init__(self, ports: Sequence[str], say: Callable[[str], None]) -> None:
         self._ports: dict[str, BytePort] = {text: open_port(text) for text in ports}
@@ -222,7 +225,7 @@ class NamedValues:
         self._say = say
 
     def send(self, system: int, state: LiveState) -> None:
-        """Each derivative that is told, and its bound as `<name>.s`."""
+        """Send each identified derivative, and its bound as `<name>.s`."""
         if not self._ports:
             return
         encoder = self._encoders.setdefault(system, FrameEncoder(system, COMPONENT))
@@ -238,7 +241,7 @@ class NamedValues:
     def _write(self, frame: bytes) -> None:
         for text, port in self._ports.items():
             try:
-                port.read()  # what others say is not for here, and must not fill the system's buffer
+                port.read()  # discard what arrives, so that the system's buffer does not fill
                 port.write(frame)
                 self._failing.discard(text)
             except OSError as error:

@@ -1,6 +1,6 @@
-"""From scan frames of one aircraft to scans and sessions, with exact accounting of what is missing.
+"""Turns the scan frames of one aircraft into scans and sessions, with exact accounting of missing scans.
 
-Nothing here does input or output, and no content of a frame makes it raise.
+No input or output happens here, and no content of a frame raises an exception.
 """
 
 from collections import OrderedDict
@@ -16,11 +16,12 @@ from groundstation.receiver.continuity import LATE_NS, PendingScan, ScanRun, Unc
 from groundstation.receiver.link_accounting import SequenceTracker, SessionAccounting
 from groundstation.receiver.timeline import NS, Allowance, ClockSync
 
-_new_tuple: Callable[..., Any] = tuple.__new__  # without the function that names the fields: half of the time
-_PARTS_KEPT = 64
-_MAX_SESSIONS = 64
+_new_tuple: Callable[..., Any] = tuple.__new__  # a named tuple in half the time of its constructor
+_PARTIAL_SCANS = 64  # scans whose parts are stored until they are complete
+_MAX_SESSIONS = 64  # that are stored
+_RECENT_SESSIONS = 3  # before the present one, from which a late scan may come
 _RESTARTS_AT_ONCE, _RESTARTS_PER_S = 8, 1 / 60
-"""A logger that starts anew eight times in a row and then once a minute is followed; each session is a file."""
+"""Restarts of a logger that are accepted: eight in a row and then one a minute. Each session is a file, so they are limited."""
 _WARNING = 4  # as in syslog
 _FOREIGN_CHANNELS = (
     "ground: the aircraft sends laboratory channels that no package installed here describes, or another version of it"
@@ -29,7 +30,7 @@ _FOREIGN_CHANNELS = (
 
 
 class ScanDecoder:
-    """The scans of one aircraft (system id), its sessions, and what is missing of them."""
+    """The scans of one aircraft (system id), its sessions, and their missing scans."""
 
     def __init__(self, system: int, reception_findings: findings.ReceptionFindings | None = None) -> None:
         self.system = system
@@ -48,12 +49,12 @@ class ScanDecoder:
         self._layouts = layouts()
         self._events: list[ev.Event] = []
         self._foreign_channels_reported = False
-        self._scan_component = -1  # the component of the latest scan that was believed
+        self._scan_component = -1  # the component of the latest accepted scan
 
     @property
     def tracker(self) -> SequenceTracker:
-        """The tracker of the component that sends the scans, for the link is judged by the logger's numbers; before there are
-        any, of the one that sends most.
+        """The tracker by which the link is judged: of the component that sends the scans; before the first scan, of the component
+        that sends most.
         """
         if self._scan_component in self.trackers:
             return self.trackers[self._scan_component]
@@ -67,37 +68,37 @@ class ScanDecoder:
 
     @property
     def pending_parts(self) -> int:
-        """Scan parts that follow nothing known and wait for others to prove them."""
+        """Scan parts that do not continue a known run, and wait for more of theirs."""
         return self._unconfirmed.count
 
     def _take_scan(self, frame: MavlinkFrame, now_ns: int, utc_ns: int) -> None:
         part = self._part(frame, now_ns)
         if part is None:
             return
-        straggled = None if len(self.sessions) < 2 else self._straggled(part)
-        if straggled is not None:
-            straggled.see(part.number)  # counted, not shown
+        late_session = None if len(self.sessions) < 2 else self._session_of_late_part(part)
+        if late_session is not None:
+            late_session.see(part.number)  # counted, but not reported as a scan
             if part.msg_id == SCAN_FAST_ID:
-                straggled.received.add(part.number)
+                late_session.received.add(part.number)
             return
         accounting = self.sessions[-1] if self.sessions else None
         if accounting is None or accounting.run is None:
             self._begin(PendingScan(part, frame.component, now_ns, utc_ns), accounting)
             return
         if accounting.run.follows(part, now_ns):
-            self._believe(accounting, part, frame.component, now_ns, utc_ns)
+            self._accept(accounting, part, frame.component, now_ns, utc_ns)
             if self._unconfirmed.candidates:
                 self._findings.doubt(self.system, findings.NUMBERS, self._unconfirmed.clear())
             return
-        long_on_its_way = accounting.run.is_older(part) and part.number in accounting.received  # a late copy
-        if not long_on_its_way:
+        late_copy = accounting.run.is_older(part) and part.number in accounting.received
+        if not late_copy:
             self._hold(accounting, PendingScan(part, frame.component, now_ns, utc_ns))
 
-    def _straggled(self, part: ScanPart) -> SessionAccounting | None:
-        """The earlier session that a part of another boot is a late one of."""
+    def _session_of_late_part(self, part: ScanPart) -> SessionAccounting | None:
+        """The earlier session to which a delayed part of another boot belongs; None where there is none."""
         if self.accounting is None or part.boot == self.accounting.session.boot:
             return None
-        for earlier in self.sessions[-4:-1]:
+        for earlier in self.sessions[-1 - _RECENT_SESSIONS : -1]:
             close = abs(part.time_monotonic_ns - earlier.last_time_ns) < LATE_NS
             if earlier.session.boot == part.boot and close and part.number <= earlier.last + BLOCK:
                 return earlier
@@ -111,10 +112,10 @@ class ScanDecoder:
                 return
             accounting = self._new_session(pending.part.boot, pending.now_ns)
         accounting.run = ScanRun(pending.part, pending.now_ns)
-        self._believe(accounting, *pending)
+        self._accept(accounting, *pending)
 
     def _hold(self, accounting: SessionAccounting, pending: PendingScan) -> None:
-        """Keep a scan that follows nothing, until more of its run have come and none of the known one."""
+        """Store a scan that does not continue the known run, until more of its own run have come and none of the known one."""
         proven, given_up = self._unconfirmed.hold(pending, self.trackers[pending.component].lost)
         self._findings.doubt(self.system, findings.NUMBERS, given_up)
         if proven is None:
@@ -123,7 +124,7 @@ class ScanDecoder:
         run = accounting.run
         goes_on = run is not None and first.boot == run.boot
         if goes_on and run is not None and first.number > run.number and run.in_step(first):
-            run.advance(first, proven.parts[0].now_ns)  # this computer's clock stood still, or the link was away
+            run.advance(first, proven.parts[0].now_ns)  # this computer was suspended, or the link was interrupted
         elif self._restart_allowance.spend(1, pending.now_ns):
             accounting = self._new_session(first.boot, pending.now_ns)
             accounting.run = ScanRun(first, proven.parts[0].now_ns)
@@ -132,16 +133,17 @@ class ScanDecoder:
             self._findings.doubt(self.system, findings.RESTARTS)
             return
         for part in proven.parts:
-            self._believe(accounting, *part)
+            self._accept(accounting, *part)
 
     def _restart_trackers(self, component: int, lost: int) -> None:
-        """The logger has started anew, and with it all its components; of an autopilot's a second's loss is forgiven."""
+        """Restart the trackers of all components with the logger. Other components than that of the scans may continue with any
+        sequence number, because an autopilot does not restart with the logger."""
         for number, tracker in self.trackers.items():
             tracker.restart(lost if number == component else tracker.lost)
             if number != component:
                 tracker.expect_any()
 
-    def _believe(self, accounting: SessionAccounting, part: ScanPart, component: int, now_ns: int, utc_ns: int) -> None:
+    def _accept(self, accounting: SessionAccounting, part: ScanPart, component: int, now_ns: int, utc_ns: int) -> None:
         assert accounting.run is not None
         accounting.run.advance(part, now_ns)
         if self._claims:
@@ -157,7 +159,7 @@ class ScanDecoder:
             return
         is_late = part.time_monotonic_ns < accounting.last_time_ns
         parts.append(part)
-        while len(self._parts) > _PARTS_KEPT:
+        while len(self._parts) > _PARTIAL_SCANS:
             old_parts = self._parts.pop(next(iter(self._parts)))
             if old_parts[0].msg_id != SCAN_FAST_ID and all(p.msg_id != SCAN_FAST_ID for p in old_parts):
                 self.partial_scans += 1
@@ -182,12 +184,12 @@ class ScanDecoder:
         self._events.append(_new_tuple(ev.ScanReceived, fields))
 
     def _part(self, frame: MavlinkFrame, now_ns: int) -> ScanPart | None:
-        """What a scan message says; None, told once, for laboratory channels that no package here describes."""
+        """The content of a scan message; None, reported once, for laboratory channels that no installed package describes."""
         layout = self._layouts.get(frame.msg_id)
         if layout is not None:
             try:
                 return unpack_scan(layout, padded(frame.payload, layout.size))
-            except ValueError:  # another table: told below
+            except ValueError:  # of another channel table: reported below
                 pass
         if not self._foreign_channels_reported:
             self._foreign_channels_reported = True
@@ -208,4 +210,4 @@ class ScanDecoder:
 
     def _session(self, boot: int) -> SessionAccounting | None:
         """The session of a report that carries a boot id; None before a scan of it has come."""
-        return next((b for b in reversed(self.sessions) if b.session.boot == boot), None)
+        return next((s for s in reversed(self.sessions) if s.session.boot == boot), None)

@@ -1,9 +1,8 @@
-"""Who may look: every request to a port of the view is held against its Host, its Origin and, where there is one, the token.
+"""Access control of the view: every request is checked for its Host, its Origin and, where there is one, the token.
 
-A page of another site whose name was made to lead to this computer ("rebound") asks with that name as Host, and is refused;
-what it reads is therefore nothing. Native viewers speak HTTP/2 without encryption, which no browser does: they are let
-through on loopback, where anybody who can log in could look anyway. Connections are limited in number and in idleness.
-"""
+A page of another site whose name resolves to this computer (DNS rebinding) sends that name as Host, and is refused. Native
+viewers use HTTP/2 without encryption, which no browser does; they are accepted on loopback, where every user of this computer
+could read the data anyway. Connections are limited in number and in idle time."""
 
 import contextlib
 import hmac
@@ -23,20 +22,22 @@ from typing import Any
 from daq.utilities.errors import UserError
 
 LOOPBACK = "127.0.0.1"
-HERE = frozenset({"127.0.0.1", "localhost", "::1"})
-"""Names of this computer that a page of it can be asked by."""
+LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
+"""Names in a Host header that mean this computer."""
 
 MOST_CONNECTIONS = 64
-MOST_OF_ONE = 24  # from one other computer: a browser has six and its streams, and nobody is to keep all others out
-HEAD_S = 5.0  # in which a request's head has to have come, all of it
-IDLE_S = 600.0  # without a byte in either direction
-LONGEST_HEAD = 16384
+MOST_OF_ONE = (
+    24  # from one other computer: a browser uses six and its streams, and one computer must not block all others
+)
+HEAD_S = 5.0  # in which the head of a request must be complete
+IDLE_S = 600.0  # without a byte in either direction, after which a connection is closed
+LONGEST_HEAD = 16384  # bytes
 _BLOCK = 1 << 16
 _BACKLOG = 128
 _HOP_BY_HOP = (b"connection:", b"upgrade:", b"http2-settings:", b"keep-alive:", b"proxy-connection:")
-"""Not passed on: with them a connection could go on as HTTP/2, or with a second request, at which nobody looks."""
+"""Headers that are removed: with them a connection could continue as HTTP/2, or with a second request, without a check."""
 _ODD_LINE = re.compile(rb"[\x00\n\r]|^[ \t]|^[^:]*[ \t]:")
-"""A bare line end, a line continued or a blank before the colon: what two programs read differently."""
+"""A bare line end, a continued line or a blank before the colon: programs differ in how they read these."""
 _HTTP2 = b"PRI * HTTP/2.0\r\n\r\n"
 COOKIE = "sideslip"
 
@@ -63,14 +64,14 @@ def free_port() -> int:
 
 
 def hidden_address() -> str:
-    """An address of this computer's loopback that a page of another site cannot know; the usual one where there is but that."""
+    """A random loopback address, which a page of another site cannot know; the usual one on systems that have only that."""
     if sys.platform != "linux":
         return LOOPBACK
     return f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}.{secrets.randbelow(253) + 2}"
 
 
 def host_of(header: str) -> str:
-    """The name in a Host or Origin, in small letters, without scheme, port and brackets."""
+    """The host name in a Host or Origin header, in lower case, without scheme, port and brackets."""
     name = header.strip().lower()
     name = name.partition("//")[2] or name
     if name.startswith("["):
@@ -81,8 +82,9 @@ def host_of(header: str) -> str:
 def refusal(
     headers: Mapping[str, str], names: frozenset[str], token: str, *, tokens: tuple[str, ...] = ()
 ) -> HTTPStatus | None:
-    """Why a request is not answered; None where it is. headers: by their names in small letters. names: names that this
-    server goes by; with a token any, for a strange name has no token. tokens: those that the request shows besides its cookie."""
+    """The HTTP status of a refused request; None for an accepted one. headers: by their names in lower case. names: host names of
+    this server; not checked with a token, which a page of another site does not have. tokens: of the request, besides its
+    cookie."""
     host, origin = headers.get("host", ""), headers.get("origin")
     if not token and host_of(host) not in names:
         return HTTPStatus.MISDIRECTED_REQUEST
@@ -100,7 +102,7 @@ def _cookies(header: str) -> list[str]:
 
 
 class BoundedServer(socketserver.ThreadingTCPServer):
-    """A server with a thread a connection, as many as MOST_CONNECTIONS at once; what comes beyond is closed at once."""
+    """A server with one thread for each connection, at most MOST_CONNECTIONS; further ones are closed at once."""
 
     daemon_threads = True
     allow_reuse_address = True
@@ -115,7 +117,7 @@ class BoundedServer(socketserver.ThreadingTCPServer):
         self._thread.start()
 
     def close(self) -> None:
-        """Let nobody in any more."""
+        """Accept no more connections."""
         self.shutdown()
         self.server_close()
         self._thread.join()
@@ -129,7 +131,7 @@ class BoundedServer(socketserver.ThreadingTCPServer):
             return True
 
     def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
-        """Serve, or close where there are too many."""
+        """Serve a connection, or close it where there are too many."""
         if not self._admitted(str(client_address[0])):
             self.shutdown_request(request)
             return
@@ -140,15 +142,15 @@ class BoundedServer(socketserver.ThreadingTCPServer):
             super().process_request_thread(request, client_address)
         finally:
             with self._counting:
-                self._served -= Counter([str(client_address[0])])  # and forgets who has none left
+                self._served -= Counter([str(client_address[0])])  # subtraction drops counts of zero
                 self._room.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A connection that breaks is no news."""
+        """Print nothing: broken connections are normal."""
 
 
 def pump(first: socket.socket, second: socket.socket, idle_s: float = IDLE_S) -> None:
-    """Pass bytes on in both directions until one side ends, or nothing comes for too long."""
+    """Forward bytes in both directions until one side ends, or nothing comes for `idle_s`."""
     destination = {first: second, second: first}
     for side in destination:
         side.settimeout(HEAD_S)
@@ -164,19 +166,20 @@ def pump(first: socket.socket, second: socket.socket, idle_s: float = IDLE_S) ->
 
 
 class ViewerGate(BoundedServer):
-    """In front of rerun's own server of a live view, on loopback. backend: where that listens. Raises OSError."""
+    """A proxy with access control before rerun's server of a live view, on loopback. backend: address of that server. Raises
+    OSError."""
 
     def __init__(self, port: int, backend: tuple[str, int]) -> None:
         class GateHandler(_GateConnection):
-            behind = backend
+            backend_address = backend
 
         super().__init__((LOOPBACK, port), GateHandler, "viewer-gate")
 
 
 class _GateConnection(socketserver.BaseRequestHandler):
-    """One connection: its first request decides."""
+    """One connection, which is accepted or refused by its first request."""
 
-    behind = ("", 0)
+    backend_address = ("", 0)
 
     def handle(self) -> None:
         client: socket.socket = self.request
@@ -185,7 +188,7 @@ class _GateConnection(socketserver.BaseRequestHandler):
             if head is None:
                 return
             if not head.startswith(_HTTP2):
-                status = HTTPStatus.BAD_REQUEST if ambiguous(head) else refusal(_headers(head), HERE, "")
+                status = HTTPStatus.BAD_REQUEST if ambiguous(head) else refusal(_headers(head), LOOPBACK_NAMES, "")
                 if status is not None:
                     response = (
                         f"HTTP/1.1 {status.value} {status.phrase}",
@@ -197,31 +200,32 @@ class _GateConnection(socketserver.BaseRequestHandler):
                     client.sendall("\r\n".join(response).encode())
                     return
                 head = single_request(head)
-            with socket.create_connection(self.behind, HEAD_S) as server:
+            with socket.create_connection(self.backend_address, HEAD_S) as server:
                 server.sendall(head)
                 pump(client, server)
 
 
 def ambiguous(head: bytes) -> bool:
-    """Whether another program may read other headers from a head than this one does."""
+    """Whether another program may read the headers of a head differently."""
     lines = head.partition(b"\r\n\r\n")[0].split(b"\r\n")
     return any(_ODD_LINE.search(line) for line in lines[1:]) or bool(re.search(rb"[\x00\n\r]", lines[0]))
 
 
 def single_request(head: bytes) -> bytes:
-    """The head of a request (with what follows it) that lets no second request follow on the same connection: only the first
-    was looked at."""
+    """The head of a request (and the bytes after it), changed so that the connection closes after it: only the first request was
+    checked."""
     lines, body = head.partition(b"\r\n\r\n")[::2]
     headers = [line for line in lines.split(b"\r\n") if not line.lower().startswith(_HOP_BY_HOP)]
     return b"\r\n".join([*headers, b"Connection: close"]) + b"\r\n\r\n" + body
 
 
 def _head(client: socket.socket) -> bytes | None:
-    """The bytes of a connection up to the end of the first head, and what came with it; None where that does not come."""
+    """The bytes of a connection up to the end of the first head, and those received with it; None where the head is not complete
+    in HEAD_S, or too long."""
     deadline = time.monotonic() + HEAD_S
     data = b""
     while b"\r\n\r\n" not in data:
-        client.settimeout(max(0.001, deadline - time.monotonic()))  # bytes that drip gain nothing
+        client.settimeout(max(0.001, deadline - time.monotonic()))  # the deadline is for the whole head
         piece = client.recv(4096)
         data += piece
         if not piece or len(data) > LONGEST_HEAD:
@@ -230,7 +234,7 @@ def _head(client: socket.socket) -> bytes | None:
 
 
 def _headers(head: bytes) -> dict[str, str]:
-    """Headers by their names in small letters; of one that comes twice nothing is believed."""
+    """Headers by their names in lower case; a repeated one has the invalid value ","."""
     headers: dict[str, str] = {}
     for line in head.partition(b"\r\n\r\n")[0].decode("latin-1").split("\r\n")[1:]:
         name, _, value = line.partition(":")

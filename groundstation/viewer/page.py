@@ -17,7 +17,7 @@ from http.server import BaseHTTPRequestHandler
 from typing import ClassVar
 
 from groundstation.viewer import gate
-from groundstation.viewer.gate import COOKIE, HERE, LOOPBACK, BoundedServer, pump, refusal
+from groundstation.viewer.gate import COOKIE, LOOPBACK, LOOPBACK_NAMES, BoundedServer, pump, refusal
 
 TOKEN = "token"
 """Of the page's address."""
@@ -90,7 +90,7 @@ class PageServer(BoundedServer):
             source = files
             backend = behind
             token = key
-            names = HERE if host == LOOPBACK else HERE | {host.lower()}
+            names = LOOPBACK_NAMES if host == LOOPBACK else LOOPBACK_NAMES | {host.lower()}
             headers_of_page: ClassVar = {
                 "Content-Security-Policy": policy(data),
                 "Referrer-Policy": "no-referrer",
@@ -107,7 +107,7 @@ class _Handler(BaseHTTPRequestHandler):
     source = ""
     backend = ("", 0)
     token = ""
-    names: ClassVar[frozenset[str]] = HERE
+    names: ClassVar[frozenset[str]] = LOOPBACK_NAMES
     headers_of_page: ClassVar[dict[str, str]] = {}
     timeout = _ASK_S
     server_version = "sideslip"

@@ -1,4 +1,4 @@
-"""The verb `fly`: a scenario on the simulated aircraft, with the radio inside or on a real port."""
+"""The verb `fly`: a scenario on the simulated aircraft, with a simulated radio link or with the radio on a real port."""
 
 import signal
 import threading
@@ -10,7 +10,7 @@ import click
 from daq.utilities.errors import UserError
 from daq.utilities.options import flag_option, json_option, path_option, seed_option
 from daq.utilities.outputs import tried_folder, write_json
-from sideslip.chain import fly_scenario
+from sideslip.chain import ChainFlight, fly_scenario
 
 if TYPE_CHECKING:
     from firmware_sim.runs.flight import SimulatedFlightRun
@@ -61,7 +61,7 @@ def fly(
     show_list: bool,
 ) -> int:
     """Fly SCENARIO (a TOML file or a built-in name) on the simulated aircraft, or run one of the calibration benches."""
-    from firmware_sim.runs.bench_recordings import bench_titles, record_bench
+    from firmware_sim.runs.bench_recordings import bench_titles
     from firmware_sim.world.scenario import built_in_scenarios, load_scenario
     from sideslip.verbs.delivery import Progress
 
@@ -72,22 +72,15 @@ def fly(
     if scenario is None:
         raise UserError("fly: name a scenario, or give --list to see the built-in ones")
     if scenario in bench_titles():
-        from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
-
-        folder = out or Path("flights") / scenario
-        bench = record_bench(scenario, folder, seed=1 if seed is None else seed, calibration=NOMINAL_DIRECTORY / "cdfp")
-        click.echo(
-            f"bench recording {bench.flight.recordings[0].parent}, plan {bench.plan}; fit it with 'sideslip bench'"
-        )
-        return 0
+        return _record_bench(scenario, out or Path("flights") / scenario, 1 if seed is None else seed)
     loaded_scenario = load_scenario(scenario)
     if manoeuvre is not None:
         loaded_scenario = _with_manoeuvre(loaded_scenario, manoeuvre)
     folder = out or Path("flights") / loaded_scenario.name
     pace = _pace(speed, live or port is not None)
-    papers = {"config_file": config_file, "calibration": _calibration_folder(calibration)}
+    logger_files = {"config_file": config_file, "calibration": _calibration_folder(calibration)}
     if port is not None:
-        return _fly_over_port(loaded_scenario, folder, port, seed, pace, **papers)
+        return _fly_over_port(loaded_scenario, folder, port, seed, pace, **logger_files)
     view = LiveFactory() if live else None
     try:
         with Progress(f"flying {loaded_scenario.name}") as bar:
@@ -99,25 +92,40 @@ def fly(
                 backfill=not no_backfill,
                 live=view.make if view else None,
                 tell=bar,
-                **papers,
+                **logger_files,
             )
     finally:
         if view is not None:
             view.close()
-    for line in chain_flight.lines:
+    _print_flight(chain_flight, compared=not no_backfill)
+    if json_path is not None:
+        write_json(chain_flight.summary, json_path)
+    return 0
+
+
+def _record_bench(name: str, folder: Path, seed: int) -> int:
+    """Record one of the calibration benches."""
+    from firmware_sim.runs.bench_recordings import record_bench
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
+
+    bench = record_bench(name, folder, seed=seed, calibration=NOMINAL_DIRECTORY / "cdfp")
+    click.echo(f"bench recording {bench.flight.recordings[0].parent}, plan {bench.plan}; fit it with 'sideslip bench'")
+    return 0
+
+
+def _print_flight(flight: ChainFlight, *, compared: bool) -> None:
+    """Print messages and counters of a flight. compared: scans on board and on the ground were compared, by backfill."""
+    for line in flight.lines:
         click.echo(line)
-    for time_s, words in chain_flight.sequencer:
+    for time_s, words in flight.sequencer:
         click.echo(f"{time_s:8.2f} s  {words}")
-    s = chain_flight.summary
+    s = flight.summary
     lost_scans = sum(b - a + 1 for a, b in s["scans_lost"])
     click.echo(
         f"radio: {s['scans_received']} scans received, {lost_scans} lost, {s['backfilled']} fetched after landing"
     )
-    click.echo(f"air and ground agree: {'yes' if chain_flight.agreed else 'not compared' if no_backfill else 'no'}")
-    click.echo(f"onboard flight: {chain_flight.onboard}")
-    if json_path is not None:
-        write_json(s, json_path)
-    return 0
+    click.echo(f"air and ground agree: {'yes' if flight.agreed else 'no' if compared else 'not compared'}")
+    click.echo(f"onboard flight: {flight.onboard}")
 
 
 def _calibration_folder(calibration: str | None) -> Path | None:
@@ -147,7 +155,7 @@ def _with_manoeuvre(scenario: "Scenario", path: Path) -> "Scenario":
     return scenario.altered(**changes)
 
 
-RADIO_ON_S = 7 * 24 * 3600.0
+RADIO_ON_S = 7 * 24 * 3600.0  # after landing: longer than anybody waits for Ctrl-C
 
 
 def _fly_over_port(

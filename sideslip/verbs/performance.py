@@ -22,7 +22,7 @@ EXAMPLE = "Example: sideslip performance glide1.mcap glide2.mcap --aircraft mine
 @flights_argument()
 @aircraft_option("Whose mass and area make coefficients")
 @segments_option("Use only these stretches: 2:12,15:25 [s].")
-@flag_option("--throttle-off", text="It was off throughout, where no column says so.")
+@flag_option("--throttle-off", text="The throttle was closed throughout; for flights without a column that shows it.")
 @json_option()
 @report_option()
 @figure_option("Write the figure of polar, sink and power (.png .svg .pdf).")

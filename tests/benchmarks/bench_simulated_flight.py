@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.runs.flight import simulate_flight
+from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from tests.benchmarks.conftest import Against
 
@@ -14,10 +14,11 @@ from tests.benchmarks.conftest import Against
 def test_a_minute_of_flight(tmp_path: Path, against_reference: Against) -> None:
     scenario = load_scenario("rich").altered(flight={"duration_s": 60.0})
     start = time.process_time()
-    files = simulate_flight(scenario, tmp_path)
+    with prepare_flight(scenario, tmp_path) as prepared:
+        files = prepared.run()
     seconds = time.process_time() - start
-    books = files.books
-    print(f"\n60 s of flight in {seconds:.1f} s, {books.written} scans, {60.0 / seconds:.0f} times real time")
-    assert (books.missed, books.dropped, books.lost) == (0, 0, 0)
-    assert books.written > 1180  # of 1200: the sensors start in the first half second
+    statistics = files.statistics
+    print(f"\n60 s of flight in {seconds:.1f} s, {statistics.written} scans, {60.0 / seconds:.0f} times real time")
+    assert (statistics.missed, statistics.dropped, statistics.lost) == (0, 0, 0)
+    assert statistics.written > 1180  # of 1200: the sensors start in the first half second
     against_reference("a minute of simulated flight", seconds, 600.0)  # 430 on 2026-11-28

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.runs.flight import simulate_flight
+from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from groundstation.calibration.recording import calibrate_recording
@@ -27,9 +27,10 @@ DURATION_S = 40.0
 
 def errors(seed: int, folder: Path) -> dict[str, tuple[float, float, float]]:
     """Mean error, rms error and delay [s] of each column in one flight."""
-    simulate_flight(
+    with prepare_flight(
         load_scenario("rich"), folder, seed=seed, calibration=NOMINAL_DIRECTORY / "cdfp", duration_s=DURATION_S
-    )
+    ) as prepared:
+        prepared.run()
     flight, truth = calibrate_recording(folder / "onboard"), read_flight(folder / "truth.csv")
     settled = flight.time - flight.time[0] > SETTLED_S
     out = {}

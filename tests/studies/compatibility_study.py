@@ -18,7 +18,7 @@ from estimation.compatibility.problem import USEFUL, CompatibilityProblem, infor
 from estimation.compatibility.reconstruction import FactorEstimate, compatibility
 from estimation.models.kinematic import MEASUREMENTS, STANDARD_FACTORS, compatibility_model
 from firmware_sim.runs.direct import DirectNoise, direct_flights
-from firmware_sim.runs.flight import simulate_flight
+from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import Scenario, load_scenario
 from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from groundstation.calibration.recording import calibrate_recording
@@ -105,7 +105,10 @@ def chain(seeds: Sequence[int]) -> None:
         scenario = load_scenario(name)
         for seed in seeds:
             with tempfile.TemporaryDirectory() as folder:
-                simulate_flight(scenario, Path(folder), seed=seed, calibration=NOMINAL_DIRECTORY / "cdfp")
+                with prepare_flight(
+                    scenario, Path(folder), seed=seed, calibration=NOMINAL_DIRECTORY / "cdfp"
+                ) as prepared:
+                    prepared.run()
                 found = compatibility(calibrate_recording(Path(folder) / "onboard")).factors
             for factor, truth in planted_in(scenario).items():
                 error = found[factor].estimate - truth

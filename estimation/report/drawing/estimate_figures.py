@@ -1,4 +1,5 @@
-"""Figures 8 to 10 of the paper for one's own flights, correlations of the estimates and their confidence ellipses."""
+"""Figures of an estimate's report: derivatives over flights, histories, proof of match (Figures 8 to 10 of the paper, for any
+flights), correlations of the estimates and their confidence ellipses."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from estimation.session.proof_of_match import ProofOfMatch
     from estimation.session.session import EstimationSession, FlightEstimates
 
-ACROSS = 4
+PANELS_ACROSS = 4
 PUBLISHED = "#8b95a1"
 
 
@@ -39,7 +40,7 @@ def scatter_figure(session: "EstimationSession") -> Picture:
     trims = session.model.free_of(ParameterRole.CONSTANT)
     names = [n for n in session.model.free_names if n not in trims] or list(trims)
     with styled():
-        figure, axes = panels(len(names), ACROSS, 2.05, 0.9)
+        figure, axes = panels(len(names), PANELS_ACROSS, 2.05, 0.9)
         for axis, name in zip(axes, names, strict=True):
             _scatter_panel(axis, session, name)
         legend_above(figure, axes, 6)
@@ -96,7 +97,7 @@ def _scatter_panel(axis: Any, session: "EstimationSession", name: str) -> None:
 
 
 def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
-    """Figure 9: measured and estimated histories with the controls below. of_paper: the caption says so."""
+    """Figure 9: measured and estimated histories with the controls below. of_paper: name the paper's figure in the caption."""
     model = next(iter(f.results.values())).model  # without the outputs that this flight does not measure
     fits = {m: r.flights[0] for m, r in f.results.items() if r.flights and r.model.output_names == model.output_names}
     first = next(iter(fits.values()))
@@ -168,8 +169,8 @@ def correlation_figure(result: Result, whose: str) -> Picture:
 
 
 def proof_figure(proofs: Sequence[tuple[str, "ProofOfMatch"]], refitted: str, of_paper: bool) -> Picture:
-    """Figure 10: flights predicted with parameters of another flight, frozen. proofs: (whose parameters, proof);
-    refitted: what was not; of_paper: the caption says so."""
+    """Figure 10: flights predicted with the frozen parameters of another flight. proofs: (whose parameters, proof); refitted:
+    words for the parameters that were fitted again; of_paper: name the paper's figure in the caption."""
     rows = max(len(proof.outputs) for _, proof in proofs)
     with styled():
         figure, axes = grid(rows, len(proofs), 1.25, own_scales=True, sharex="col")
@@ -183,21 +184,21 @@ def proof_figure(proofs: Sequence[tuple[str, "ProofOfMatch"]], refitted: str, of
     return picture(figure, "figure10", caption, points)
 
 
-SHOWN = 8
-TWO_AT_95 = 5.991
+MOST_PAIRS = 8  # of ellipses
+CHI_SQUARE_95 = 5.991
 """95 % point of chi-square with two degrees of freedom, -2 ln 0.05: the square of an ellipse's radius in standard deviations."""
 
 
 def ellipse(centre: tuple[float, float], covariance: Array, points: int = 90) -> Array:
     """(points, 2) border of the 95 % region of two estimates with this (2, 2) covariance."""
     values, vectors = np.linalg.eigh(covariance)
-    turn = np.linspace(0.0, 2.0 * np.pi, points)
-    circle = np.sqrt(np.maximum(values, 0.0) * TWO_AT_95)[:, None] * np.array([np.cos(turn), np.sin(turn)])
+    angle = np.linspace(0.0, 2.0 * np.pi, points)
+    circle = np.sqrt(np.maximum(values, 0.0) * CHI_SQUARE_95)[:, None] * np.array([np.cos(angle), np.sin(angle)])
     return np.asarray(np.asarray(centre) + (vectors @ circle).T)
 
 
-def most_correlated(result: Result, count: int = SHOWN) -> list[tuple[str, str]]:
-    """Pairs of estimates that the data could tell, the most correlated first."""
+def most_correlated(result: Result, count: int = MOST_PAIRS) -> list[tuple[str, str]]:
+    """Pairs of identifiable estimates, the most correlated first."""
     identifiable = [
         n for n in result.names if result.parameters[n].identifiable and np.isfinite(result.std_coloured[n])
     ]
@@ -213,21 +214,21 @@ def ellipse_figure(results: Sequence[Result], whose: str, truth: Mapping[str, fl
     if not pairs:
         return None
     with styled():
-        figure, axes = panels(len(pairs), ACROSS, 2.5, 0.5)
+        figure, axes = panels(len(pairs), PANELS_ACROSS, 2.5, 0.5)
         for axis, parameter_pair in zip(axes, pairs, strict=True):
-            _panel(axis, results, parameter_pair, truth)
+            _ellipse_panel(axis, results, parameter_pair, truth)
         legend_above(figure, axes, 6)
     caption = f"95 % confidence ellipses of the {len(pairs)} most correlated pairs, {whose}; "
     caption += "from the covariance corrected for coloured residuals."
     return picture(figure, "ellipses", caption)
 
 
-def _panel(axis: Any, results: Sequence[Result], both: tuple[str, str], truth: Mapping[str, float]) -> None:
-    a, b = both
+def _ellipse_panel(axis: Any, results: Sequence[Result], pair: tuple[str, str], truth: Mapping[str, float]) -> None:
+    a, b = pair
     for result in results:
-        if not all(n in result.names and result.parameters[n].identifiable for n in both):
+        if not all(n in result.names and result.parameters[n].identifiable for n in pair):
             continue
-        indices = [result.names.index(n) for n in both]
+        indices = [result.names.index(n) for n in pair]
         covariance = result.covariance_coloured[np.ix_(indices, indices)]
         if not np.all(np.isfinite(covariance)):
             continue
@@ -235,7 +236,7 @@ def _panel(axis: Any, results: Sequence[Result], both: tuple[str, str], truth: M
         edge, method_look = ellipse(centre, covariance), look(result.method)
         axis.plot(*edge.T, color=method_look.colour, lw=1.1, label=result.method)
         axis.plot(*centre, method_look.marker, color=method_look.colour, ms=4)
-    references = [results[0].parameters[n].reference for n in both]
+    references = [results[0].parameters[n].reference for n in pair]
     if None not in references:
         axis.plot(*references, "x", color="k", ms=5, label="before flying")
     if a in truth and b in truth:

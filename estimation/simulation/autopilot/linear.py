@@ -30,10 +30,8 @@ POLAR = "CD_k"
 
 @dataclass(frozen=True)
 class LinearAircraft:
-    """derivatives: name -> value [1/rad], those that are zero may be absent. sources: name -> where it comes from. throws:
-    surface -> least and greatest deflection [rad]. thrust: static, at full throttle [N], None where nobody says. notes:
-    what was assumed.
-    """
+    """derivatives: name -> value [1/rad]; an absent one is zero. sources: name -> source of the value. throws: surface -> least
+    and greatest deflection [rad]. thrust: static, at full throttle [N], None where unknown. notes: assumptions."""
 
     name: str
     title: str
@@ -76,44 +74,44 @@ class FlightStates:
         return V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
 
     def with_air(self, V: Array, alpha: Array, beta: Array) -> "FlightStates":
-        """The same with air data as somebody else defines them."""
+        """The same states with other definitions of the air data [m/s, rad]."""
         return FlightStates({**self.values, "V": V, "alpha": alpha, "beta": beta})
 
 
 def coefficients(
-    craft: LinearAircraft, motion: FlightStates, induced: tuple[str, ...] | None = None
+    linear: LinearAircraft, motion: FlightStates, induced: tuple[str, ...] | None = None
 ) -> dict[str, Array]:
-    """Each of LINES -> (N,). induced: endings of the terms of lift that enter induced drag, all by default."""
+    """Each of LINES -> coefficient (N,). induced: endings of the terms of lift that enter induced drag, by default all."""
     state = motion.values
-    span, chord = craft.aircraft.span, craft.aircraft.chord
+    span, chord = linear.aircraft.span, linear.aircraft.chord
     hats = {"p_hat": state["p"] * span, "q_hat": state["q"] * chord, "r_hat": state["r"] * span}
     regressors = {**state, **{n: v / (2.0 * state["V"]) for n, v in hats.items()}}
     regressors["alphadot_hat"] = state.get("alphadot_hat", np.zeros(len(motion)))
 
-    def line(name: str, endings: tuple[str, ...]) -> Array:
-        terms = [craft[f"{name}_{ending}"] * regressors[SLOPES[ending]] for ending in endings if ending != CONSTANT]
-        constant = craft[f"{name}_{CONSTANT}"] if CONSTANT in endings else 0.0
+    def sum_of_terms(name: str, endings: tuple[str, ...]) -> Array:
+        terms = [linear[f"{name}_{ending}"] * regressors[SLOPES[ending]] for ending in endings if ending != CONSTANT]
+        constant = linear[f"{name}_{CONSTANT}"] if CONSTANT in endings else 0.0
         return np.asarray(sum(terms, np.full(len(motion), constant)))
 
     every = (CONSTANT, *SLOPES)
-    values = {name: line(name, every) for name in LINES}
-    values["CD"] = values["CD"] + craft[POLAR] * line("CL", induced or every) ** 2
+    values = {name: sum_of_terms(name, every) for name in LINES}
+    values["CD"] = values["CD"] + linear[POLAR] * sum_of_terms("CL", induced or every) ** 2
     return values
 
 
-def forces(craft: LinearAircraft, motion: FlightStates, induced: tuple[str, ...] | None = None) -> dict[str, Array]:
+def forces(linear: LinearAircraft, motion: FlightStates, induced: tuple[str, ...] | None = None) -> dict[str, Array]:
     """Each of AXES -> (N,): aerodynamic force [N] and moment about the centre of gravity [N m] in body axes."""
-    c = coefficients(craft, motion, induced)
-    state, a = motion.values, craft.aircraft
+    c = coefficients(linear, motion, induced)
+    state, a = motion.values, linear.aircraft
     sine, cosine = np.sin(state["alpha"]), np.cos(state["alpha"])
-    area = 0.5 * state["rho"] * state["V"] ** 2 * a.area
+    q_s = 0.5 * state["rho"] * state["V"] ** 2 * a.area
     return {
-        "X": area * (c["CL"] * sine - c["CD"] * cosine),
-        "Y": area * c["CY"],
-        "Z": area * (-c["CL"] * cosine - c["CD"] * sine),
-        "L": area * a.span * c["Cl"],
-        "M": area * a.chord * c["Cm"],
-        "N": area * a.span * c["Cn"],
+        "X": q_s * (c["CL"] * sine - c["CD"] * cosine),
+        "Y": q_s * c["CY"],
+        "Z": q_s * (-c["CL"] * cosine - c["CD"] * sine),
+        "L": q_s * a.span * c["Cl"],
+        "M": q_s * a.chord * c["Cm"],
+        "N": q_s * a.span * c["Cn"],
     }
 
 
@@ -128,7 +126,7 @@ def accelerations(aircraft: Aircraft, force: Mapping[str, Array]) -> dict[str, A
 
 
 def gyroscopic(aircraft: Aircraft, motion: FlightStates) -> dict[str, Array]:
-    """L, M, N -> (N,): what turning about several axes at once adds to angular accelerations [rad/s2]."""
+    """L, M, N -> (N,): angular accelerations [rad/s2] by gyroscopic and inertia coupling."""
     p, q, r = (motion.values[n] for n in ("p", "q", "r"))
     roll = aircraft.Ixz * p * q - (aircraft.Izz - aircraft.Iyy) * q * r
     pitch = (aircraft.Izz - aircraft.Ixx) * p * r - aircraft.Ixz * (p**2 - r**2)
@@ -138,24 +136,24 @@ def gyroscopic(aircraft: Aircraft, motion: FlightStates) -> dict[str, Array]:
     return {axis: angular_rates[axis] for axis in ("L", "M", "N")}
 
 
-STATES = 200
-SEED = 20261127
-ALPHAS = (-0.1, 0.2)  # rad: where a linear aircraft flies
-SIZES = {"beta": 0.2, "p": 1.0, "q": 0.6, "r": 0.6}  # rad, rad/s
-DEFLECTION = 0.3  # rad, where the throw is not less
-CRUISE = 0.4  # lift coefficient of the speed about which states are taken
-SPEEDS = (0.7, 1.8)  # of that
+STATES = 200  # random ones, at which two descriptions of an aircraft are compared
+SEED = 20261127  # fixed, so that a comparison is repeatable
+ALPHAS = (-0.1, 0.2)  # rad: the range in which an aircraft is linear
+LARGEST = {"beta": 0.2, "p": 1.0, "q": 0.6, "r": 0.6}  # rad, rad/s
+DEFLECTION = 0.3  # rad, or the throw if that is less
+CRUISE = 0.4  # lift coefficient of the speed about which states are drawn
+SPEEDS = (0.7, 1.8)  # times that speed
 
 
 def random_motion(
-    craft: LinearAircraft, alphas: tuple[float, float] = ALPHAS, rho: float = SEA_LEVEL_DENSITY, count: int = STATES
+    linear: LinearAircraft, alphas: tuple[float, float] = ALPHAS, rho: float = SEA_LEVEL_DENSITY, count: int = STATES
 ) -> FlightStates:
-    """States in which the aircraft may fly; rho [kg/m3] and the range of angle of attack [rad] are given."""
-    rng, aircraft = np.random.default_rng(SEED), craft.aircraft
+    """Random states in which the aircraft may fly, at a density [kg/m3] and in a range of the angle of attack [rad]."""
+    rng, aircraft = np.random.default_rng(SEED), linear.aircraft
     cruise = math.sqrt(2.0 * aircraft.mass * GRAVITY / (SEA_LEVEL_DENSITY * aircraft.area * CRUISE))
-    values = {n: rng.uniform(-size, size, count) for n, size in SIZES.items()}
+    values = {n: rng.uniform(-size, size, count) for n, size in LARGEST.items()}
     for name in SURFACES:
-        lowest, greatest = craft.throws.get(name, (-DEFLECTION, DEFLECTION))
+        lowest, greatest = linear.throws.get(name, (-DEFLECTION, DEFLECTION))
         values[name] = rng.uniform(max(lowest, -DEFLECTION), min(greatest, DEFLECTION), count)
     values["V"], values["alpha"] = cruise * rng.uniform(*SPEEDS, count), rng.uniform(*alphas, count)
     values["rho"] = np.full(count, rho)
@@ -177,13 +175,14 @@ class Body:
 
 
 def combined_body(bodies: Sequence[Body]) -> Body:
+    """Several rigidly connected bodies as one."""
     mass = sum(b.mass for b in bodies)
     centre = np.asarray(sum(b.mass * b.centre for b in bodies)) / mass
     return Body(mass, centre, np.asarray(sum(b.about(centre) for b in bodies)))
 
 
 def remaining_body(total: Body, parts: Sequence[Body]) -> Body:
-    """What has to be added to the parts so that they are the whole."""
+    """The body that makes `total` together with the parts."""
     mass = total.mass - sum(b.mass for b in parts)
     moment = total.mass * total.centre - sum(b.mass * b.centre for b in parts)
     centre = np.asarray(moment / mass)

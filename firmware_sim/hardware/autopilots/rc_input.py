@@ -1,14 +1,14 @@
-"""The pilot's channels in ArduPilot, and what MAVLink puts in their place: libraries/RC_Channel of its source (4.5 to 4.8).
+"""RC channels of ArduPilot and their overrides by MAVLink, as in libraries/RC_Channel of its source (4.5 to 4.8).
 
 * An override holds for RC_OVERRIDE_TIME seconds after it came, 0 never, negative for ever (RC_Channel::has_override).
-* Channels are read again only when the receiver has a new frame or an override has come (RC_Channels::read_input): one that has
-  lapsed stays until then, and for good when the receiver is silent.
-* A switch with RCn_OPTION 46, looked at ten times a second and debounced for 200 ms, clears and refuses overrides at low
-  (below 1200 us), takes them at high (above 1800 us) and leaves things as they are in between (debounce_completed, read_aux,
-  do_aux_function_rc_override_enable). At the start its position counts at once (init_aux).
+* Channels are read only when the receiver has a new frame or an override has come (RC_Channels::read_input): an expired override
+  stays in effect until then, and for ever if the receiver is silent.
+* A switch with RCn_OPTION 46, read ten times a second and debounced for 200 ms, clears and refuses overrides at low (below
+  1200 us), accepts them at high (above 1800 us) and changes nothing in between (debounce_completed, read_aux,
+  do_aux_function_rc_override_enable). Its position at the start counts without debouncing (init_aux).
 * RC_OPTIONS: bit 0 ignores the receiver, bit 1 overrides (RC_Channel::update); bit 14, in no release before 4.8, clears and
   refuses overrides when roll, pitch or yaw stick is out of its dead zone about trim (has_pilot_input_for_override_clear).
-  That is a place, not a movement: flown with a stick held out of trim it lets nothing through at all.
+  The position counts, not its change: with a stick held out of trim all overrides are refused.
 """
 
 from collections.abc import Mapping
@@ -22,17 +22,19 @@ TRIM_US, DEAD_ZONE_US = 1500, 30
 OVERRIDE_ENABLE = 46
 IGNORE_RECEIVER, IGNORE_OVERRIDES, CLEAR_BY_STICK = 1 << 0, 1 << 1, 1 << 14
 _STICKS = (0, 1, 3)  # roll, pitch, yaw by RCMAP's defaults
-_LEAVE, _RELEASE = 65535, 0
+_LEAVE, _RELEASE = 65535, 0  # values of RC_CHANNELS_OVERRIDE that leave a channel alone, and release it
 
 
 @dataclass(slots=True)
 class _Override:
+    """An override: value [us], _RELEASE for none; came_ns: time of its message."""
+
     value: int = 0
     came_ns: int = 0
 
 
 class RcInput:
-    """parameters: those of the autopilot, looked at whenever they count. widths: what each channel is taken for [us]."""
+    """parameters: of the autopilot; a change takes effect at once. widths: pulse width in effect of each channel [us]."""
 
     def __init__(self, parameters: Mapping[str, float]) -> None:
         self._parameters = parameters
@@ -87,8 +89,8 @@ class RcInput:
     def _stick_out_of_trim(self) -> bool:
         return any(abs(self._raw[i] - TRIM_US) > DEAD_ZONE_US for i in _STICKS)
 
-    def look_at_switch(self, now_ns: int) -> None:
-        """What is done ten times a second."""
+    def read_switch(self, now_ns: int) -> None:
+        """Read and debounce the switch; call it ten times a second."""
         channel = next((i for i in range(CHANNELS) if self._option(i) == OVERRIDE_ENABLE), None)
         if channel is None or not self._had_receiver:
             return

@@ -1,9 +1,9 @@
 """ICM-20948 accelerometer and gyro at register level (TDK DS-000189 rev. 1.3).
 
 Inputs: specific force x y z [m/s2], angular rate x y z [rad/s], in the axes printed on the chip, and die temperature [K].
-The low-pass filters are first order, which is what the ratio of noise to 3 dB bandwidth of the datasheet's slow settings
-says (17.8 / 11.6 Hz = 1.53; a first-order filter has 1.57); their time constant, hence their delay, is 1 / (2 pi f).
-White noise of the given standard deviation is added behind the filter, so it does not depend on the setting chosen.
+The low-pass filters are taken as first order: the ratio of noise bandwidth to 3 dB bandwidth of the datasheet's slow settings is
+17.8 / 11.6 Hz = 1.53, and 1.57 for a first-order filter. Their time constant, hence their delay, is 1 / (2 pi f). White noise is
+added after the filter, so that its standard deviation does not depend on the setting.
 """
 
 import math
@@ -34,7 +34,13 @@ _RESET_VALUES: tuple[dict[int, int], ...] = (
     {GYRO_CONFIG_1: 0x01, ACCEL_CONFIG: 0x01},
     {},
 )
-_GRID_NS = 5_000_000  # longest step of the filters
+_LONGEST_STEP_NS = 5_000_000  # of the filters
+_FILTER_RESTART_NS = 500_000_000  # without a sample, after which the filters start at the input
+_ACCEL_UNFILTERED_HZ, _GYRO_UNFILTERED_HZ = (
+    1209.0,
+    12106.0,
+)  # 3 dB bandwidths with the filter bypassed, tables 16 and 18
+_TEMPERATURE_HZ = 8.0  # bandwidth of the die temperature
 
 
 class Icm20948Chip(RegisterChip):
@@ -154,12 +160,12 @@ class Icm20948Chip(RegisterChip):
         return response * np.array([bits >> 2 & 1, bits >> 1 & 1, bits & 1])
 
     def _advance_filter(self, time_ns: int) -> None:
-        """Bring the low-pass filters to `time_ns`, the input taken as straight between steps."""
-        if self._filtered is None or self._last_input is None or time_ns - self._filtered_ns > 500_000_000:
+        """Advance the low-pass filters to `time_ns`, with the input linear between steps."""
+        if self._filtered is None or self._last_input is None or time_ns - self._filtered_ns > _FILTER_RESTART_NS:
             self._filtered = self._last_input = np.array(self._inputs(time_ns), float)
             self._filtered_ns = time_ns
             return
-        steps = max(1, -((self._filtered_ns - time_ns) // _GRID_NS))
+        steps = max(1, -((self._filtered_ns - time_ns) // _LONGEST_STEP_NS))
         h_ns = (time_ns - self._filtered_ns) / steps
         pole, ramp = self._filter_coefficients(h_ns * 1e-9)
         for i in range(1, steps + 1):
@@ -172,15 +178,15 @@ class Icm20948Chip(RegisterChip):
     def _cut_offs_hz(self) -> tuple[float, float]:
         """Half power of the low passes of accelerometer and gyro."""
         accel, gyro = self._banks[2][ACCEL_CONFIG], self._banks[2][GYRO_CONFIG_1]
-        accel_hz = ACCEL_BANDWIDTH_HZ[accel >> 3 & 7] if accel & 1 else 1209.0
-        return accel_hz, GYRO_BANDWIDTH_HZ[gyro >> 3 & 7] if gyro & 1 else 12106.0
+        accel_hz = ACCEL_BANDWIDTH_HZ[accel >> 3 & 7] if accel & 1 else _ACCEL_UNFILTERED_HZ
+        return accel_hz, GYRO_BANDWIDTH_HZ[gyro >> 3 & 7] if gyro & 1 else _GYRO_UNFILTERED_HZ
 
     def _filter_coefficients(self, h: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """exp(-h/tau) and 1 - tau/h (1 - exp(-h/tau)) of the seven inputs: exact response to a ramp."""
         accel_hz, gyro_hz = self._cut_offs_hz()
         key = (h, accel_hz, gyro_hz)
         if getattr(self, "_coefficient_key", None) != key:
-            tau = 1.0 / (2.0 * math.pi * np.array([accel_hz] * 3 + [gyro_hz] * 3 + [8.0]))
+            tau = 1.0 / (2.0 * math.pi * np.array([accel_hz] * 3 + [gyro_hz] * 3 + [_TEMPERATURE_HZ]))
             pole = np.exp(-h / tau)
             self._coefficients = (pole, 1.0 - tau / h * (1.0 - pole))
             self._coefficient_key = key

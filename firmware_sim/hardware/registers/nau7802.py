@@ -11,8 +11,9 @@ RATE_SPS = (10.0, 20.0, 40.0, 80.0, 80.0, 80.0, 80.0, 320.0)
 SETTLING = 4  # conversions
 POWER_UP_NS = 200_000
 CALIBRATION_CONVERSIONS = 8
+# bits of PU_CTRL: register reset, power up digital, analogue, power-up ready, cycle start, cycle ready
 _RR, _PUD, _PUA, _PUR, _CS, _CR = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
-_CALS = 0x04
+_CALS = 0x04  # of CTRL2: calibrate
 
 
 class Nau7802Chip(RegisterChip):

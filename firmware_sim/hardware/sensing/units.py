@@ -1,13 +1,13 @@
 """Individual instruments: every unit differs from the data sheet within its tolerances, and has to be calibrated.
 
-`individual` draws such a set, the same for the same unit number on every flight. Tolerances are data-sheet limits read as two
-standard deviations where one is given (ICM-20948 table 1 and 2, MS4525DO, NAU7802), engineering estimates elsewhere.
+`individual` draws a set of instruments, the same for the same unit number on every flight. Tolerances are limits of the data
+sheet, taken as two standard deviations (ICM-20948 tables 1 and 2, MS4525DO, NAU7802), and engineering estimates where it has
+none.
 
-`calibration_truth` is what a perfect calibration of them would find: exact factors, for comparison with fitted ones. Keys are
-the instrument names of the calibration files. Triads are given the way they are applied: physical = matrix
-(reading - bias - bias_per_kelvin (T - reference_temperature)) with the die temperature T as the chip reports it; turn-on
-biases, new at every power-up, are left out. Angle sensors: volts = centre + slope angle + cubic angle^3 at 5 V supply.
-"""
+`calibration_truth` gives the exact factors of these instruments, for comparison with fitted ones. Keys are the instrument names
+of the calibration files. Triads: physical = matrix (reading - bias - bias_per_kelvin (T - reference_temperature)) with the die
+temperature T as the chip reports it, without the turn-on bias, which is new at every power-up. Angle sensors: volts = centre +
+slope angle + cubic angle^3 at 5 V supply."""
 
 import math
 from collections.abc import Mapping
@@ -30,38 +30,40 @@ from firmware_sim.hardware.sensing.sensor_models import (
 )
 from firmware_sim.world.truth import PULSE_CENTRE_US, PULSE_PER_RAD_US
 
+# all as one standard deviation
 SCALE, ALIGNMENT_RAD = 0.005, 0.008  # of accelerometer and gyro axes
 ACCEL_BIAS, GYRO_BIAS = 0.12, 0.008  # m/s2, rad/s
 ACCEL_PER_K, GYRO_PER_K = 0.002, 1e-4
-HARD_IRON, SOFT_IRON = 6e-6, 0.03  # T
+HARD_IRON, SOFT_IRON = 6e-6, 0.03  # T, relative
 CENTRE_V, SLOPE, CURVATURE = 0.04, 0.03, 0.02  # of vanes and potentiometers; V, relative, relative per rad2
-PITOT_PA, PITOT_SLOPE, PITOT_PER_V = 8.0, 0.01, 30.0
+PITOT_PA, PITOT_SLOPE, PITOT_PER_V = 8.0, 0.01, 30.0  # Pa, relative, Pa/V
 STATIC_PA = 25.0
-LOAD_SLOPE, LOAD_ZERO_N = 0.02, 0.3
+LOAD_SLOPE, LOAD_ZERO_N = 0.02, 0.3  # relative, N
+UNIT_SEED = 0x0217  # besides the unit number
 
 
 def individual(models: SensorModels) -> SensorModels:
     """The instruments of unit `models.unit`; unit 0 is exactly as `models` says."""
     if models.unit == 0:
         return models
-    rng = np.random.default_rng([models.unit, 0x0217])
+    rng = np.random.default_rng([models.unit, UNIT_SEED])
     imu, pitot, thrust = models.imu, models.pitot, models.thrust
     accel = _drawn_triad(imu.accel, rng, SCALE, ALIGNMENT_RAD, ACCEL_BIAS, ACCEL_PER_K)
     gyro = _drawn_triad(imu.gyro, rng, SCALE, ALIGNMENT_RAD, GYRO_BIAS, GYRO_PER_K)
     field = _drawn_triad(models.mag.field, rng, SOFT_IRON, SOFT_IRON, HARD_IRON, 0.0)
-    return _changed(
+    return _altered(
         models,
-        imu=_changed(imu, accel=accel, gyro=gyro),
-        mag=_changed(models.mag, field=field),
+        imu=_altered(imu, accel=accel, gyro=gyro),
+        mag=_altered(models.mag, field=field),
         **{name: _drawn_angle(getattr(models, name), rng) for name in _ANGLES},
-        pitot=_changed(
+        pitot=_altered(
             pitot,
             factor=pitot.factor * (1.0 + PITOT_SLOPE * rng.standard_normal()),
             offset_pa=pitot.offset_pa + PITOT_PA * rng.standard_normal(),
             offset_pa_per_v=pitot.offset_pa_per_v + PITOT_PER_V * rng.standard_normal(),
         ),
-        static=_changed(models.static, offset_pa=models.static.offset_pa + STATIC_PA * rng.standard_normal()),
-        thrust=_changed(
+        static=_altered(models.static, offset_pa=models.static.offset_pa + STATIC_PA * rng.standard_normal()),
+        thrust=_altered(
             thrust,
             counts_per_newton=thrust.counts_per_newton * (1.0 + LOAD_SLOPE * rng.standard_normal()),
             zero_n=thrust.zero_n + LOAD_ZERO_N * rng.standard_normal(),
@@ -72,7 +74,7 @@ def individual(models: SensorModels) -> SensorModels:
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
-def _changed(model: _Model, **values: Any) -> _Model:
+def _altered(model: _Model, **values: Any) -> _Model:
     return model.model_copy(update=values)
 
 
@@ -82,7 +84,7 @@ _ANGLES = ("alpha_vane", "beta_vane", "elevon_left", "elevon_right", "rudder")
 
 def _drawn_angle(model: _Angle, rng: np.random.Generator) -> _Angle:
     slope = model.volts_per_rad * (1.0 + SLOPE * rng.standard_normal())
-    return _changed(
+    return _altered(
         model,
         centre_v=model.centre_v + CENTRE_V * rng.standard_normal(),
         volts_per_rad=slope,
@@ -95,7 +97,7 @@ def _drawn_triad(
 ) -> TriadModel:
     errors = alignment * rng.standard_normal((3, 3))
     np.fill_diagonal(errors, scale * rng.standard_normal(3))
-    return _changed(
+    return _altered(
         model,
         matrix=_matrix(np.array(model.matrix) @ (np.eye(3) + errors)),
         bias=_vector(np.array(model.bias) + bias * rng.standard_normal(3)),
@@ -113,7 +115,8 @@ def _matrix(values: NDArray[np.float64]) -> Matrix:
     return a, b, c
 
 
-PA_PER_COUNT = 2.0 * PSI / (0.8 * 16383.0)
+PA_PER_COUNT = 2.0 * PSI / (0.8 * 16383.0)  # MS4525DO of 1 psi, differential: 80 % of 14 bits are 2 psi
+ZERO_COUNT = 8191.5  # of the same, at no pressure
 
 
 def calibration_truth(models: SensorModels) -> dict[str, Mapping[str, Any]]:
@@ -130,7 +133,7 @@ def calibration_truth(models: SensorModels) -> dict[str, Mapping[str, Any]]:
         "elevon_right": _angle(m.elevon_right),
         "rudder": _angle(m.rudder),
         "pitot": {
-            "zero_count": 8191.5 + m.pitot.offset_pa / PA_PER_COUNT,
+            "zero_count": ZERO_COUNT + m.pitot.offset_pa / PA_PER_COUNT,
             "pa_per_count": PA_PER_COUNT / m.pitot.factor,
             "offset_pa": m.pitot.offset_pa,
             "factor": m.pitot.factor,
@@ -160,7 +163,7 @@ def calibration_truth(models: SensorModels) -> dict[str, Mapping[str, Any]]:
 
 def _triad(model: TriadModel, die_above_air_k: float) -> dict[str, Any]:
     per_kelvin = np.array(model.bias_per_kelvin)
-    # The bias follows the air's temperature; seen against the warmer die it is less by the difference.
+    # the bias depends on the air's temperature; referred to the die, which is warmer, its constant part is smaller
     bias = np.array(model.bias) - per_kelvin * die_above_air_k
     return {
         "matrix": np.linalg.inv(np.array(model.matrix)),

@@ -1,7 +1,7 @@
-"""Hidden instrument errors with a memory: what is shown comes late.
+"""Hidden instrument errors with dynamics: lags and delays of a reading.
 
-They bend `Sensed`, what flawless instruments at the CG are shown; noise, quantisation, declared bias and scale come later,
-in the instruments themselves.
+They change `Sensed`, the readings of ideal instruments at the CG; the instruments then add noise, quantisation, declared bias and
+scale.
 """
 
 from typing import TYPE_CHECKING, ClassVar
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class SensorEffect(HiddenEffect):
-    """An instrument that shows something else than the motion."""
+    """A reading that differs from the motion."""
 
     group = "sensor"
 
@@ -29,7 +29,7 @@ class LaggedSensor(SensorEffect):
     channel: ClassVar[str]
 
     def truth(self, m: "Motion") -> Value:
-        """What it follows."""
+        """The quantity without lag."""
         value: Value = getattr(m, self.channel)
         return value
 
@@ -92,7 +92,7 @@ class AttitudeLag(SensorEffect):
 
 
 class InertialUnitLate(SensorEffect):
-    """Rates and accelerations come `size` s late: buffered somewhere before they are stamped."""
+    """Rates and accelerations are delayed by `size` s, as by a buffer before the time stamp."""
 
     name, title, unit, typical = "time_skew", "inertial channels late", "s", 0.07
     CHANNELS: ClassVar[tuple[str, ...]] = ("ax", "ay", "az", "p", "q", "r")

@@ -1,4 +1,4 @@
-"""The time of a table's rows: numbers of a unit, dates, times of day, IRIG time, day numbers; and clocks that were set back.
+"""The time of a table's rows from a column of numbers, dates, times of day, IRIG time or day numbers; clocks that were set back.
 
 IRIG 200-04: day of the year, hours, minutes and seconds as DDD:HH:MM:SS.mmm.
 """
@@ -21,8 +21,8 @@ from groundstation.importers.mapping import Time
 from groundstation.importers.units import find_unit
 
 DAY, HOUR = 86400.0, 3600.0
-APART = 1.0  # [s] put between records of one file whose clock begins anew, or was set back
-SHORTEST_RUN = 8  # rows between two falls of a clock that was set; shorter runs are rows out of order
+RECORD_GAP = 1.0  # s between two records of one file, where its clock restarts or was set back
+SHORTEST_RUN = 8  # rows between two steps back of a clock that was set; shorter runs are rows out of order
 EXCEL_DAYS, MATLAB_DAYS = DAY_NUMBERS
 
 YEAR_DAYS = 365
@@ -31,7 +31,7 @@ _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,:]\d*)?)(?:\s
 _MINUTES = re.compile(r"(\d{1,2}):(\d{2}[.,]\d+)")
 """Minutes and seconds, as Excel shows a time of day and writes it to CSV."""
 _CALENDAR = re.compile(r"(\d{1,4}[./-]\d{1,2}[./-]\d{1,4})[ T,]+(\d.*)")
-"""A date as people write it, and a time of day. Which of its numbers is the day decides nothing: a new date is a new day."""
+"""A date in any order of its numbers, and a time of day. The order does not matter: a new date is a new day."""
 
 _SECONDS = re.compile(r"(?i)(?P<head>(?:.*[._/ ])?(?:tv_?)?)(?:sec|secs|seconds)")
 _NANOSECONDS = re.compile(r"(?i)n(?:ano)?_?(?:sec|secs|seconds)")
@@ -40,8 +40,8 @@ _ONE_STAMP = (re.compile(r"(?i)(?:.*[._/])?header[._/]stamp"), re.compile(r"%tim
 
 @dataclass(frozen=True)
 class Stamps:
-    """seconds: (N,) of the rows, NaN where there is none; record: (N,) number of the record each row is of, None for one record;
-    notes; origin: what the file's clock showed at 0 [s]."""
+    """seconds: (N,) times of the rows [s], NaN where missing; record: (N,) number of each row's record, None for one record;
+    notes: sentences; origin: the file's clock at 0 [s]."""
 
     seconds: Array
     record: Array | None = None
@@ -79,7 +79,7 @@ def stamps_of(
     restarts = np.diff(stamps.seconds) <= 0
     if not restarts.any():
         raise ImportDataError(f"{path}: restarts = true, but time never begins anew")
-    return _in_a_row(stamps, restarts)
+    return _records_in_sequence(stamps, restarts)
 
 
 # ----------------------------------------------------------------------------------------------------------- ROS headers
@@ -87,7 +87,7 @@ def stamps_of(
 
 @dataclass(frozen=True)
 class SenderStamp:
-    """seconds: (N,) since `first` [s since 1970]; columns: of the table that it was made of."""
+    """seconds: (N,) since `first` [s since 1970]; columns: of the table from which it is computed."""
 
     seconds: Array
     first: float
@@ -95,8 +95,8 @@ class SenderStamp:
 
 
 def stamp_columns(names: Sequence[str]) -> tuple[str, ...]:
-    """The columns of a ROS header's stamp as exporters of bags write it: seconds and nanoseconds (bagpy, ros2 tools), one of
-    nanoseconds (`rostopic echo -p`: field.header.stamp, and %time of its receiver); none where there is no such thing."""
+    """The columns of a ROS header's stamp as exporters of bags write them: seconds and nanoseconds (bagpy, ros2 tools), or one of
+    nanoseconds (`rostopic echo -p`: field.header.stamp, and %time of its receiver); empty without a stamp."""
     for name in names:
         match = _SECONDS.fullmatch(name.strip())
         if match:
@@ -139,16 +139,17 @@ def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
     seconds = np.asarray((values - first) * unit.scale)
     origin = float(first * unit.scale)
     if unit.scale == DAY:
-        evened = _evened(seconds)
+        regular = _regular_times(seconds)
         note = f"time column {name}: days {epoch}" if epoch else f"time column {name}: days"
-        if evened is None:
+        if regular is None:
             return Stamps(seconds, notes=(note,), origin=origin)
-        return Stamps(evened, notes=(note, "its stamps are coarse, and were put on even times"), origin=origin)
+        return Stamps(regular, notes=(note, "its stamps are coarse, and were put on even times"), origin=origin)
     return _with_seconds_filled(name, Stamps(seconds, origin=origin))
 
 
 def _epoch(values: Array) -> str:
-    """Since when values count days, if they look like it: not whole ones, of this age, within two days."""
+    """The words for the epoch of values that are probably days: fractional, of the present age, within two days; empty for
+    others."""
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if high - low > 2.0 or not np.any(values % 1.0):
         return ""
@@ -158,8 +159,8 @@ def _epoch(values: Array) -> str:
     return ""
 
 
-def _evened(seconds: Array) -> Array | None:
-    """Even times that stamps with few digits stand for; None where they are as fine as they are, or not even."""
+def _regular_times(seconds: Array) -> Array | None:
+    """Evenly spaced times of which the stamps are the rounded values; None where the stamps are not rounded or not even."""
     steps = np.diff(seconds)
     if seconds.size < 10 or not np.all(steps > 0):
         return None
@@ -175,7 +176,7 @@ def _evened(seconds: Array) -> Array | None:
 
 
 def _with_seconds_filled(name: str, stamps: Stamps) -> Stamps:
-    """The stamps, of whole seconds with the rows spread over each."""
+    """The stamps; where they are whole seconds, the rows are spread over each second."""
     spread = _spread(stamps.seconds)
     if spread is None:
         return stamps
@@ -184,9 +185,10 @@ def _with_seconds_filled(name: str, stamps: Stamps) -> Stamps:
 
 
 def _spread(seconds: Array) -> Array | None:
-    """Rows of one whole second spread over it, in their order; None where stamps are no whole seconds or hardly repeat.
+    """Stamps with the rows of each whole second spread over it, in their order; None where stamps are not whole seconds, or too
+    few rows share one.
 
-    The first and the last second are as a rule not whole: their rows lie at its end, and at its beginning.
+    The first and the last second are usually incomplete: their rows lie at the end, and at the beginning, of the second.
     """
     if seconds.size < 10 or not np.all(np.isfinite(seconds)) or np.any(seconds % 1.0) or np.any(np.diff(seconds) < 0):
         return None
@@ -255,7 +257,7 @@ def _dates(path: Path, name: str, cells: Sequence[str]) -> Stamps:
 
 
 def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) -> Stamps:
-    """Times of day, with the day of the year before them (IRIG) or a column of dates beside; midnight is passed."""
+    """Times of day, with the day of the year before them (IRIG) or with a column of dates; over midnight too."""
     clock = np.full(len(cells), np.nan)
     irig = False
     for i, cell in enumerate(cells):
@@ -268,18 +270,18 @@ def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) ->
             irig = irig or match[1] is not None
             second = float(match[4].replace(",", ".").replace(":", "."))
             hour = float(match[2]) if match[5] is None else float(match[2]) % 12.0 + 12.0 * (match[5] in "Pp")
-            clock[i] = DAY * float(match[1] or 0) + 3600.0 * hour + 60.0 * float(match[3]) + second
+            clock[i] = DAY * float(match[1] or 0) + HOUR * hour + 60.0 * float(match[3]) + second
     if days and not irig:
         clock = clock + DAY * _day_numbers(days)
     else:
-        clock = clock + _turned_over(clock, irig)
+        clock = clock + _days_passed(clock, irig)
     first = np.nanmin(clock) if np.isfinite(clock).any() else 0.0
     words = "IRIG time (day of the year first)" if irig else "time of day" + (" and a column of dates" if days else "")
     return Stamps(clock - first, notes=(f"time column {name}: {words}, counted from the first",), origin=float(first))
 
 
 def _minutes(path: Path, name: str, cells: Sequence[str]) -> Stamps:
-    """Minutes and seconds without the hour; an hour is passed where they fall back by half of one."""
+    """Minutes and seconds without the hour; a step back by more than half an hour means that an hour has passed."""
     clock = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
         match = _MINUTES.fullmatch(cell)
@@ -295,9 +297,9 @@ def _minutes(path: Path, name: str, cells: Sequence[str]) -> Stamps:
     return Stamps(clock - clock[known[0]], notes=(note,), origin=float(clock[known[0]]))
 
 
-def _turned_over(clock: Array, irig: bool) -> Array:
-    """[s] that each row is later than its clock shows: a day for every midnight; in IRIG time, where the day of the year begins
-    again, a year of as many days as its last row says."""
+def _days_passed(clock: Array, irig: bool) -> Array:
+    """(N,) [s] to add to the clock: a day for every midnight; in IRIG time a year wherever the day of the year restarts, of 366
+    days if the last row before was of day 366."""
     known = np.flatnonzero(np.isfinite(clock))
     values = clock[known]
     falls = np.diff(values) < (-0.5 * YEAR_DAYS * DAY if irig else -0.5 * DAY)
@@ -308,7 +310,7 @@ def _turned_over(clock: Array, irig: bool) -> Array:
 
 
 def _day_numbers(days: Sequence[str]) -> Array:
-    """Day of each row after the first: by the calendar where dates are ISO's, else a day later wherever the date changes."""
+    """(N,) day number of each row: by the calendar for ISO dates, else one more wherever the date changes."""
     try:
         return np.array([float(datetime.fromisoformat(d.replace("/", "-")).toordinal()) for d in days])
     except ValueError:
@@ -320,8 +322,8 @@ def _day_numbers(days: Sequence[str]) -> Array:
 
 
 def _records_where_set_back(stamps: Stamps) -> Stamps:
-    """Where the clock falls back between two long runs of rows and goes over times that it has shown, a record of its own begins:
-    such rows are not sorted into one another. Runs that lie apart are rows in another order, which sorting mends."""
+    """Stamps with a new record wherever the clock steps back between two long runs of rows and repeats times: such rows must not
+    be merged by sorting. Runs that do not overlap are only in another order, which sorting corrects."""
     seconds = stamps.seconds
     if not np.all(np.isfinite(seconds)):
         return stamps
@@ -337,30 +339,30 @@ def _records_where_set_back(stamps: Stamps) -> Stamps:
         f"the clock falls back by {seconds[row - 1] - seconds[row]:.4g} s after row {row} (t = {seconds[row - 1]:.4g} s)"
         f"{repeats}: what follows is a record of its own"
     )
-    return _in_a_row(replace(stamps, notes=(*stamps.notes, text)), falls)
+    return _records_in_sequence(replace(stamps, notes=(*stamps.notes, text)), falls)
 
 
-def _in_a_row(stamps: Stamps, restarts: Mask) -> Stamps:
-    """Records one after the other in time, APART, and the number of each. restarts: (N-1,) where one begins."""
+def _records_in_sequence(stamps: Stamps, restarts: Mask) -> Stamps:
+    """Stamps with the records placed one after the other, RECORD_GAP between them. restarts: (N-1,) where a record begins."""
     number = np.concatenate([[0.0], np.cumsum(restarts)])
     step = np.diff(stamps.seconds)
-    shift = np.concatenate([[0.0], np.cumsum(np.where(restarts, APART - step, 0.0))])
+    shift = np.concatenate([[0.0], np.cumsum(np.where(restarts, RECORD_GAP - step, 0.0))])
     return replace(stamps, seconds=stamps.seconds + shift, record=number)
 
 
 SENTINELS = (-9999.0, -999.0, -99999.0, -9999.99, -999.99, -32768.0, 9999.0, 99999.0, 1e20, -1e20)
-"""Numbers that programs write where there is none."""
-FAR = 5.0  # times as large as everything else in a column, from which such a number is none of its values
+"""Numbers that programs write for a missing value."""
+OUTLIER_FACTOR = 5.0  # over the largest other value of a column, from which such a number counts as missing
 
 
 def without_sentinels(columns: Mapping[str, Array], shown: Callable[[str], str]) -> tuple[dict[str, Array], list[str]]:
-    """The columns with NaN for numbers that stand for none, and notes on them."""
+    """The columns with NaN in place of SENTINELS, and notes on them."""
     cleaned, notes = dict(columns), []
     for name, values in columns.items():
         for number in SENTINELS:
             sentinel = values == number
             rest = values[np.isfinite(values) & ~sentinel] if sentinel.any() else np.zeros(0)
-            if rest.size >= 3 and FAR * float(np.max(np.abs(rest))) < abs(number):
+            if rest.size >= 3 and OUTLIER_FACTOR * float(np.max(np.abs(rest))) < abs(number):
                 cleaned[name] = np.where(sentinel, np.nan, cleaned[name])
                 notes.append(f"column {shown(name)}: {int(sentinel.sum())} cells of {number:g} taken as not measured")
     return cleaned, notes

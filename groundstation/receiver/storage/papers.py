@@ -1,7 +1,7 @@
-"""What an aircraft says of its recording, checked for type and range before anything of it is used.
+"""The description of a recording as it comes over the link, checked for type and range before it is used.
 
-The papers (identity and events as compressed JSON) and the archive (attachments) come over the link, where anybody can
-answer in the aircraft's place. Bounds are several times what a logger sends: it keeps 200 events, and its configuration
+The papers (identity and events as compressed JSON) and the archive (attachments) come over the link, where another sender can
+answer in the aircraft's place. The limits are several times what a logger sends: it stores 200 events, and its configuration
 and calibration files are some tens of kilobytes.
 """
 
@@ -16,21 +16,16 @@ from daq.contract.link.papers_dictionary import PAPERS_DICTIONARY
 from daq.contract.recordings.messages import EventMessage
 from daq.contract.recordings.recording import CALIBRATION_PREFIX, CONFIG_ATTACHMENT, RecordingInfo
 
-MAX_PAPERS_BYTES = 1 << 20
-"""Of the papers unpacked; packed they fit 255 fragments of 190 bytes."""
-MAX_ARCHIVE_BYTES = 1 << 20
-"""Of the archive packed, what one record of the journal holds."""
-MAX_ATTACHMENTS_BYTES = 1 << 24
-"""Of the archive unpacked."""
+MAX_PAPERS_BYTES = 1 << 20  # of the papers decompressed; compressed they fit 255 fragments of 190 bytes
+MAX_ARCHIVE_BYTES = 1 << 20  # of the archive compressed: one record of the journal
+MAX_ATTACHMENTS_BYTES = 1 << 24  # of the archive decompressed
 MAX_ATTACHMENTS = 256
 MAX_TEXT_BYTES, MAX_LINE_BYTES = 1 << 18, 4096
-"""Of configuration and calibration files together, and of a line: tens of times what there is. A parser's work grows faster
-than a text does, by the square of a line."""
+"""Of configuration and calibration files together, and of one line: tens of times the usual. The time of a parser may grow with
+the square of the length of a line."""
 MAX_EVENTS = 1000
-MAX_TIME_NS = 2**63 - 1
-"""What a file's 64-bit time holds with its sign: 292 years from the epoch."""
-MAX_RATE_HZ = 2000.0
-"""What a logger's configuration allows."""
+MAX_TIME_NS = 2**63 - 1  # of a signed 64-bit time in a file: 292 years from 1970
+MAX_RATE_HZ = 2000.0  # that a logger's configuration allows
 
 _Time = Annotated[int, Field(ge=0, le=MAX_TIME_NS)]
 _Number = Annotated[int, Field(ge=0, le=2**32 - 1)]
@@ -40,7 +35,7 @@ _Row = tuple[_Time, _Time, _Number, _Name, _Text]
 
 
 class Papers(BaseModel):
-    """Identity of a recording: session, source, rate [Hz], start [ns UTC], facts; its events; size and hash of the archive."""
+    """Identity of a recording: session, source, rate [Hz], start [ns UTC], details; its events; size and hash of the archive."""
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
@@ -71,8 +66,8 @@ class Papers(BaseModel):
 
 
 def inflate(data: bytes, limit: int) -> bytes | None:
-    """`data` unpacked; None for bytes that are not packed, are torn, or hold more than `limit` bytes."""
-    unpacker = zlib.decompressobj(zdict=PAPERS_DICTIONARY)  # used where the bytes were packed with it
+    """`data` decompressed; None for bytes that are not compressed, are incomplete, or hold more than `limit` bytes."""
+    unpacker = zlib.decompressobj(zdict=PAPERS_DICTIONARY)  # used only if the bytes were compressed with it
     try:
         unpacked = unpacker.decompress(data, limit + 1)
     except zlib.error:
@@ -81,7 +76,7 @@ def inflate(data: bytes, limit: int) -> bytes | None:
 
 
 def parse_papers(packed: bytes) -> Papers | None:
-    """Papers from their bytes; None for bytes that are none."""
+    """Papers from their bytes; None for invalid bytes."""
     text = inflate(packed, MAX_PAPERS_BYTES)
     if text is None:
         return None
@@ -99,9 +94,9 @@ _ATTACHMENTS: TypeAdapter[Any] = TypeAdapter(
 
 
 def parse_archive(packed: bytes) -> dict[str, bytes] | None:
-    """Attachments by name from the bytes of an archive; None for bytes that are none.
+    """Attachment by name from the bytes of an archive; None for invalid bytes.
 
-    Configuration and calibration files are text, so that whoever reads the recording later may take them for that.
+    Configuration and calibration files are checked to be text, which readers of the recording rely on.
     """
     text = inflate(packed, MAX_ATTACHMENTS_BYTES) if len(packed) <= MAX_ARCHIVE_BYTES else None
     if text is None:
@@ -114,5 +109,5 @@ def parse_archive(packed: bytes) -> dict[str, bytes] | None:
         lines = [line for data in texts for line in data.decode("utf-8").split("\n")]
     except ValueError:
         return None
-    bounded = sum(map(len, texts)) <= MAX_TEXT_BYTES and max(map(len, lines), default=0) <= MAX_LINE_BYTES
-    return attachments if bounded else None
+    within_limits = sum(map(len, texts)) <= MAX_TEXT_BYTES and max(map(len, lines), default=0) <= MAX_LINE_BYTES
+    return attachments if within_limits else None

@@ -58,9 +58,9 @@ def test_told_to_end_it_ends_though_the_flood_goes_on(tmp_path: Path, kind: str)
     port.close()
     assert flooding, "the logger ended only when nothing came in any more"
     assert outcome.signal_name == "SIGTERM"
-    books = outcome.statistics
-    assert books.closes
-    assert books.slots == books.written + books.missed
+    statistics = outcome.statistics
+    assert statistics.closes
+    assert statistics.slots == statistics.written + statistics.missed
     sessions = sorted(p for p in (tmp_path / "rec").iterdir() if p.is_dir())
     assert len(sessions) <= 3
     for session in sessions:

@@ -68,7 +68,7 @@ def test_the_switch_is_to_be_at_off() -> None:
 def test_a_gate_that_does_not_hold() -> None:
     """The parameter says so, and the autopilot takes overrides all the same."""
     rig = AutopilotRig(switch_plan((0.0, OFF)))
-    rig.plane.rc.look_at_switch = lambda now_ns: None  # type: ignore[method-assign]
+    rig.plane.rc.read_switch = lambda now_ns: None  # type: ignore[method-assign]
     found = tried(rig)
     assert not found["override gate"].well
     assert "takes overrides though the switch is at off" in found["override gate"].text

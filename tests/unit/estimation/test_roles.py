@@ -58,9 +58,13 @@ def test_a_persons_bias_x_is_estimated_reported_and_judged_like_any_other(
     assert scatter_figure(session).height == scatter_figure(plain).height  # as many panels
 
 
+def with_roles(model: Model, **roles: ParameterRole) -> Model:
+    return model.plus(parameters=[replace(model.parameter(name), role=role) for name, role in roles.items()])
+
+
 def test_constants_are_each_flights_own_by_their_role(made_flights: list[Flight]) -> None:
     assert LATERAL.free_of(ParameterRole.CONSTANT) == ("CY_0", "Cl_0", "Cn_0")
-    shared = LATERAL.with_role(ParameterRole.DERIVATIVE, "CY_0").with_role(ParameterRole.CONSTANT, "CY_dr")
+    shared = with_roles(LATERAL, CY_0=ParameterRole.DERIVATIVE, CY_dr=ParameterRole.CONSTANT)
     assert [p.name for p in joint_model(shared).parameters if p.local] == ["CY_dr", "Cl_0", "Cn_0"]
     assert load_model("longitudinal", "cdfp").free_of(ParameterRole.CONSTANT) == (
         "CL_0",
@@ -69,9 +73,7 @@ def test_constants_are_each_flights_own_by_their_role(made_flights: list[Flight]
 
 
 def test_roles_go_through_a_file_and_unknown_ones_are_refused(tmp_path: Path) -> None:
-    model = (
-        LATERAL.with_biases("p").with_role(ParameterRole.NUISANCE, "Cl_p").with_role(ParameterRole.DERIVATIVE, "CY_0")
-    )
+    model = with_roles(LATERAL.with_biases("p"), Cl_p=ParameterRole.NUISANCE, CY_0=ParameterRole.DERIVATIVE)
     write_model(model, tmp_path / "m.toml")
     text = (tmp_path / "m.toml").read_text()
     assert text.count("role = ") == 3  # the usual ones go without saying

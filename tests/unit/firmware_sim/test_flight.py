@@ -66,7 +66,7 @@ def test_leaves_what_a_flight_leaves(flown: FlightFiles) -> None:
     assert recording.info.details["simulation.scenario"] == "rich"
     assert recording.info.config_text
     assert verify(flown.folder / "onboard").ok
-    assert flown.books.written == len(recording.numbers)
+    assert flown.statistics.written == len(recording.numbers)
     assert load_scenario(flown.scenario).flight.duration_s == 20.0
     assert np.allclose(truth_of(flown)["time"], [s.time for s in recording.scans()], atol=1e-9)
 
@@ -216,10 +216,10 @@ def test_an_old_recording_is_not_overwritten(tmp_path: Path) -> None:
 
 def test_stalled_card_loses_nothing_and_telemetry_goes_on(tmp_path: Path) -> None:
     recording, files, sent = standing(tmp_path, {"kind": "sd_stall", "start_s": 3.0, "stop_s": 33.0}, seconds=40.0)
-    books = files.books
-    assert (books.dropped, books.lost, books.missed) == (0, 0, 0)
-    assert recording.numbers == list(range(books.written))
-    assert books.queue_high_water > 25 * 20
+    statistics = files.statistics
+    assert (statistics.dropped, statistics.lost, statistics.missed) == (0, 0, 0)
+    assert recording.numbers == list(range(statistics.written))
+    assert statistics.queue_high_water > 25 * 20
     assert sent > 40 * 11.5
     assert verify(tmp_path / "onboard").ok
 
@@ -228,23 +228,23 @@ def test_stalled_card_loses_nothing_and_telemetry_goes_on(tmp_path: Path) -> Non
 def test_card_that_fails_for_a_while(tmp_path: Path, kind: str) -> None:
     """Scans wait in memory and go into a new file; none is lost, and the books say what happened."""
     recording, files, sent = standing(tmp_path, {"kind": kind, "start_s": 5.0, "stop_s": 15.0}, seconds=25.0)
-    books = files.books
-    assert books.write_errors > 0
-    assert (books.dropped, books.lost, books.missed) == (0, 0, 0)
-    assert recording.numbers == list(range(books.written))
+    statistics = files.statistics
+    assert statistics.write_errors > 0
+    assert (statistics.dropped, statistics.lost, statistics.missed) == (0, 0, 0)
+    assert recording.numbers == list(range(statistics.written))
     assert len(files.recordings) >= 2
     found = verify(tmp_path / "onboard")
-    assert (found.written, found.dropped, found.lost) == (books.written, 0, 0)
+    assert (found.written, found.dropped, found.lost) == (statistics.written, 0, 0)
     assert found.missing == ()
     assert sent > 25 * 11.5
 
 
 def test_card_that_never_comes_back_is_accounted_for(tmp_path: Path) -> None:
     recording, files, sent = standing(tmp_path, {"kind": "card_gone", "start_s": 5.0}, seconds=15.0)
-    books = files.books
-    total = books.written + books.dropped + books.lost + books.missed
-    assert total == books.next_number - books.first_number
-    assert books.lost > 0
+    statistics = files.statistics
+    total = statistics.written + statistics.dropped + statistics.lost + statistics.missed
+    assert total == statistics.next_number - statistics.first_number
+    assert statistics.lost > 0
     assert (
         len(recording.numbers) >= (5.0 - next(iter(recording.scans())).time - 2.2) * 20
     )  # a flush, and what the writer may lag

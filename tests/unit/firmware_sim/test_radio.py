@@ -1,12 +1,8 @@
 """The radio link: what goes in comes out late, damaged or not at all, and every packet is accounted for."""
 
-import socket
-
 import pytest
-import serial
 from pymavlink.dialects.v20 import common
 
-from firmware_sim.hardware.bridge import PtyBridge, UdpBridge
 from firmware_sim.hardware.radio import RadioModel, SimulatedRadioLink, radio_status, x25
 from firmware_sim.tables import ScenarioError, checked
 from tests.unit.firmware_sim.hardware import CountingClock
@@ -177,52 +173,6 @@ def test_same_seed_same_link() -> None:
 def test_checksum_check_value() -> None:
     assert x25(b"123456789") == 0x6F91  # CRC-16/MCRF4XX
     assert len(radio_status(RadioModel(), 50, 0, 0)) == 17
-
-
-def test_over_a_pseudo_terminal() -> None:
-    clock = CountingClock()
-    link = SimulatedRadioLink(RadioModel(**PERFECT), clock.monotonic_ns)
-    bridge = PtyBridge(link.ground)
-    device = serial.Serial(bridge.path, 57_600, timeout=2.0)
-    try:
-        packet = frames(1)[0]
-        link.air.write(packet)
-        clock.wait_ms(200)
-        bridge.pump(clock.now_ns)
-        assert device.read(len(packet)) == packet
-        device.write(packet)
-        device.flush()
-        bridge.pump(clock.now_ns)
-        clock.wait_ms(200)
-        assert link.air.read() == packet
-    finally:
-        device.close()
-        bridge.close()
-
-
-def test_over_udp() -> None:
-    clock = CountingClock()
-    link = SimulatedRadioLink(RadioModel(**PERFECT), clock.monotonic_ns)
-    ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    ground.bind(("127.0.0.1", 0))
-    ground.settimeout(2.0)
-    bridge = UdpBridge(link.ground, ground.getsockname())
-    try:
-        packet = frames(1)[0]
-        link.air.write(packet)
-        clock.wait_ms(200)
-        bridge.pump(clock.now_ns)
-        assert ground.recvfrom(2000)[0] == packet
-        ground.sendto(packet, bridge.local)
-        for _ in range(200):
-            bridge.pump(clock.now_ns)
-            if link.up.sent:
-                break
-        clock.wait_ms(200)
-        assert link.air.read() == packet
-    finally:
-        bridge.close()
-        ground.close()
 
 
 def test_mistakes_are_named() -> None:

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from daq.contract.recordings.reading import read_recording
-from firmware_sim.runs.flight import simulate_flight
+from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.apply import calibrate
 from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
@@ -29,7 +29,10 @@ LIMITS = {
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("chain")
-    simulate_flight(load_scenario("rich"), folder, seed=3, calibration=NOMINAL_DIRECTORY / "cdfp", duration_s=40.0)
+    with prepare_flight(
+        load_scenario("rich"), folder, seed=3, calibration=NOMINAL_DIRECTORY / "cdfp", duration_s=40.0
+    ) as prepared:
+        prepared.run()
     return folder
 
 
@@ -119,7 +122,8 @@ def test_verb_writes_the_flight_and_says_what_it_did(flown: Path, tmp_path: Path
 
 
 def test_recording_without_calibration_asks_for_one(tmp_path: Path) -> None:
-    simulate_flight(load_scenario("rich"), tmp_path, duration_s=1.5)
+    with prepare_flight(load_scenario("rich"), tmp_path, duration_s=1.5) as prepared:
+        prepared.run()
     with pytest.raises(CalibrationError, match="--calibration"):
         calibrate_recording(tmp_path / "onboard")
     assert len(calibrate_recording(tmp_path / "onboard", "cdfp")) > 10

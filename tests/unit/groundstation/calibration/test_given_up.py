@@ -3,13 +3,14 @@
 from pathlib import Path
 
 from daq.contract.recordings.accounting import verify
-from firmware_sim.runs.flight import simulate_flight
+from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.recording import calibrate_recording
 
 
 def test_a_file_given_up_on_a_full_card_needs_no_salvage(tmp_path: Path) -> None:
-    simulate_flight(load_scenario("fault_disk_full"), tmp_path, duration_s=13.0)
+    with prepare_flight(load_scenario("fault_disk_full"), tmp_path, duration_s=13.0) as prepared:
+        prepared.run()
     onboard = tmp_path / "onboard"
     state = verify(onboard)
     assert state.ok, state.text

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from groundstation.viewer import gate
-from groundstation.viewer.gate import HERE, ViewerGate, host_of, refusal, single_request
+from groundstation.viewer.gate import LOOPBACK_NAMES, ViewerGate, host_of, refusal, single_request
 from groundstation.viewer.live import LiveView, ViewOptions, free_port
 from groundstation.viewer.window import WebPage
 
@@ -206,8 +206,8 @@ def test_names_are_read_as_browsers_write_them() -> None:
     assert [host_of(h) for h in ("LocalHost:80", "[::1]:9", "http://a.b:1", " 127.0.0.1 ", "")] == [
         "localhost", "::1", "a.b", "127.0.0.1", "",
     ]  # fmt: skip
-    assert refusal({"host": "localhost"}, HERE, "") is None
-    assert refusal({}, HERE, "") is not None
+    assert refusal({"host": "localhost"}, LOOPBACK_NAMES, "") is None
+    assert refusal({}, LOOPBACK_NAMES, "") is not None
     assert single_request(b"GET / HTTP/1.1\r\nConnection: keep-alive\r\nHost: a\r\n\r\nx") == (
         b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\nx"
     )
