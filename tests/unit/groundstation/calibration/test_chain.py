@@ -29,9 +29,8 @@ LIMITS = {
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("chain")
-    with prepare_flight(
-        load_scenario("rich"), folder, seed=3, calibration=NOMINAL_DIRECTORY / "cdfp", duration_s=40.0
-    ) as prepared:
+    nominal = NOMINAL_DIRECTORY / "cdfp"
+    with prepare_flight(load_scenario("rich"), folder, seed=3, calibration=nominal, duration_s=40.0) as prepared:
         prepared.run()
     return folder
 
