@@ -1,9 +1,8 @@
 """The logger: scans on absolute deadlines, handed to the recorder and the downlink.
 
-The loop owns no hardware. It is given a clock, a sampler, a recorder and perhaps a link, their edges real or simulated, and
-cannot tell which. Its deadlines are multiples of the period from one start, so that lateness never adds up; a slot that has
-passed is skipped and its number never used, and the recorder counts it as missed, also before the first scan of a
-recording and after its last.
+The loop opens no hardware. It is given a clock, a sampler, a recorder and perhaps a link, real or simulated. Its deadlines are
+multiples of the period from one start, so that lateness never adds up; a slot that has passed is skipped and its number never
+used, and the recorder counts it as missed, also before the first scan of a recording and after its last.
 
 Every scan is read on its deadline. What comes after, the attitude, recorder and radio, can be done for several scans
 together: between two scans the caches run empty, and to fill them is half of what a scan costs.
@@ -33,7 +32,7 @@ _LOG = logging.getLogger("sideslip.logger")
 
 _HOUSEKEEPING_NS = NS
 _HEALTH_PAUSE_NS = NS // 5  # between two health reports of a flapping sensor
-_GONE = (SensorState.ABSENT, SensorState.STUCK, SensorState.FAULT)  # said on the ground display, required or not
+_GONE = (SensorState.ABSENT, SensorState.STUCK, SensorState.FAULT)  # shown on the ground display for every sensor
 _DEAF_NS = NS  # so long the uplink may be passed over because a scan is due, before it has its turn all the same
 
 
@@ -100,9 +99,9 @@ class Logger:
         self._listener: Companion | None = None
         self._truth: AirTruth | None = None
         self._closers: list[threading.Thread] = []
-        self._last_books: Statistics | None = None
+        self._last_statistics: Statistics | None = None
         self._recordings_ended = 0  # recordings given up for closing
-        self._books_of = 0  # the one of them whose books `_last_books` are
+        self._last_statistics_of = 0  # the one of them whose statistics `_last_statistics` are
         sampler.on_event = self._switch
 
     def connect(self, downlink: RadioLink, uplink: Uplink | None) -> None:
@@ -126,7 +125,7 @@ class Logger:
     # ------------------------------------------------------------------------------------------ the loop
 
     def run(self, stop: Callable[[], bool]) -> Statistics:
-        """Scan until `stop()` is true, then end the recording in order; returns its books.
+        """Scan until `stop()` is true, then end the recording in order; returns its statistics.
 
         The recording is also ended in order when anything raises.
         """
@@ -138,8 +137,8 @@ class Logger:
                 self._actuator.close()
             if self._listener is not None:
                 self._listener.close()
-            books = self._end()
-        return books
+            statistics = self._end()
+        return statistics
 
     def _scan_until(self, stop: Callable[[], bool]) -> None:
         self._start_ns = self._clock.monotonic_ns() + self._period_ns
@@ -251,7 +250,7 @@ class Logger:
         self._heard_ns = now_ns
         return True
 
-    # ------------------------------------------------------------------------------------------ health and books
+    # ------------------------------------------------------------------------------------------ health and statistics
 
     def _watch_states(self, scan: Scan) -> None:
         for group, status in scan.groups.items():
@@ -319,8 +318,8 @@ class Logger:
         return True
 
     def statistics(self) -> Statistics | None:
-        """The books of the recording under way, or of the last one; None before there was one."""
-        return self._recorder.statistics() if self._recorder is not None else self._last_books
+        """The statistics of the recording under way, or of the last one; None before there was one."""
+        return self._recorder.statistics() if self._recorder is not None else self._last_statistics
 
     def mark_event(self, text: str, origin: str) -> EventMessage:
         """Record an event marker at the present scan and tell the ground."""
@@ -383,16 +382,16 @@ class Logger:
             while closer.is_alive():
                 closer.join(0.005)
                 self._clock.sleep_until(self._clock.monotonic_ns() + NS // 10)
-        if self._last_books is None:
+        if self._last_statistics is None:
             raise RuntimeError("the logger had no recorder")
-        return self._last_books
+        return self._last_statistics
 
     def _close(self, recorder: Recorder, which: int) -> None:
-        books = recorder.close()
-        if books.lost or books.dropped:
-            _LOG.error("%d scans could not be written, %d were dropped", books.lost, books.dropped)
-        if which > self._books_of:  # one that was ended earlier may take longer
-            self._last_books, self._books_of = books, which
+        statistics = recorder.close()
+        if statistics.lost or statistics.dropped:
+            _LOG.error("%d scans could not be written, %d were dropped", statistics.lost, statistics.dropped)
+        if which > self._last_statistics_of:  # one that was ended earlier may take longer
+            self._last_statistics, self._last_statistics_of = statistics, which
 
 
 _PYTHON_LEVEL: Mapping[LogLevel, int] = {

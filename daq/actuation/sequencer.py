@@ -1,8 +1,8 @@
-"""The sequencer: a pure state machine that decides, frame by frame, what the servos get and whether they may get it.
+"""The sequencer: a pure state machine that decides, frame by frame, on the servo signals and on their release by the heartbeat.
 
-It is told what is seen and says what to do; it opens nothing and knows no clock. States, reasons and transitions are in
-`daq.contract.sequencing`. In every state either the heartbeat is off, and the pilot's signals reach the servos by the
-multiplexer alone, or the output is the pilot's signals, live or as they were at the start, plus limited increments.
+It maps observations to actions, without devices and without a clock. States, reasons and transitions are in
+`daq.contract.sequencing`. In every state either the heartbeat is off, and the pilot's signals reach the servos through the
+multiplexer alone, or the output is the pilot's signals, live or as at the start, plus limited increments.
 """
 
 from collections import deque

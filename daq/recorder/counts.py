@@ -72,7 +72,7 @@ class SlotCounts:
         return self.offered - self.written - self.dropped - self.lost
 
     def counts(self) -> dict[str, Any]:
-        """The books as fields of a `Statistics` report."""
+        """The counts as fields of a `Statistics` report."""
         same = ("written", "dropped", "lost", "missed", "pending", "write_errors")
         return {name: getattr(self, name) for name in same} | {
             "first_number": self.first or 0,
@@ -82,7 +82,8 @@ class SlotCounts:
         }
 
     def reach(self, number: int) -> None:
-        """The slots before `number` are over; those of which no scan was offered were missed. The first call begins the books."""
+        """The slots before `number` are over; those of which no scan was offered were missed. The first call begins the
+        counting."""
         if self.first is None:
             self.first = self.next = number
         if number > self.next:

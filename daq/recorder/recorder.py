@@ -1,9 +1,9 @@
-"""The recorder: takes scans without ever making the scan loop wait, and gets them onto the card.
+"""The recorder: writes scans to the card without ever blocking the scan loop.
 
-`Recorder` is what the scan loop sees: bounded memory, counters, no blocking. Behind it one thread writes segments and
-another waits for the card (fdatasync), so that a stalled card delays neither the scans nor the writing.
-Until the card has confirmed them, messages stay in memory; when a file fails they go into the next one, in the
-next directory if need be. What cannot be kept is counted, with its scan numbers, in the recording itself.
+The scan loop calls `Recorder`, which has bounded memory and counters and never blocks. One thread writes segments and another
+waits for the card (fdatasync), so that a stalled card delays neither the scans nor the writing. Messages stay in memory until
+the card has confirmed them; when a file fails they go into the next one, if necessary in the next directory. Scans that are
+dropped or lost are counted, with their numbers, in the recording itself.
 """
 
 import logging
@@ -30,7 +30,7 @@ _LOG = logging.getLogger("sideslip.recorder")
 _MESSAGE_ROOM = 256  # places in memory for events and log lines beyond those for scans
 _IDLE_S = 0.2  # so long after a chunk should have been full, the writer looks by itself what there is to do
 _LONGEST_PAUSE_S = 8.0  # between files that fail at once: well within queue_s, and not long for a card that comes back
-_LAST_WORDS_S = 2.0  # given to the writer to end after it has been told to give up
+_ABANDON_S = 2.0  # for the writer to end after it was ordered to abandon its file
 
 
 class Recorder:
@@ -59,7 +59,7 @@ class Recorder:
         self._lock = threading.RLock()
         self._news = threading.Condition(self._lock)
         self._inbox: deque[Scan | Message] = deque()
-        self._books = SlotCounts()
+        self._counts = SlotCounts()
         self._pending: deque[RecordedMessage] = deque()  # encoded, in order, not yet in a file
         self._returned: deque[RecordedMessage] = deque()  # were in a file that failed after it was closed
         self._time = SessionTime(clock)
@@ -102,12 +102,12 @@ class Recorder:
     def scan(self, scan: Scan) -> bool:
         """Take a scan; False when the memory is full and the scan was dropped (and counted)."""
         with self._lock:
-            books = self._books
-            pending = books.offer(scan.number)
-            if pending > books.high_water:
-                books.high_water = min(pending, self._capacity)
+            counts = self._counts
+            pending = counts.offer(scan.number)
+            if pending > counts.high_water:
+                counts.high_water = min(pending, self._capacity)
             if pending > self._capacity or self._given_up:
-                books.drop(scan.number)
+                counts.drop(scan.number)
                 return False
             self._inbox.append(scan)
             if self._chunk_full_ns is None:
@@ -120,7 +120,7 @@ class Recorder:
     def reach(self, number: int) -> None:
         """Every slot before `number` is over: those without a scan were missed. The first call says where the session begins."""
         with self._lock:
-            self._books.reach(number)
+            self._counts.reach(number)
 
     def message(self, message: Message) -> bool:
         """Record an event, a health report or what the sequencer did in one frame; False when the memory is full."""
@@ -142,7 +142,7 @@ class Recorder:
     def busy(self) -> bool:
         """Whether the writer is more than a flush behind; a simulated clock waits on this (`follow`)."""
         with self._news:
-            return self._books.pending > max(4, self._config.flush_s * self._info.scan_rate_hz)
+            return self._counts.pending > max(4, self._config.flush_s * self._info.scan_rate_hz)
 
     def at_work(self) -> bool:
         """Whether either thread has something to do now; a simulation that must be exact holds time meanwhile."""
@@ -150,9 +150,9 @@ class Recorder:
             return self._thread.is_alive() and (self._chunk_is_full or self._writing or self._syncer.busy)
 
     def statistics(self, *, final: bool = False) -> Statistics:
-        """The books and the timing as they are now."""
+        """The counts and the timing at present."""
         with self._news:
-            books = replace(self._books, absent=list(self._books.absent))
+            counts = replace(self._counts, absent=list(self._counts.absent))
         return Statistics(
             time_monotonic_ns=self._clock.monotonic_ns(),
             time_utc_ns=max(0, self._clock.utc_ns()),
@@ -160,7 +160,7 @@ class Recorder:
             segment=max(0, self._files.next_number - 1),
             final=final,
             extra={f"abandoned_{n}": 1 for n in self._abandoned} | self._free,
-            **books.counts(),
+            **counts.counts(),
             **self._timing.counts(),
             write_latency=tuple(self._write_latency.counts),
             sync_latency=tuple(self._syncer.latency.counts),
@@ -173,7 +173,7 @@ class Recorder:
         return segment.path if segment else None
 
     def close(self, timeout_s: float = 60.0) -> Statistics:
-        """Write what is in memory, end the recording in order and return its books.
+        """Write what is in memory, end the recording in order and return its counts.
 
         While the card fails this keeps trying for `timeout_s` of the clock; what is left then is counted as lost.
         """
@@ -183,7 +183,7 @@ class Recorder:
         deadline = self._clock.monotonic_ns() + round(timeout_s * NS)
         if not self._wait_for(self._thread, deadline):
             self._given_up = True
-            self._wait_for(self._thread, deadline + round(_LAST_WORDS_S * NS))
+            self._wait_for(self._thread, deadline + round(_ABANDON_S * NS))
         self._syncer.stop()
         self._wait_for(self._syncer.thread, deadline)
         self._count_lost()
@@ -283,7 +283,7 @@ class Recorder:
             self._pending.popleft()
             if entry.topic == SCAN_TOPIC:
                 with self._news:
-                    self._books.written += 1
+                    self._counts.written += 1
             if entry.log_time_ns - (segment.chunk_started_ns or 0) >= self._chunk_ns:
                 self._flush(segment)
 
@@ -388,8 +388,8 @@ class Recorder:
     def _take_back(self, segment: OpenRecording) -> list[RecordedMessage]:
         entries = segment.take_back()
         with self._news:
-            self._books.write_errors += 1
-            self._books.written -= sum(1 for e in entries if e.topic == SCAN_TOPIC)
+            self._counts.write_errors += 1
+            self._counts.written -= sum(1 for e in entries if e.topic == SCAN_TOPIC)
             self._abandoned.append(segment.number)
         return entries
 
@@ -398,7 +398,7 @@ class Recorder:
         with self._news:
             numbers = [i.number for i in self._inbox if isinstance(i, Scan)]
             numbers += [e.sequence for e in (*self._pending, *self._returned) if e.topic == SCAN_TOPIC]
-            self._books.lose(numbers)
+            self._counts.lose(numbers)
             self._inbox.clear()
 
     def _complain(self, text: str, level: LogLevel = LogLevel.ERROR) -> None:

@@ -20,7 +20,7 @@ class Control(Protocol):
         """End the recording; False when none is under way."""
 
     def statistics(self) -> Statistics | None:
-        """The books of the recording, or of the last one."""
+        """The statistics of the recording, or of the last one."""
 
     def mark_event(self, text: str, origin: str) -> EventMessage:
         """Record an event at the present scan, and tell the ground."""

@@ -1,10 +1,9 @@
-"""The downlink: scans and status to the ground within what the radio carries, never making the scan loop wait.
+"""The downlink: scans and status to the ground within the capacity of the radio, without ever blocking the scan loop.
 
 `offer` is called with every scan, `service` after each. Scans are picked by time, so that their average rate is exact;
-what was sent is remembered and reported, so that the ground can tell a scan lost on the link from one never sent.
-The rate follows the radio's own report of its buffer (RADIO_STATUS), which anybody could forge: it can lower the rate
-to 2 Hz at worst, and the heartbeat goes on regardless.
-"""
+the numbers of sent scans are stored and reported, so that the ground can distinguish a scan lost on the link from one never sent.
+The rate follows the radio's report of its buffer (RADIO_STATUS). A forged report can lower it to 2 Hz at most, and does not
+affect the heartbeat."""
 
 import math
 from collections import deque
@@ -42,7 +41,7 @@ class Downlink:
     """Sends to one ground link. All methods belong to the scan loop's thread.
 
     boot: random number of this start of the logger (1 to 255). facts: run-time facts of the sensors, asked at a low rate.
-    logger: whose state is told; its books are asked for at a low rate.
+    logger: whose state is sent; its statistics are sent at a low rate.
     """
 
     def __init__(
@@ -202,7 +201,7 @@ class Downlink:
         self.send_queue.service(now_ns)
 
     def _report_pause(self, now_ns: int) -> None:
-        """When scans stop coming, say a few times what was sent, so that the ground's books close."""
+        """When scans stop coming, report a few times which were sent, so that the accounting of the ground is complete."""
         if now_ns >= self._pause_ns + (_PAUSE_NS << self._pause_reports):
             self._pause_reports += 1
             block = self._last // BLOCK
@@ -238,15 +237,15 @@ class Downlink:
         )
 
     def _logger_status(self) -> Item:
-        books = self.logger.statistics() or Statistics(0, 0, "", 0)
+        statistics = self.logger.statistics() or Statistics(0, 0, "", 0)
         return item(
             "LOGGER_STATUS",
-            free_bytes=books.extra.get("free_bytes", 2**64 - 1),
-            **{name: getattr(books, name) for name in ("slots", "written", "dropped", "lost", "missed")},
+            free_bytes=statistics.extra.get("free_bytes", 2**64 - 1),
+            **{name: getattr(statistics, name) for name in ("slots", "written", "dropped", "lost", "missed")},
             boot=self.boot,
-            queue=min(65535, books.pending),
-            lateness_p99_us=min(65535, _percentile(books.edges_us, books.lateness, 0.99)),
-            write_errors=min(65535, books.write_errors),
+            queue=min(65535, statistics.pending),
+            lateness_p99_us=min(65535, _percentile(statistics.edges_us, statistics.lateness, 0.99)),
+            write_errors=min(65535, statistics.write_errors),
             recording=int(self.logger.recording),
             in_flight=int(flight_evidence(self.recent, self.messages.display.pitot_pascal) is not None),
         )

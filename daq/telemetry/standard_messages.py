@@ -1,7 +1,7 @@
 """Standard MAVLink messages made from raw scans, so that any ground station shows the aircraft.
 
-They are for the eye: nominal scales, no calibration (`daq.telemetry.display`). A message whose values are missing, or
-for which the configuration has no numbers, is not sent.
+They are for display only: nominal scales, no calibration (`daq.telemetry.display`). A message whose values are missing, or for
+which the configuration has no numbers, is not sent.
 """
 
 import math
@@ -131,7 +131,7 @@ class StandardMessages:
         return self._makers.keys()
 
     def make(self, name: str) -> Item | None:
-        """The message of this name, as things stand; None where it cannot be told, or is none of these."""
+        """The present message of a name; None where its values are missing, or it is none of these messages."""
         maker = self._makers.get(name)
         return None if maker is None or self.last is None else maker(self.last)
 

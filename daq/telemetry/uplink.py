@@ -3,9 +3,9 @@
 With a signing key set, only frames with a good signature do anything; others are counted and reported. The one
 exception is RADIO_STATUS, which radios cannot sign and which can only slow the downlink down within limits.
 
-The scan loop gives each turn a few milliseconds, whatever arrives: so many bytes are read, so many frames are taken, and
-what is left waits for the next turn. Requests of a sender and commands that cost something on the card are limited;
-what is refused is counted and told now and then.
+A call takes a few milliseconds, whatever arrives: a limited number of bytes and frames is processed, and the rest waits for the
+next call. Requests of a sender, and commands that use the card, are limited in rate; refused ones are counted and reported at
+intervals.
 """
 
 import logging

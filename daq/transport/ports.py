@@ -1,11 +1,11 @@
-"""Byte ports of the link: serial, UDP, TCP and memory, none of which ever waits.
+"""Byte ports of the link: serial, UDP, TCP and memory, none of which ever blocks.
 
 `read` returns what has arrived, possibly nothing; `write` takes what fits and says how much that was. A loop that
 scans sensors or draws pictures can therefore use any of them directly. Listeners bind to loopback unless a host is
 named.
 
-Whoever sends faster than a reader reads gains nothing: a read gives at most as many bytes as were asked for, from a
-bounded number of datagrams; the rest waits in the system's buffer, and what finds no room there is gone.
+A sender that is faster than the reader cannot overload it: a read returns at most the requested number of bytes, from a bounded
+number of datagrams; the rest waits in the system's buffer, and is lost where that is full.
 """
 
 import errno
@@ -59,7 +59,7 @@ PortKind = Literal["serial", "udp", "udpin", "tcp", "tcpin"]
 
 @dataclass(frozen=True, slots=True)
 class PortSpec:
-    """A port as people write it: `serial:DEVICE[:BAUD]`, `udp|udpin|tcp|tcpin:[HOST:]PORT`."""
+    """A port as it is written in a configuration: `serial:DEVICE[:BAUD]`, `udp|udpin|tcp|tcpin:[HOST:]PORT`."""
 
     kind: PortKind
     address: str
@@ -123,7 +123,7 @@ def _advice(spec: PortSpec, error: OSError) -> str:
 class UdpPort:
     """Datagrams: to a fixed remote, or (listening) to everyone heard from, the latest few of them."""
 
-    is_open = True  # who is not heard may be heard again
+    is_open = True  # a silent peer may send again
 
     def __init__(self, *, local: tuple[str, int] | None = None, remote: tuple[str, int] | None = None) -> None:
         host = (local or remote or (_LOOPBACK, 0))[0]
@@ -204,7 +204,7 @@ class UdpPort:
         return b"".join(data for _, data in self.receive(limit))
 
     def write(self, data: bytes) -> int:
-        """Send one datagram to each peer; with nobody to send to it is taken and gone, as on a radio."""
+        """Send one datagram to each peer; without a peer it is accepted and lost, as on a radio."""
         if self._fixed:
             return self._send(data, None)
         counts = [self._send(data, peer) for peer in list(self._peers)]
@@ -294,9 +294,9 @@ class TcpClientPort:
 
 
 class TcpServerPort:
-    """A listener; every peer that connects hears everything and may speak."""
+    """A listener; every connected peer receives all bytes and may send."""
 
-    is_open = True  # who is not heard may be heard again
+    is_open = True  # a silent peer may send again
 
     def __init__(self, host: str, number: int) -> None:
         self._listener = socket.create_server((host, number))

@@ -1,9 +1,9 @@
-"""Whom to believe: one recommended method for a flight, or for all flights together, and the reason; `none` where none is.
+"""The recommended method for a flight, or for all flights together, with the reason; `none` where no method is recommended.
 
-What is looked at: whether the filter error gains over output error beyond chance (process noise: gusts, or a model that lacks
-something), or, without a filter error, how well residuals predict their successors; whether methods agree within their joint
-bounds; biases and constants against what instruments and trims can be; a joint estimate against its members; scatter
-over flights against bounds; flights that move beyond all others. Thresholds: docs/estimation.md (`verdict_study`).
+The criteria: whether filter error improves on output error beyond chance (process noise: gusts, or a model that lacks something),
+or, without filter error, how well residuals predict their successors; whether methods agree within their joint bounds; whether
+biases and constants are plausible for instruments and trims; a joint estimate against its members; scatter over flights against
+bounds; flights that differ from all others. Thresholds: docs/estimation.md (`verdict_study`).
 """
 
 import math
@@ -95,12 +95,12 @@ class _Case:
 
     @property
     def left(self) -> list[str]:
-        """Methods that nothing speaks against, the most trusted first."""
+        """Methods without an objection, the most trusted first."""
         methods = [m for m in self.results if m not in self.against]
         return sorted(methods, key=lambda m: TRUST.get(m, len(TRUST)))
 
     def object_to(self, method: str, kind: DoubtKind, text: str) -> None:
-        """Note a doubt that speaks against a method."""
+        """Add a doubt that is an objection to a method."""
         self.doubts.append(Doubt(kind, f"{method}: {text}"))
         self.against.setdefault(method, text)
 

@@ -1,9 +1,8 @@
 """Bench recordings: known stimuli instead of a flight, through the same instruments, chips and logger.
 
-Each bench sets something (an angle, a speed, a force, an orientation) for some seconds at a time and says what it set, as the
-reference instrument shows it: the reference is off by an error of its stated size, as on a real bench. `record_bench`
-leaves a raw recording and beside it the plan from which calibration files are fitted.
-"""
+Each bench sets an angle, a speed, a force or an orientation for some seconds at a time and records the reading of the reference
+instrument, which has an error of its stated size, as on a real bench. `record_bench` writes a raw recording and beside it the
+plan from which calibration files are fitted."""
 
 import itertools
 import math

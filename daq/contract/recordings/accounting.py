@@ -1,8 +1,8 @@
 """Does a recording hold every scan it should?
 
-The books: scan numbers run from the first to the last slot the logger used. Each number is present, or the logger
+Accounting: scan numbers run from the first to the last slot the logger used. Each number is present, or the logger
 itself said that it is absent (dropped, lost, or missed), or it lies in a damaged stretch or after the last flush.
-`slots = scans + sum of missing` always closes; a missing number that nobody accounts for makes the verdict "not ok".
+`slots = scans + sum of missing` always holds; a missing number that nobody accounts for makes the verdict "not ok".
 Several sessions in one file are accounted for one by one.
 """
 
@@ -109,19 +109,19 @@ def _summed(verifications: Sequence[tuple[str, Verification]]) -> Verification:
 def verify_recording(recording: Recording) -> Verification:
     """Check a recording that has been walked through."""
     numbers = recording.numbers
-    books = recording.last_statistics
-    first, end = _span(numbers, books, {s.info.segment for s in recording.segments if s.info})
+    statistics = recording.last_statistics
+    first, end = _span(numbers, statistics, {s.info.segment for s in recording.segments if s.info})
     missing = subtract([(first, end - 1)], ranges(numbers))
-    unreported = subtract(missing, books.absent if books else ())
+    unreported = subtract(missing, statistics.absent if statistics else ())
     unexplained = subtract(unreported, _lost_before(recording.info.details.get(LOST_TO_DAMAGE, "[]")))
     given_up, damages = recording.given_up, recording.damages
     role = recording.info.role
     # a session's directory may end with a file closed in order after which the logger had begun, or meant, another
-    goes_on = recording.path.is_dir() and role == "onboard" and books is not None and not books.final
+    goes_on = recording.path.is_dir() and role == "onboard" and statistics is not None and not statistics.final
     closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments) and not goes_on
     gaps_expected = role == "received"
     ok = closed and not damages and bool(numbers) and (gaps_expected or not unexplained)
-    dropped, lost, missed = _counts(books, count(missing) - count(unreported))
+    dropped, lost, missed = _counts(statistics, count(missing) - count(unreported))
     written = len(numbers) + count(unexplained)
     lost += count(unreported) - count(unexplained)
     verification = Verification(
@@ -151,24 +151,26 @@ def _lost_before(text: str) -> list[Range]:
         return []
 
 
-def _span(numbers: Sequence[int], books: Statistics | None, segments: Collection[int]) -> Range:
+def _span(numbers: Sequence[int], statistics: Statistics | None, segments: Collection[int]) -> Range:
     """First slot and the slot after the last that the recording should cover. segments: numbers of those that are here."""
     first, end = (numbers[0], numbers[-1] + 1) if numbers else (0, 0)
-    if books is None:
+    if statistics is None:
         return first, end
-    if segments and min(segments) == 0 and max(segments) == len(segments) - 1:  # all to the one with the last books
-        first = min(first, books.first_number) if numbers else books.first_number
-    if books.final or not numbers:
-        end = max(end, books.next_number)
+    if (
+        segments and min(segments) == 0 and max(segments) == len(segments) - 1
+    ):  # all up to the one with the last statistics
+        first = min(first, statistics.first_number) if numbers else statistics.first_number
+    if statistics.final or not numbers:
+        end = max(end, statistics.next_number)
     return first, max(first, end)
 
 
-def _counts(books: Statistics | None, absent: int) -> tuple[int, int, int]:
+def _counts(statistics: Statistics | None, absent: int) -> tuple[int, int, int]:
     """(dropped, lost, missed) of the `absent` slots that the logger reported as such."""
-    if books is None:
+    if statistics is None:
         return 0, 0, 0
-    if absent == books.dropped + books.lost + books.missed:
-        return books.dropped, books.lost, books.missed
+    if absent == statistics.dropped + statistics.lost + statistics.missed:
+        return statistics.dropped, statistics.lost, statistics.missed
     # One segment of several: the session's absent slots lie partly elsewhere, and their kind is not told slot by slot.
     return absent, 0, 0
 

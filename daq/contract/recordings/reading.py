@@ -79,10 +79,10 @@ class Recording:
 
         Their torn ends are accounted for: no damage of the recording.
         """
-        books = self.last_statistics
-        if books is None:
+        statistics = self.last_statistics
+        if statistics is None:
             return ()
-        numbers = {k.removeprefix("abandoned_") for k in books.extra if k.startswith("abandoned_")}
+        numbers = {k.removeprefix("abandoned_") for k in statistics.extra if k.startswith("abandoned_")}
         return tuple(s for s in self.segments if str(s.number) in numbers and not s.closed)
 
     @property
@@ -130,8 +130,8 @@ def by_session(segments: Iterable[RecordingWalk]) -> dict[str, list[RecordingWal
 def _session_of(segment: RecordingWalk) -> str | None:
     if segment.info is not None:
         return segment.info.session
-    books = _last_statistics(segment.entries)
-    return books.session or None if books else None
+    statistics = _last_statistics(segment.entries)
+    return statistics.session or None if statistics else None
 
 
 def _continues(group: list[RecordingWalk], segment: RecordingWalk) -> bool:

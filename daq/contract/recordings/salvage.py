@@ -1,11 +1,11 @@
-"""Walk through the bytes of an MCAP file, sound or damaged, and give out everything that is surely right.
+"""Reads an MCAP file, intact or damaged, and returns everything in it that is proven correct.
 
-Stock readers stop at the first damage or pass altered values on. This walk trusts a record only when its own checksum
-or structure proves it, names every damaged stretch, looks inside that stretch for messages whose seal holds, and goes
-on at the next record that can be trusted. A file may hold several recordings one behind the other (`cat a b`, the image
-of a rescue tool): each begins with `Began`. Record layout: MCAP specification, https://mcap.dev/spec.
+Usual readers stop at the first damage, or return altered values. `Walk` accepts a record only if its checksum or structure proves
+it. It reports every damaged stretch, searches it for messages with an intact seal, and continues at the next proven record. A
+file may contain several recordings in sequence (`cat a b`, the image of a rescue tool): each begins with `Began`. Record layout:
+MCAP specification, https://mcap.dev/spec.
 
-Time and memory go with the size of the file, whatever its bytes (`daq.contract.recordings.expand.Effort`).
+Time and memory are proportional to the size of the file, whatever its bytes (`daq.contract.recordings.expand.Effort`).
 """
 
 import struct
@@ -46,22 +46,22 @@ from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, LOG_TIME_N
 from daq.contract.seal import seal_holds
 
 MAX_DAMAGES = 1000
-"""Damaged places told one by one. Behind the last of them a file is no longer walked but searched as one stretch: whole
-messages and compressed chunks are found there all the same."""
+"""Damaged places that are reported one by one. After the last of them the rest of the file is searched as one stretch, in which
+complete messages and compressed chunks are still found."""
 MAX_PARTS = 1000
-"""Recordings in one file that are told apart; a session has a segment each minute or so, a card some hundred files."""
+"""Recordings in one file that are separated; a session has a segment about each minute, a card some hundred files."""
 _PROVEN = (CHUNK, ATTACHMENT, MESSAGE, METADATA)
 _BATCH = 1 << 20  # damaged bytes searched at once: a search has a cost of its own, a file may have many short stretches
 _RECORD = struct.Struct("<BQ")  # code and length of a record
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log and publish time
-_HEAD_SPAN = 64  # a record's head and what of its fields tells that a record may begin there
-_APART = bytes(8)  # between two stretches searched together
+_HEAD_SPAN = 64  # bytes of a record's head and of the fields that show whether a record may begin there
+_SEPARATOR = bytes(8)  # between two stretches that are searched together
 _NAMES = {CHUNK: "chunk", METADATA: "metadata", ATTACHMENT: "attachment", DATA_END: "end of data"}
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """A stretch of the file that is not what was written."""
+    """A stretch of the file that was altered or lost."""
 
     at_byte: int
     length: int
@@ -338,7 +338,7 @@ class Walk:
 
     def _searched(self) -> Iterator[RecordedMessage]:
         """Messages in the damaged stretches that wait."""
-        region = _APART.join(self._unsearched)
+        region = _SEPARATOR.join(self._unsearched)
         self._unsearched, self._unsearched_bytes = [], 0
         yield from salvage_region(region, self._effort)
 
