@@ -79,12 +79,6 @@ def campaign(
         answer = ss.campaign("flights/*.mcap", "campaign", aircraft="cdfp", methods=["ml", "ls"], serial=True)
         print(answer.summary())
     """
-    from estimation.campaign.run import Campaign
-    from estimation.campaign.sources import entries_of
-    from estimation.campaign.store import Store
-    from estimation.campaign.work_list import work_list
-    from sideslip.simulated import simulator
-
     begin = time.monotonic()
     options = {
         "methods": methods, "groups": groups, "model": model, "aircraft": aircraft, "check": check, "joint": joint,
@@ -93,16 +87,34 @@ def campaign(
     }  # fmt: skip
     sources = [str(f) for f in ([flights] if isinstance(flights, str | Path) else flights)]
     plan, folder = _plan(sources, _plan_keys(options), trust_code, notice)
+    engine = partial(_engine, workers=workers, scheduler=scheduler, serial=serial, dashboard=dashboard, notice=notice)
+    tell = progress or (lambda *words_and_share: None)
     out = Path(out)
-    with Store(out, time.monotonic) as store:
-        work = work_list(plan, entries_of(plan, folder, simulator(), send=bool(scheduler)), folder)
-        engine = partial(
-            _engine, workers=workers, scheduler=scheduler, serial=serial, dashboard=dashboard, notice=notice
-        )
-        tell = progress or (lambda *words_and_share: None)
-        outcome = Campaign(plan, work, store, engine, tell).run(retry_failed=retry is not None)
+    outcome = _outcome(plan, folder, out, engine, tell, send=bool(scheduler), retry_failed=retry is not None)
     page = None if no_report else _page(outcome, plan, out / "report")
     return CampaignAnswer(outcome, out, page, time.monotonic() - begin)
+
+
+def _outcome(
+    plan: "CampaignPlan",
+    folder: Path,
+    out: Path,
+    engine: "Callable[[int], CampaignEngine]",
+    tell: Callable[..., None],
+    *,
+    send: bool,
+    retry_failed: bool,
+) -> "CampaignOutcome":
+    """Run a plan into the data set `out`. folder: of the plan's relative paths; send: flights travel to workers as bytes."""
+    from estimation.campaign.run import Campaign
+    from estimation.campaign.sources import entries_of
+    from estimation.campaign.store import Store
+    from estimation.campaign.work_list import work_list
+    from sideslip.simulated import simulator
+
+    with Store(out, time.monotonic) as store:
+        work = work_list(plan, entries_of(plan, folder, simulator(), send=send), folder)
+        return Campaign(plan, work, store, engine, tell).run(retry_failed=retry_failed)
 
 
 @dataclass(frozen=True, repr=False)

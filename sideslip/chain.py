@@ -13,9 +13,7 @@ if TYPE_CHECKING:
     from groundstation.viewer.live import LiveView
 
 SENT_REPORT_S = 60.0  # simulated time in which the aircraft reports of every scan whether it was sent
-SILENT_S = (
-    60.0  # simulated time without a frame after which backfill is given up: requests are repeated every few seconds
-)
+SILENT_S = 60.0  # simulated time without a frame after which backfill is given up; requests repeat every few seconds
 BACKFILL_LIMIT_S = 3600.0  # simulated time of backfill at most
 
 

@@ -77,16 +77,11 @@ def design(
     from estimation.design.design import DesignTask
     from estimation.design.design import design as designed
     from estimation.design.limits import load_limits
-    from estimation.errors import EstimationError
     from estimation.resolve import resolve
 
     from_estimate = {} if estimate is None else _known(estimate)
     aircraft_name = aircraft or from_estimate.get("aircraft")
-    if not aircraft_name:
-        raise EstimationError(
-            "design: name the aircraft with --aircraft (a built-in one or an AIRCRAFT.toml), or --from an estimate"
-        )
-    _check_band(band)
+    _check(aircraft_name, band)
     problem = resolve([], from_estimate.get("model", model), aircraft_name)
     airframe = problem.aircraft
     task = DesignTask(
@@ -108,9 +103,14 @@ def design(
     return DesignAnswer(designed(loaded, airframe, task, load_limits(Path(limits)) if limits else None))
 
 
-def _check_band(band: tuple[float, float]) -> None:
+def _check(aircraft: "AnyAircraft", band: tuple[float, float]) -> None:
+    """Raise EstimationError without an aircraft, or for an impossible band [Hz]."""
     from estimation.errors import EstimationError
 
+    if not aircraft:
+        raise EstimationError(
+            "design: name the aircraft with --aircraft (a built-in one or an AIRCRAFT.toml), or --from an estimate"
+        )
     low, high = band
     if not 0.0 < low < high < HIGHEST_BAND_HZ:
         raise EstimationError(

@@ -351,9 +351,8 @@ def _law(
 ) -> GainLaw:
     """The gain as a function of process noise, about the flown mean. unit: state -> std as of `GainLaw`."""
     A, C = mean_matrices(simulator, data, values)
-    C[[simulator.model.output_names.index(o) for o in simulator.model.output_delays]] = (
-        0.0  # a delayed output corrects no state
-    )
+    delayed = [simulator.model.output_names.index(o) for o in simulator.model.output_delays]
+    C[delayed] = 0.0  # they correct no state
     states = tuple(simulator.model.state_names.index(s) for s in unit)
     return gain_law(A, C, _step(data), noise, np.array(list(unit.values())), states)
 

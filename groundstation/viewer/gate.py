@@ -26,9 +26,7 @@ LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
 """Names in a Host header that mean this computer."""
 
 MOST_CONNECTIONS = 64
-MOST_OF_ONE = (
-    24  # from one other computer: a browser uses six and its streams, and one computer must not block all others
-)
+MOST_OF_ONE = 24  # from one other computer, which must not block all others: a browser uses six and its streams
 HEAD_S = 5.0  # in which the head of a request must be complete
 IDLE_S = 600.0  # without a byte in either direction, after which a connection is closed
 LONGEST_HEAD = 16384  # bytes
