@@ -21,7 +21,7 @@ from daq.actuation.actuation import Actuation
 from daq.clock import NS, Clock
 from daq.companion.process import Companion
 from daq.contract.link.commands import parse_pitot_zero, pitot_zero_text
-from daq.contract.manoeuvre import Weigh
+from daq.contract.manoeuvre import ManoeuvreCheck
 from daq.contract.recordings.messages import EventMessage, LogLevel, SequencerFrame, Statistics
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.counts import LoopTiming
@@ -329,14 +329,14 @@ class Logger:
             self._truth.zeroed(zero)
         return self._mark(self._clock.monotonic_ns(), self._number, text, origin)
 
-    def ask_sequencer(self, digest: int | None) -> str:
+    def request_sequencer(self, digest: int | None) -> str:
         """Pass the ground's wish on, to start the manoeuvre of this digest or (None) to stop; why not, empty when taken."""
-        return "there is no sequencer on board" if self._actuator is None else self._actuator.ask(digest)
+        return "there is no sequencer on board" if self._actuator is None else self._actuator.request(digest)
 
     @property
-    def weigh(self) -> Weigh | None:
+    def check_manoeuvre(self) -> ManoeuvreCheck | None:
         """What weighs a manoeuvre that comes up the link; None without a sequencer."""
-        return None if self._actuator is None else self._actuator.weigh
+        return None if self._actuator is None else self._actuator.check_manoeuvre
 
     def record_sequencer(self, frame: SequencerFrame, *, send: bool) -> bool:
         """Record a frame of the sequencer, False when it cannot be, and with `send` tell the ground."""

@@ -16,7 +16,7 @@ from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
 from daq.sensors.mounting import AS_PRINTED, Axis, Mounting, check_mounting
 from daq.sensors.ms4525do import indicated_airspeed, nominal_transfer
-from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, pitot_unrest, unrest
+from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, motion_evidence, pitot_motion_evidence
 from daq.utilities.constants import (
     FLYING_GROUND_SPEED,
     GRAVITY,
@@ -108,7 +108,7 @@ class Scales:
 def pitot_at_rest(scans: Sequence[Scan], scales: Scales) -> PitotAtRest | None:
     """The pitot's offset; None while something moves, or where there is no pitot of known scale."""
     pitot = counts(scans, "pitot_pressure")
-    if math.isnan(scales.pascal) or len(pitot) < LEAST_SCANS or unrest(scans):
+    if math.isnan(scales.pascal) or len(pitot) < LEAST_SCANS or motion_evidence(scans):
         return None
     mean = fmean(pitot)
     offset = mean * scales.pascal + scales.pascal_at_zero
@@ -118,7 +118,7 @@ def pitot_at_rest(scans: Sequence[Scan], scales: Scales) -> PitotAtRest | None:
 def level(scans: Sequence[Scan], scales: Scales) -> tuple[bool, str] | None:
     """Whether gravity lies along body z at rest, and a sentence; None while something moves, or without an IMU."""
     force = scales.force(scans)
-    if force is None or unrest(scans):
+    if force is None or motion_evidence(scans):
         return None
     size = math.hypot(*force)
     measured_force = "specific force " + ", ".join(f"{n} {f:+.1f}" for n, f in zip("xyz", force, strict=True)) + " m/s2"
@@ -206,7 +206,9 @@ class AirTruth:
             return None
         scans = list(self._scans)
         rest = pitot_at_rest(scans, self._scales)
-        if rest is None or pitot_unrest(counts(scans, "pitot_pressure"), level_tells=False, pascal=self._scales.pascal):
+        if rest is None or pitot_motion_evidence(
+            counts(scans, "pitot_pressure"), check_level=False, pascal=self._scales.pascal
+        ):
             return None
         if not OFFSET_PA < abs(rest.offset_pa) < BROKEN_PA or not rest.steady:
             return None
@@ -243,7 +245,7 @@ class AirTruth:
         force, gain = self._scales.force(scans), speeds[-1] - speeds[0]
         if force is None or self._moved:
             return
-        if not unrest(scans):
+        if not motion_evidence(scans):
             self._rest = force
         if self._rest is None or gain < LAUNCH_GAIN:
             return

@@ -226,9 +226,9 @@ class LiveEstimator:
         for equation in self._regression.equations:
             solution = solutions[equation.coefficient]
             if solution is not None and not doubtful.intersection(equation.terms.values()):
-                self._motion.values.update(self._weighed(solution))
+                self._motion.values.update(self._check(solution))
 
-    def _weighed(self, solution: RegressionSolution) -> dict[str, float]:
+    def _check(self, solution: RegressionSolution) -> dict[str, float]:
         beliefs = [self._airframe.beliefs.get(n) for n in solution.names]
         if any(b is None or not b.std > 0.0 for b in beliefs):
             return {}

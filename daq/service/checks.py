@@ -14,7 +14,7 @@ from daq.acquisition.air_truth import BROKEN_PA, OFFSET_PA, Scales, level, pitot
 from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
-from daq.sensors.standstill import LEAST_SCANS, counts, unrest
+from daq.sensors.standstill import LEAST_SCANS, counts, motion_evidence
 from daq.transport.mavlink_codec import RADIO_STATUS_ID, FrameDecoder, FrameEncoder, MavlinkFrame
 from daq.transport.ports import BytePort
 
@@ -45,7 +45,7 @@ def graded(name: str, passed: bool, text: str, failure: PreflightVerdict = Prefl
 def rest_checks(config: LoggerConfig, scans: Sequence[Scan]) -> Iterator[PreflightCheck]:
     """Level attitude and pitot offset; a caution instead of them while something moves."""
     scales = Scales(config.sensors)
-    motion = unrest(scans)
+    motion = motion_evidence(scans)
     if motion:
         yield PreflightCheck(
             "at rest",

@@ -12,7 +12,7 @@ from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import ImuConfig
 from daq.sensors.mounting import Axis
 from daq.sensors.ms4525do import PitotConfig
-from daq.sensors.standstill import pitot_unrest, unrest
+from daq.sensors.standstill import motion_evidence, pitot_motion_evidence
 
 PASCAL = 1.0520
 G_COUNTS = 4096
@@ -54,8 +54,8 @@ def said(truth: AirTruth, flight: Iterator[Scan]) -> list[str]:
 @pytest.mark.parametrize("offset", [-140.0, 37.0, 118.0])
 def test_offset_at_rest_is_measured_and_zeroed_whatever_its_level(offset: float) -> None:
     still = list(scans(6, pascal=offset))
-    assert unrest(still) is None
-    assert pitot_unrest([s.values["pitot_pressure"] for s in still], level_tells=False) is None
+    assert motion_evidence(still) is None
+    assert pitot_motion_evidence([s.values["pitot_pressure"] for s in still], check_level=False) is None
     rest = pitot_at_rest(still, Scales(CONFIG))
     assert rest is not None
     assert rest.offset_pa == pytest.approx(offset, abs=1.5)
