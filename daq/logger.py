@@ -261,7 +261,7 @@ class Logger:
 
     def _judge(self, truth: AirTruth, scan: Scan) -> None:
         """Say which sensors contradict each other, and zero the pitot before the first motion."""
-        for contradiction in truth.look(scan):
+        for contradiction in truth.check(scan):
             self.say(LogLevel.WARNING, "sensors", contradiction.text)
         rest = truth.zero()
         if rest is not None:

@@ -18,11 +18,11 @@ from daq.sensors.base import (
     Address,
     Driver,
     DriverConfigError,
+    DriverContext,
     NotNegative,
     Positive,
     SensorConfigSection,
     SensorSection,
-    Surroundings,
 )
 from daq.sensors.bmp390 import Bmp390, StaticConfig
 from daq.sensors.bmp581 import Bmp581
@@ -235,24 +235,24 @@ class SensorsConfig(SensorConfigSection):
             group_at[address] = group
 
 
-def build_drivers(config: SensorsConfig, around: Surroundings) -> dict[str, Driver]:
+def build_drivers(config: SensorsConfig, context: DriverContext) -> dict[str, Driver]:
     """Drivers of all fitted groups with a chip, in table order. Raises DriverConfigError naming the key where there is none."""
-    return {g: _driver(g, config, around) for g in config.fitted if g not in config.derived}
+    return {g: _driver(g, config, context) for g in config.fitted if g not in config.derived}
 
 
-def _driver(group: str, config: SensorsConfig, around: Surroundings) -> Driver:
+def _driver(group: str, config: SensorsConfig, context: DriverContext) -> Driver:
     section = config.section(group)
     if isinstance(section, ExtraConfig):
-        return _laboratory_driver(group, section, around)
+        return _laboratory_driver(group, section, context)
     serving = {chip.name: chip for chip in CHIPS if group in chip.groups}
     if section.driver not in serving:
         raise DriverConfigError(
             f"key sensors.{group}.driver: no driver {section.driver!r} for this group; use {', '.join(serving)}"
         )
-    return serving[section.driver].build(group, around)
+    return serving[section.driver].build(group, context)
 
 
-def _laboratory_driver(group: str, section: ExtraConfig, around: Surroundings) -> Driver:
+def _laboratory_driver(group: str, section: ExtraConfig, context: DriverContext) -> Driver:
     """A driver of one's own, `Class(group, section, bus, now_ns)`; it needs no entry here."""
     module_name, _, class_name = section.driver.partition(":")
     try:
@@ -261,7 +261,7 @@ def _laboratory_driver(group: str, section: ExtraConfig, around: Surroundings) -
         raise DriverConfigError(
             f"key sensors.extra.{group}.driver: {section.driver} cannot be loaded ({error})"
         ) from error
-    driver = factory(group, section, around.bus, around.now_ns)
+    driver = factory(group, section, context.bus, context.now_ns)
     if not isinstance(driver, Driver):
         raise DriverConfigError(f"key sensors.extra.{group}.driver: {section.driver} is not a daq.sensors.base.Driver")
     return driver

@@ -44,7 +44,7 @@ class Sdp3x(Driver):
     name, groups, precedence = "sdp3x", ("pitot",), 2
     _config: PitotConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         self.max_step = {"pitot_pressure": JUMP_PA * SDP_COUNTS_PER_PA[self._config.part]}
 
     def initialise(self) -> Generator[Wait, None, None]:
