@@ -162,9 +162,9 @@ def assemble(
         housekeeping=housekeeping,
         opening=opening,
     )
-    logger.judge(AirTruth(config.sensors, auto_zero=config.preflight.auto_zero))
+    logger.check_air_truth(AirTruth(config.sensors, auto_zero=config.preflight.auto_zero))
     if actuation is not None:
-        logger.actuate(actuation)
+        logger.attach_actuation(actuation)
     link = None
     if config.downlink is not None and edge.radio is not None:
         link = radio_link(
@@ -183,7 +183,7 @@ def assemble(
             actuation.link_s = link.uplink.silence_s
     if config.identification is not None:
         companion = _companion(config, config.identification, logger, link)
-        logger.listen(companion)
+        logger.attach_companion(companion)
         if actuation is not None:
             actuation.known = companion.known
     return Assembly(logger, sampler, recorder, link, first, actuation)

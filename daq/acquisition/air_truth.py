@@ -182,7 +182,7 @@ class AirTruth:
         self._scales = Scales(config)
         self._scans: deque[Scan] = deque()
         self._next = -math.inf
-        self._standing: set[str] = set()
+        self._reported: set[str] = set()  # subjects of the contradictions at the last check
         self._auto_zero = auto_zero
         self._moved = self._zeroed = False
         self._rest: tuple[float, float, float] | None = None  # specific force before the first motion

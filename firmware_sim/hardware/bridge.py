@@ -23,7 +23,7 @@ class _PortTalker:
     def bytes_until(self, now_ns: int) -> bytes:
         return self._port.read(4096)
 
-    def hear(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
         self._port.write(data)
 
 

@@ -23,7 +23,7 @@ class Talker(Protocol):
         """Bytes that have arrived since the last call."""
         ...
 
-    def hear(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes sent to the device."""
         ...
 
@@ -59,7 +59,7 @@ class SimulatedSerial:
     def write(self, data: bytes) -> int:
         """Send bytes to the device."""
         self._check_open()
-        self._talker.hear(bytes(data), self._now())
+        self._talker.receive(bytes(data), self._now())
         return len(data)
 
     def flush(self) -> None:
@@ -111,7 +111,7 @@ class PseudoTerminal:
             received = os.read(self._master, 4096)
             if not received:
                 break
-            self._talker.hear(received, now_ns)
+            self._talker.receive(received, now_ns)
 
     def close(self) -> None:
         """Close both sides; a reader of `path` then sees the end of the line."""

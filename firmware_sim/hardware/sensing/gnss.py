@@ -50,7 +50,7 @@ class GnssReceiver:
             self._ublox.restart()
         self._powered = on
 
-    def hear(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
         if self._powered:
             answer = self._ublox.command(data)
             if answer:
