@@ -32,11 +32,7 @@ _LOG = logging.getLogger("sideslip.logger")
 
 _HOUSEKEEPING_NS = NS
 _HEALTH_PAUSE_NS = NS // 5  # between two health reports of a flapping sensor
-_GONE = (
-    SensorState.ABSENT,
-    SensorState.STUCK,
-    SensorState.FAULT,
-)  # sent to the ground, whether the sensor is required or not
+_GONE = (SensorState.ABSENT, SensorState.STUCK, SensorState.FAULT)  # sent to the ground for any sensor, required or not
 _DEAF_NS = NS  # longest time for which the uplink may be skipped because a scan is due
 
 

@@ -35,9 +35,7 @@ MAX_FRAGMENTS = 64  # of an answer: the bits of `fragments` in a request
 PAPERS_PART_BYTES = 8192
 _CHUNK = 32  # scans compressed together in memory
 _SNAPSHOT = 64  # scan numbers between two stored hashes
-_MAX_REQUESTS = (
-    16  # requests in preparation, and answers remembered: four times what a ground station requests at a time
-)
+_MAX_REQUESTS = 16  # in preparation, and answers remembered: four times what a ground station requests at a time
 _MAX_EVENTS = 200  # sent with the identity; older ones are dropped
 _CLOSE_TIMEOUT_S = 2.0  # for an answer in preparation when the link is closed
 _LENGTH = struct.Struct("<I")

@@ -92,11 +92,8 @@ def _covariances(runs: Iterable[Run], first: Array, second: Array) -> tuple[Arra
 
 
 PIECE_S = 0.5  # s of scans that are summed before they enter a window: the resolution of its edges and of an onset
-WINDOWS_S = (
-    2.0,
-    4.5,
-    10.0,
-)  # s; each a little more than twice the one before, so that at most a third of a score is lost
+WINDOWS_S = (2.0, 4.5, 10.0)
+"""Lengths of the windows [s], each a little more than twice the one before, so that at most a third of a score is lost."""
 ENERGY_S = 5.0  # s over which the energy of a channel is averaged
 SETTLED_S = 15.0  # s before those which the usual energy needs
 MEMORY_S = 20.0  # s, time constant of the adaptation to this flight's air: few changes stay undetected for as long
@@ -149,10 +146,8 @@ class AirWhitening:
         """Whiten innovations (5, flights) and signatures (5, effects, flights) of a scan at `time` [s]; same shapes. A blind
         scan, all zero, does not change the covariance."""
         older, last = slice(None, self._channels), slice(self._channels, None)
-        latest, self._time = (
-            min(1.0, (time - self._time) / BEFORE_S),
-            time,
-        )  # weight of the last scan in the earlier ones' mean
+        latest = min(1.0, (time - self._time) / BEFORE_S)  # weight of the last scan in the mean of the earlier ones
+        self._time = time
         for past, now in ((self._innovations, white.T[:, :, None]), (self._signatures, signatures.transpose(2, 0, 1))):
             past[:, older] += latest * (past[:, last] - past[:, older])
             past[:, last] = now

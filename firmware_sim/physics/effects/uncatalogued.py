@@ -198,7 +198,8 @@ class AhrsTurnError(_Uncatalogued):
 
 
 class ThermalDrift(_Uncatalogued):
-    """An inertial unit that warms up: biases of gyros and accelerometers grow with a time constant of 12 s. size: of p [rad/s]."""
+    """An inertial unit that warms up: biases of gyros and accelerometers grow with a time constant of 12 s. size: of p
+    [rad/s]."""
 
     name, title, unit, typical = "thermal_drift", "gyro and accelerometer drift while warming up", "rad/s", 0.025
 
