@@ -162,18 +162,28 @@ def assemble(
         housekeeping=housekeeping,
         opening=opening,
     )
-    logger.judge(AirTruth(config.sensors, auto_zero=config.preflight.auto_zero))
+    logger.check_air_truth(AirTruth(config.sensors, auto_zero=config.preflight.auto_zero))
     if actuation is not None:
-        logger.actuate(actuation)
-    link = _radio_link(config, edge, identity, sampler, boot)
-    if link is not None:
+        logger.attach_actuation(actuation)
+    link = None
+    if config.downlink is not None and edge.radio is not None:
+        link = radio_link(
+            config.downlink,
+            edge.radio,
+            edge.clock,
+            papers=lambda: replace(identity, details={**identity.details, **sampler.metadata()}),
+            recordings=config.recorder.directories,
+            boot=boot,
+            turn_ns=min(TURN_NS, round(_UPLINK_SHARE * config.together * config.scan.period_ns)),
+            facts=sampler.metadata,
+        )
         link.report_on(logger)
         logger.connect(link, link.uplink)
         if actuation is not None:
             actuation.link_s = link.uplink.silence_s
     if config.identification is not None:
         companion = _companion(config, config.identification, logger, link)
-        logger.listen(companion)
+        logger.attach_companion(companion)
         if actuation is not None:
             actuation.known = companion.known
     return Assembly(logger, sampler, recorder, link, first, actuation)

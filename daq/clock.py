@@ -1,8 +1,7 @@
-"""Time as a thing that is passed in: the same logger runs in real time, faster than real time, or in lockstep.
+"""Clocks that are passed in, so that the same logger runs in real time, faster than real time, or in lockstep.
 
-Two scales, both in integer nanoseconds. Monotonic time never steps and is what deadlines and sample times are made
-of. UTC is what the operating system believes and may step when the network or a GPS corrects it; the relation of the
-two is estimated elsewhere and recorded, never assumed.
+Two time scales, both in integer nanoseconds. Monotonic time never steps; deadlines and sample times use it. UTC is the operating
+system's and may step when the network or a GPS corrects it; their relation is estimated (`daq.sensors.timebase`) and recorded.
 """
 
 import threading
@@ -15,13 +14,13 @@ NS = 1_000_000_000
 
 
 class Clock(Protocol):
-    """What the logger asks about time."""
+    """The clock of a logger."""
 
     def monotonic_ns(self) -> int:
         """Time since an arbitrary start, never stepping back [ns]."""
 
     def utc_ns(self) -> int:
-        """UTC since 1970 as this machine believes it now [ns]."""
+        """UTC since 1970 by this machine's clock [ns]."""
 
     def sleep_until(self, monotonic_ns: int) -> None:
         """Return once monotonic time has reached `monotonic_ns`; at once if it has passed."""
@@ -30,7 +29,7 @@ class Clock(Protocol):
 class RealClock:
     """The clock of the machine."""
 
-    monotonic_ns = staticmethod(time.monotonic_ns)  # asked some sixty times a scan
+    monotonic_ns = staticmethod(time.monotonic_ns)  # called some sixty times a scan: no Python frame in between
     utc_ns = staticmethod(time.time_ns)
 
     def sleep_until(self, monotonic_ns: int) -> None:
@@ -40,14 +39,15 @@ class RealClock:
 
 
 class SimulatedClock:
-    """A clock that one thread drives: where that thread would wait, time jumps instead.
+    """A clock that one thread drives: where that thread would sleep, time jumps instead.
 
-    The driver is the thread that created the clock. `sleep_until` in the driver moves time on; in any other thread it
-    waits until the driver has brought time there, so a simulated stall of a card lasts simulated seconds. Threads that
-    work behind the driver (a recorder) are kept abreast by `follow`: time does not move on while such a thread
-    is busy and is not itself asleep on this clock. A run at any speed is thereby as faithful as a run in real time.
+    The driver is the thread that created the clock. `sleep_until` in the driver advances time; in any other thread it waits until
+    the driver has advanced it so far, so that a simulated stall of a card lasts simulated seconds. Threads that work for the
+    driver (a recorder) register with `follow`: time does not advance while such a thread is busy and not asleep on this clock. A
+    run at any speed therefore gives the results of a run in real time.
 
-    start_utc_ns: UTC at monotonic zero [ns]. speed: simulated seconds for each real second; None for as fast as it goes.
+    start_utc_ns: UTC at the start [ns]. start_monotonic_ns: monotonic time at the start [ns]. speed: simulated seconds per real
+    second; None for as fast as possible.
     """
 
     def __init__(self, start_utc_ns: int = 0, *, speed: float | None = None, start_monotonic_ns: int = 0) -> None:
@@ -79,11 +79,11 @@ class SimulatedClock:
             self._sleepers -= 1
 
     def advance(self, duration_ns: int) -> None:
-        """Move time on by `duration_ns`, as a bus transfer or a conversion does."""
+        """Advance time by `duration_ns`, as a bus transfer or a conversion does."""
         self.advance_to(self._now + duration_ns)
 
     def advance_to(self, monotonic_ns: int) -> None:
-        """Move time on to `monotonic_ns` and tell everybody who asked; nothing happens if it has passed."""
+        """Advance time to `monotonic_ns` and call the callbacks; does nothing if it has passed."""
         if monotonic_ns <= self._now:
             return
         self._wait_for_followers()
@@ -99,18 +99,19 @@ class SimulatedClock:
         self._utc_offset += by_ns
 
     def on_advance(self, callback: Callable[[int], None]) -> None:
-        """Have `callback(monotonic_ns)` called after every move of time, in the driver's thread."""
+        """Register `callback(monotonic_ns)`, called after every advance in the driver's thread."""
         self._on_advance.append(callback)
 
     def follow(self, busy: Callable[[], bool]) -> None:
-        """Hold time while `busy()` is true and no thread sleeps on this clock; `busy` may be asked at any moment."""
+        """Do not advance time while `busy()` is true and no thread sleeps on this clock; `busy` may be called at any time."""
         self._followers.append(busy)
 
     def unpaced(self) -> None:
-        """From now on as fast as it goes."""
+        """Run as fast as possible from now on."""
         self._speed = None
 
     def drive(self) -> None:
+        """Make the calling thread the driver."""
         self._driver = threading.get_ident()
 
     def _wait_for_followers(self) -> None:

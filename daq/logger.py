@@ -1,11 +1,11 @@
-"""The logger: scans on absolute deadlines, handed to the recorder and the downlink.
+"""The logger: takes scans on absolute deadlines and passes them to recorder and downlink.
 
-The loop opens no hardware. It is given a clock, a sampler, a recorder and perhaps a link, real or simulated. Its deadlines are
-multiples of the period from one start, so that lateness never adds up; a slot that has passed is skipped and its number never
-used, and the recorder counts it as missed, also before the first scan of a recording and after its last.
+Clock, sampler, recorder and link are passed in, real or simulated. Deadlines are multiples of the period from one start, so that
+lateness does not accumulate. A slot that has passed is skipped, its number is never used, and the recorder counts it as missed,
+also before the first scan of a recording and after its last.
 
-Every scan is read on its deadline. What comes after, the attitude, recorder and radio, can be done for several scans
-together: between two scans the caches run empty, and to fill them is half of what a scan costs.
+Every scan is read on its deadline. The later work (attitude, recorder, radio) can be done for several scans together, because
+half of the cost of a scan is refilling caches that were emptied between scans.
 """
 
 import logging
@@ -20,7 +20,7 @@ from daq.actuation.actuation import Actuation
 from daq.clock import NS, Clock
 from daq.companion.process import Companion
 from daq.contract.link.commands import parse_pitot_zero, pitot_zero_text
-from daq.contract.manoeuvre import Weigh
+from daq.contract.manoeuvre import ManoeuvreCheck
 from daq.contract.recordings.messages import EventMessage, LogLevel, SequencerFrame, Statistics
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.counts import LoopTiming
@@ -32,8 +32,8 @@ _LOG = logging.getLogger("sideslip.logger")
 
 _HOUSEKEEPING_NS = NS
 _HEALTH_PAUSE_NS = NS // 5  # between two health reports of a flapping sensor
-_GONE = (SensorState.ABSENT, SensorState.STUCK, SensorState.FAULT)  # shown on the ground display for every sensor
-_DEAF_NS = NS  # so long the uplink may be passed over because a scan is due, before it has its turn all the same
+_GONE = (SensorState.ABSENT, SensorState.STUCK, SensorState.FAULT)  # sent to the ground for any sensor, required or not
+_DEAF_NS = NS  # longest time for which the uplink may be skipped because a scan is due
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +48,10 @@ class Opening:
 class Logger:
     """Runs the scan loop.
 
-    rate_hz: scans a second. together: how many of them are finished and handed over at a time.
-    recorder: takes the first recording; `new_recorder` makes the ones begun by command.
-    `connect` adds a link that itself needs the logger.
-    timing: the histograms that the recorder reports; give the recorder the same object.
-    housekeeping: called about once a second in the slack after a scan (watchdog, garbage collection).
+    rate_hz: scans a second. together: how many scans are finished and passed on at a time. recorder: of the first recording;
+    new_recorder: makes those of recordings begun by command. downlink, uplink: the link, or `connect` adds one that itself needs
+    the logger. timing: the histograms that the recorder reports; the recorder has the same object. housekeeping: called about
+    once a second after a scan (watchdog, garbage collection). opening: lines for the log at the start.
     """
 
     def __init__(
@@ -81,10 +80,10 @@ class Logger:
         self._housekeeping = housekeeping
         self._opening = tuple(opening)
         self._number = 0
-        self._last_begun = -1  # number of the last slot in which a scan was begun
+        self._last_begun = -1  # number of the last slot in which a scan began
         self._first = 0  # number of the slot at `_start_ns`
         self._start_ns: int | None = None  # None before the first slot
-        self._heard_ns = clock.monotonic_ns()
+        self._uplink_ns = clock.monotonic_ns()
         self._states: dict[str, SensorState] = {}
         self._health_due = True
         self._health_words = ""
@@ -92,51 +91,48 @@ class Logger:
         self._next_housekeeping_ns = 0
         self._last_scan_ns: int | None = None
         self._together = together
-        self._unfinished: list[UnfinishedScan] = []  # not handed over yet
+        self._unfinished: list[UnfinishedScan] = []  # scans that are not finished and passed on yet
         self._newest: UnfinishedScan | None = None
         self._link_fault = ""
         self._actuator: Actuation | None = None
-        self._listener: Companion | None = None
+        self._companion: Companion | None = None
         self._truth: AirTruth | None = None
         self._closers: list[threading.Thread] = []
         self._last_statistics: Statistics | None = None
-        self._recordings_ended = 0  # recordings given up for closing
-        self._last_statistics_of = 0  # the one of them whose statistics `_last_statistics` are
+        self._recordings_ended = 0  # recordings whose closing has begun
+        self._statistics_of = 0  # which of them `_last_statistics` belongs to
         sampler.on_event = self._switch
 
     def connect(self, downlink: RadioLink, uplink: Uplink | None) -> None:
-        """Give the logger its link, before it runs."""
+        """Set the link, before `run`."""
         self._downlink, self._uplink = downlink, uplink
 
-    def actuate(self, actuator: Actuation) -> None:
-        """Give the logger what moves controls, before it runs; scans are then to be handed over one by one."""
+    def attach_actuation(self, actuator: Actuation) -> None:
+        """Set the sequencer's actuation, before `run`. Raises ValueError unless scans are passed on one by one."""
         if self._together != 1:
             raise ValueError("controls cannot wait for several scans to be finished together")
         self._actuator = actuator
 
-    def listen(self, listener: Companion) -> None:
-        """Give the logger somebody who looks at scans, before it runs."""
-        self._listener = listener
+    def attach_companion(self, companion: Companion) -> None:
+        """Set the companion process that gets all scans, before `run`."""
+        self._companion = companion
 
-    def judge(self, truth: AirTruth) -> None:
-        """Give the logger what holds the sensors against each other, before it runs."""
+    def check_air_truth(self, truth: AirTruth) -> None:
+        """Set the check of sensors against each other, before `run`."""
         self._truth = truth
 
     # ------------------------------------------------------------------------------------------ the loop
 
     def run(self, stop: Callable[[], bool]) -> Statistics:
-        """Scan until `stop()` is true, then end the recording in order; returns its statistics.
-
-        The recording is also ended in order when anything raises.
-        """
+        """Scan until `stop()` is true, then end the recording in order, also after an exception. Returns its statistics."""
         try:
             self._begin()
             self._scan_until(stop)
         finally:
             if self._actuator is not None:
                 self._actuator.close()
-            if self._listener is not None:
-                self._listener.close()
+            if self._companion is not None:
+                self._companion.close()
             statistics = self._end()
         return statistics
 
@@ -148,7 +144,7 @@ class Logger:
                 deadline = self._deadline(self._number)
                 self._clock.sleep_until(deadline)
                 try:
-                    self._one_scan(deadline)
+                    self._take_scan(deadline)
                 finally:
                     self._number = self._next_number()
         finally:
@@ -158,7 +154,7 @@ class Logger:
         return (self._start_ns or 0) + (number - self._first) * self._period_ns
 
     def _next_number(self) -> int:
-        """The slot that would be served next: the one under way, or the one after the last that was tried."""
+        """Number of the next slot: the current one, or the one after the last in which a scan began."""
         if self._start_ns is None:
             return self._number
         under_way = self._first + (self._clock.monotonic_ns() - self._start_ns) // self._period_ns
@@ -166,8 +162,8 @@ class Logger:
 
     def _begin(self) -> None:
         summary = self._sampler.start()
-        if self._listener is not None:
-            self._listener.start(self._sampler.metadata())
+        if self._companion is not None:
+            self._companion.start(self._sampler.metadata())
         if self._recorder is not None:
             self._start(self._recorder)
         for line in self._opening:
@@ -179,7 +175,7 @@ class Logger:
         recorder.reach(self._next_number())
         recorder.start()
 
-    def _one_scan(self, deadline: int) -> None:
+    def _take_scan(self, deadline: int) -> None:
         self._last_begun = self._number
         started = self._clock.monotonic_ns()
         self._newest = self._sampler.take(self._number, deadline)
@@ -193,7 +189,7 @@ class Logger:
                 self._housekeeping()
 
     def _hand_over(self) -> None:
-        """Finish what was taken and give it to recorder and radio."""
+        """Finish the scans that were read and pass them to sequencer, recorder, radio and companion."""
         unfinished, self._unfinished = self._unfinished, []
         if not unfinished:
             return
@@ -209,8 +205,8 @@ class Logger:
         if self._health_due:
             self._report(self._clock.monotonic_ns())
         self._serve_link(scans)
-        if self._listener is not None:
-            self._listener.scans(scans)
+        if self._companion is not None:
+            self._companion.scans(scans)
 
     def _note_timing(self, deadline: int, started: int, ended: int) -> None:
         timing = self.timing
@@ -223,13 +219,13 @@ class Logger:
         self._last_scan_ns = started
 
     def _serve_link(self, scans: Iterable[Scan]) -> None:
-        """Let the radio have its turn; answers leave at once. A port that fails must not stop the recording; it is said once."""
+        """Serve the radio; answers leave at once. A port that fails does not stop the recording and is reported once."""
         try:
             if self._downlink is not None:
                 for scan in scans:
                     self._downlink.offer(scan)
-            if self._uplink is not None and self._may_listen():
-                self._uplink.service(self._heard_ns, self)
+            if self._uplink is not None and self._uplink_due():
+                self._uplink.service(self._uplink_ns, self)
             if self._downlink is not None:
                 self._downlink.service(self._clock.monotonic_ns())
         except OSError as error:
@@ -242,15 +238,15 @@ class Logger:
                 self._link_fault = ""
                 self.say(LogLevel.INFO, "link", "radio port works again")
 
-    def _may_listen(self) -> bool:
-        """Whether the uplink has its turn now: not while a scan is due already, but now and then in any case."""
+    def _uplink_due(self) -> bool:
+        """Whether to serve the uplink now: not while a scan is due, but at least every _DEAF_NS."""
         now_ns = self._clock.monotonic_ns()
-        if now_ns >= self._deadline(self._last_begun + 1) and now_ns - self._heard_ns < _DEAF_NS:
+        if now_ns >= self._deadline(self._last_begun + 1) and now_ns - self._uplink_ns < _DEAF_NS:
             return False
-        self._heard_ns = now_ns
+        self._uplink_ns = now_ns
         return True
 
-    # ------------------------------------------------------------------------------------------ health and statistics
+    # ------------------------------------------------------------------------------------------ health
 
     def _watch_states(self, scan: Scan) -> None:
         for group, status in scan.groups.items():
@@ -259,8 +255,8 @@ class Logger:
                 self._health_due = True
 
     def _judge(self, truth: AirTruth, scan: Scan) -> None:
-        """Say which sensors contradict each other, and zero the pitot before the first motion."""
-        for contradiction in truth.look(scan):
+        """Report sensors that contradict each other, and zero the pitot before the first motion."""
+        for contradiction in truth.check(scan):
             self.say(LogLevel.WARNING, "sensors", contradiction.text)
         rest = truth.zero()
         if rest is not None:
@@ -268,7 +264,7 @@ class Logger:
             self.say(LogLevel.WARNING, "pitot", f"pitot rested at {rest.words}: zeroed before motion")
 
     def _report(self, now: int) -> None:
-        """A health report at every change of a sensor's state, and a sentence with it."""
+        """Record the health of the sensors after a change of state, and log it where its sentence is new."""
         if now < self._next_health_ns:
             return
         self._health_due = False
@@ -290,7 +286,7 @@ class Logger:
         return self._recorder is not None
 
     def start_recording(self) -> bool:
-        """Begin a new recording session; False when one is under way or none can be made."""
+        """Begin a new recording; False when one is under way or cannot be begun."""
         if self._recorder is not None or self._new_recorder is None:
             return False
         self._hand_over()
@@ -301,7 +297,7 @@ class Logger:
         return True
 
     def stop_recording(self) -> bool:
-        """End the recording session; scans go on being made and sent. False when none is under way."""
+        """End the recording; scans are still taken and sent. False when none is under way."""
         self._hand_over()
         recorder = self._recorder
         if recorder is None:
@@ -318,33 +314,33 @@ class Logger:
         return True
 
     def statistics(self) -> Statistics | None:
-        """The statistics of the recording under way, or of the last one; None before there was one."""
+        """Statistics of the current recording or, between recordings, of the last one; None before the first."""
         return self._recorder.statistics() if self._recorder is not None else self._last_statistics
 
     def mark_event(self, text: str, origin: str) -> EventMessage:
-        """Record an event marker at the present scan and tell the ground."""
+        """Record an event at the present scan and send it to the ground."""
         zero = parse_pitot_zero(text)
         if zero is not None and self._truth is not None:
             self._truth.zeroed(zero)
         return self._mark(self._clock.monotonic_ns(), self._number, text, origin)
 
-    def ask_sequencer(self, digest: int | None) -> str:
-        """Pass the ground's wish on, to start the manoeuvre of this digest or (None) to stop; why not, empty when taken."""
-        return "there is no sequencer on board" if self._actuator is None else self._actuator.ask(digest)
+    def request_sequencer(self, digest: int | None) -> str:
+        """Start the manoeuvre whose digest begins with these 24 bits; None: stop. Returns why it is refused, or ""."""
+        return "there is no sequencer on board" if self._actuator is None else self._actuator.request(digest)
 
     @property
-    def weigh(self) -> Weigh | None:
-        """What weighs a manoeuvre that comes up the link; None without a sequencer."""
-        return None if self._actuator is None else self._actuator.weigh
+    def check_manoeuvre(self) -> ManoeuvreCheck | None:
+        """Checks a manoeuvre received by radio; None without a sequencer."""
+        return None if self._actuator is None else self._actuator.check_manoeuvre
 
     def record_sequencer(self, frame: SequencerFrame, *, send: bool) -> bool:
-        """Record a frame of the sequencer, False when it cannot be, and with `send` tell the ground."""
+        """Record a frame of the sequencer and, with `send`, send it to the ground. Returns whether it was recorded."""
         if send and self._downlink is not None:
             self._downlink.sequencer(frame)
         return self._recorder is not None and self._recorder.message(frame)
 
     def say(self, level: LogLevel, name: str, text: str) -> None:
-        """Put a line into the recording, the journal, and, from warnings up, on the downlink."""
+        """Write a line to the recording and the journal and, from warnings up, send it to the ground."""
         _LOG.log(_PYTHON_LEVEL[level], "%s: %s", name, text)
         if self._recorder is not None:
             self._recorder.log(level, name, text)
@@ -390,8 +386,8 @@ class Logger:
         statistics = recorder.close()
         if statistics.lost or statistics.dropped:
             _LOG.error("%d scans could not be written, %d were dropped", statistics.lost, statistics.dropped)
-        if which > self._last_statistics_of:  # one that was ended earlier may take longer
-            self._last_statistics, self._last_statistics_of = statistics, which
+        if which > self._statistics_of:  # an earlier recording may close later
+            self._last_statistics, self._statistics_of = statistics, which
 
 
 _PYTHON_LEVEL: Mapping[LogLevel, int] = {

@@ -1,8 +1,8 @@
-"""What the sensors say of each other, at rest and in flight: an unzeroed, swapped, covered or blocked pitot, a frozen vane, a
-turned IMU. Raw counts at nominal scales; every sentence has value, unit and limit. Once a second over the last five.
+"""Contradictions between sensors, at rest and in flight: a pitot that is not zeroed, or swapped, covered or blocked; a frozen
+vane; a turned IMU. Judged once a second over the last five, from raw counts at nominal scales.
 
-At rest a pitot off by more than `OFFSET_PA` is zeroed before motion; wind is told apart by its variance: gusts of a fifth of
-the mean speed shake the pressure by two fifths of its mean.
+At rest a pitot off by more than `OFFSET_PA` is zeroed before motion. Wind differs from an offset by its variance: gusts of a
+fifth of the mean speed vary the pressure by two fifths of its mean.
 """
 
 import math
@@ -16,7 +16,7 @@ from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
 from daq.sensors.mounting import AS_PRINTED, Axis, Mounting, check_mounting
 from daq.sensors.ms4525do import indicated_airspeed, nominal_transfer
-from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, pitot_unrest, unrest
+from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, motion_evidence, pitot_motion_evidence
 from daq.utilities.constants import (
     FLYING_GROUND_SPEED,
     GRAVITY,
@@ -25,29 +25,31 @@ from daq.utilities.constants import (
     SEA_LEVEL_DENSITY,
 )
 
-WINDOW_S = 5.0
-LOOK_S = 1.0
+WINDOW_S = 5.0  # of scans that a check uses
+CHECK_INTERVAL_S = 1.0
 OFFSET_PA = 10.0
-"""Pitot at rest further off than this is zeroed: 5 % of the dynamic pressure at 18 m/s, so 5 % of each derivative."""
+"""A larger offset of the pitot at rest is zeroed: 5 % of the dynamic pressure at 18 m/s, so 5 % of each derivative."""
 BROKEN_PA = 300.0
-"""Further off than twice what makers and users report at rest, it is no zero but a fault: trapped pressure or a wrong range."""
+"""A larger offset at rest, twice what makers and users report, is a fault: trapped pressure or a wrong range."""
 STEADY = 0.25
-"""A pressure that spreads by less than this share of its mean is an offset, not wind (which has 0.4)."""
+"""A pressure whose standard deviation is less than this share of its mean is an offset, not wind (which has 0.4)."""
 MOST_SHARE = 4.0
-"""More means a head wind as fast as the ground speed, or pressure trapped in the tube."""
+"""Largest pitot pressure over that by the ground speed: more is a head wind as fast as it, or pressure trapped in the tube."""
 FROZEN_COUNTS, FROZEN_ENCODER_COUNTS = 8.0, 2.0
-"""A vane in flight moves by more in five seconds: eight counts of an ADS1115 at 4.096 V are 1 mV, a tenth of a degree; two of
-an encoder are a sixth of one."""
+"""Least travel of a vane in flight within the window, for an ADS1115 and an encoder: eight counts at 4.096 V are 1 mV, a tenth of
+a degree; two counts of an encoder are a sixth of a degree."""
 TILT_RAD = math.radians(35.0)
-"""More than any aircraft stands or lies on its gear, tail draggers (15 degrees) and a wing on the ground included."""
+"""Largest tilt at rest: more than any aircraft on its gear, tail draggers (15 degrees) and a wing on the ground included."""
 FORCE_ERROR = 0.1
-"""Specific force at rest may be off by this share: six times a consumer accelerometer's zero and scale together."""
+"""Largest relative error of specific force at rest: six times a consumer accelerometer's zero and scale together."""
 LAUNCH_GAIN = 7.0
-"""[m/s] of ground speed within the window, 1.4 m/s2: a tail that is lifted by 12 degrees meanwhile cannot turn the push round."""
+"""Least gain of ground speed within the window [m/s], 1.4 m/s2: a tail that rises by 12 degrees meanwhile cannot reverse the
+acceleration that the IMU shows."""
 LAUNCH_SHARE = 0.5
-"""Of that gain, which the accelerometers show at least: less says nothing of a direction."""
+"""Least share of that gain that the accelerometers must show for its direction to be judged."""
 LAUNCH_TURN_RAD = math.radians(60.0)
-"""From the push to body x: more than bank and a tail that is lifted bring, less than a box turned by a right angle."""
+"""Largest angle of the acceleration to body x: more than by bank and a rising tail, less than by a box turned at a right
+angle."""
 _AXES: tuple[Axis, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
 _VANES = {
     "alpha_vane": ("angle-of-attack vane", FROZEN_COUNTS),
@@ -59,15 +61,16 @@ _VANES = {
 
 @dataclass(frozen=True, slots=True)
 class SensorContradiction:
-    """What is wrong. of: sensor or channel; text: a sentence with value, unit and limit."""
+    """A contradiction. subject: sensor or channel; text: a sentence with value, unit and limit."""
 
-    of: str
+    subject: str
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class PitotAtRest:
-    """Mean reading at rest [counts], the same against the data sheet's zero and its spread [Pa], how many scans."""
+    """The pitot at rest. count: mean reading [counts]; offset_pa: the same relative to the data sheet's zero [Pa]; spread_pa:
+    standard deviation [Pa]; scans: how many."""
 
     count: float
     offset_pa: float
@@ -76,18 +79,19 @@ class PitotAtRest:
 
     @property
     def steady(self) -> bool:
-        """Whether it is an offset rather than wind."""
+        """Whether the reading is an offset rather than wind."""
         return self.spread_pa <= max(STEADY * abs(self.offset_pa), OFFSET_PA / 2)
 
     @property
     def words(self) -> str:
-        """The reading for a person, with the airspeed it would be."""
+        """The reading in words, with the airspeed it would mean."""
         speed = indicated_airspeed(abs(self.offset_pa))
         return f"{self.offset_pa:+.0f} Pa ({speed:.0f} m/s), spread {self.spread_pa:.1f} Pa"
 
 
 class Scales:
-    """Nominal scales of what is fitted: m/s2 and rad/s a count, Pa a count and at count zero (NaN: not known)."""
+    """Nominal scales of the fitted sensors: accel [m/s2 per count], gyro [rad/s per count], pascal [Pa per count], pascal_at_zero
+    [Pa at count zero]; NaN where not known."""
 
     def __init__(self, config: SensorsConfig) -> None:
         imu = config.section("imu")
@@ -97,7 +101,7 @@ class Scales:
         self.mounting: Mounting = getattr(imu, "mounting", AS_PRINTED)
 
     def force(self, scans: Sequence[Scan]) -> tuple[float, float, float] | None:
-        """Mean specific force, body axes [m/s2]; None without an IMU that vouches for it."""
+        """Mean specific force in body axes [m/s2]; None without enough valid samples of an IMU."""
         axes = [counts(scans, f"accel_{a}") for a in "xyz"]
         if len(axes[0]) < LEAST_SCANS:
             return None
@@ -106,9 +110,9 @@ class Scales:
 
 
 def pitot_at_rest(scans: Sequence[Scan], scales: Scales) -> PitotAtRest | None:
-    """The pitot's offset; None while something moves, or where there is no pitot of known scale."""
+    """The pitot's reading at rest; None while the aircraft moves, or without a pitot of known scale."""
     pitot = counts(scans, "pitot_pressure")
-    if math.isnan(scales.pascal) or len(pitot) < LEAST_SCANS or unrest(scans):
+    if math.isnan(scales.pascal) or len(pitot) < LEAST_SCANS or motion_evidence(scans):
         return None
     mean = fmean(pitot)
     offset = mean * scales.pascal + scales.pascal_at_zero
@@ -116,9 +120,9 @@ def pitot_at_rest(scans: Sequence[Scan], scales: Scales) -> PitotAtRest | None:
 
 
 def level(scans: Sequence[Scan], scales: Scales) -> tuple[bool, str] | None:
-    """Whether gravity lies along body z at rest, and a sentence; None while something moves, or without an IMU."""
+    """Whether gravity lies along body z at rest, and a sentence; None while the aircraft moves, or without an IMU."""
     force = scales.force(scans)
-    if force is None or unrest(scans):
+    if force is None or motion_evidence(scans):
         return None
     size = math.hypot(*force)
     measured_force = "specific force " + ", ".join(f"{n} {f:+.1f}" for n, f in zip("xyz", force, strict=True)) + " m/s2"
@@ -140,11 +144,12 @@ def level(scans: Sequence[Scan], scales: Scales) -> tuple[bool, str] | None:
 
 
 def mounting_for(force: tuple[float, float, float], mounting: Mounting) -> Mounting:
-    """The mounting under which gravity would lie along body z, of those that leave most axes as they are."""
+    """The mounting that puts gravity along body z and changes fewest axes. force: mean specific force at rest under the present
+    `mounting`, body axes [m/s2]."""
     vertical = max(range(3), key=lambda i: abs(force[i]))
-    sign = 1 if force[vertical] < 0 else -1  # which way the axis must be named to read -9.8
+    sign = 1 if force[vertical] < 0 else -1  # the sign with which this axis reads -9.8
     vertical_axis = mounting[vertical] if sign > 0 else _reversed(mounting[vertical])
-    closest, kept_axes = mounting, -1
+    closest, most_equal = mounting, -1
     for x in _AXES:
         for y in _AXES:
             if len({x[1], y[1], vertical_axis[1]}) < 3:
@@ -154,13 +159,13 @@ def mounting_for(force: tuple[float, float, float], mounting: Mounting) -> Mount
             except ValueError:
                 continue
             equal_axes = 2 * (x == mounting[0]) + (y == mounting[1])
-            if equal_axes > kept_axes:
-                closest, kept_axes = trial, equal_axes
+            if equal_axes > most_equal:
+                closest, most_equal = trial, equal_axes
     return closest
 
 
 def facing(forward: Axis, mounting: Mounting) -> Mounting:
-    """The mounting turned about body z so that what it called `forward` (an axis x or y) lies along body x."""
+    """The mounting turned about body z so that its axis `forward` (x or y, either sign) becomes body x."""
     x, y, z = mounting
     turned = {"+x": (x, y), "-x": (_reversed(x), _reversed(y)), "+y": (y, _reversed(x)), "-y": (_reversed(y), x)}
     return check_mounting((*turned[forward], z))
@@ -171,42 +176,44 @@ def _reversed(axis: Axis) -> Axis:
 
 
 class AirTruth:
-    """Looks at scans as they come. `look` gives what is newly wrong; `zero` a pitot offset to be recorded before motion."""
+    """Checks scans as they come: `check` returns new contradictions, `zero` a pitot offset to record before the first motion."""
 
     def __init__(self, config: SensorsConfig, *, auto_zero: bool = True) -> None:
         self._scales = Scales(config)
         self._scans: deque[Scan] = deque()
         self._next = -math.inf
-        self._standing: set[str] = set()
+        self._reported: set[str] = set()  # subjects of the contradictions at the last check
         self._auto_zero = auto_zero
         self._moved = self._zeroed = False
         self._rest: tuple[float, float, float] | None = None  # specific force before the first motion
         self._zero_count = -self._scales.pascal_at_zero / self._scales.pascal if self._scales.pascal else math.nan
 
     def zeroed(self, count: float) -> None:
-        """The pitot was zeroed at this count, by whomever."""
+        """Take note that the pitot was zeroed at this count, by the logger or by command."""
         self._zero_count, self._auto_zero, self._zeroed = count, False, True
 
-    def look(self, scan: Scan) -> list[SensorContradiction]:
-        """Take a scan; once a second, what has become wrong since the last look."""
+    def check(self, scan: Scan) -> list[SensorContradiction]:
+        """Add a scan; once a second, returns the contradictions that were absent at the last check."""
         self._scans.append(scan)
         while scan.time - self._scans[0].time > WINDOW_S:
             self._scans.popleft()
         if scan.time < self._next:
             return []
-        self._next = scan.time + LOOK_S
+        self._next = scan.time + CHECK_INTERVAL_S
         present = list(self._present()) if self._full else []
-        new = [c for c in present if c.of not in self._standing]
-        self._standing = {c.of for c in present} if self._full else self._standing
+        new = [c for c in present if c.subject not in self._reported]
+        self._reported = {c.subject for c in present} if self._full else self._reported
         return new
 
     def zero(self) -> PitotAtRest | None:
-        """Once, on the ground before the first motion: an offset beyond the bound that is steady."""
+        """The pitot at rest, once, where its offset before the first motion is steady and between OFFSET_PA and BROKEN_PA."""
         if not self._auto_zero or self._moved or not self._full:
             return None
         scans = list(self._scans)
         rest = pitot_at_rest(scans, self._scales)
-        if rest is None or pitot_unrest(counts(scans, "pitot_pressure"), level_tells=False, pascal=self._scales.pascal):
+        if rest is None or pitot_motion_evidence(
+            counts(scans, "pitot_pressure"), check_level=False, pascal=self._scales.pascal
+        ):
             return None
         if not OFFSET_PA < abs(rest.offset_pa) < BROKEN_PA or not rest.steady:
             return None
@@ -223,7 +230,7 @@ class AirTruth:
         if len(speeds) > 1:
             yield from self._launch(scans, speeds)
         if len(speeds) < 2 or min(speeds) < FLYING_GROUND_SPEED:
-            yield from self._still_zero(scans)
+            yield from self._zero_drift(scans)
             return
         self._moved = True
         yield from self._pitot(scans, fmean(speeds))
@@ -238,12 +245,12 @@ class AirTruth:
             yield SensorContradiction("imu", f"IMU is turned: {seen_z}; correct sensors.imu.mounting")
 
     def _launch(self, scans: Sequence[Scan], speeds: Sequence[float]) -> Iterator[SensorContradiction]:
-        """Until it flies: whether what makes the aircraft faster pushes along body x. Gravity cannot tell a turn about z; in the
-        air a turn out of the wind gathers speed too."""
+        """Before flight: whether the aircraft accelerates along body x; gravity does not show an IMU turned about z. Not in
+        flight, where a turn out of the wind raises the ground speed too."""
         force, gain = self._scales.force(scans), speeds[-1] - speeds[0]
         if force is None or self._moved:
             return
-        if not unrest(scans):
+        if not motion_evidence(scans):
             self._rest = force
         if self._rest is None or gain < LAUNCH_GAIN:
             return
@@ -257,8 +264,8 @@ class AirTruth:
         push = f"GPS gained {gain:.0f} m/s, its x {x:+.0f} and its y {y:+.0f} ({limit})"
         yield SensorContradiction("imu", f"IMU is turned about z: {push}; write sensors.imu.mounting = {suggestion}")
 
-    def _still_zero(self, scans: Sequence[Scan]) -> Iterator[SensorContradiction]:
-        """Before the first motion: whether a pitot that was zeroed still rests there."""
+    def _zero_drift(self, scans: Sequence[Scan]) -> Iterator[SensorContradiction]:
+        """Before the first motion: whether a pitot that was zeroed still reads zero at rest."""
         rest = pitot_at_rest(scans, self._scales) if self._zeroed and not self._moved else None
         if rest is None or not rest.steady:
             return

@@ -1,6 +1,6 @@
-"""Health of the sensors as data: a state with a sentence for each group, since when, and how often.
+"""Health of the sensors as data: for each group a state, a sentence, the time of the last change and counters.
 
-`Watch` judges the values of one group over time (stuck, implausible, spikes); the sampler adds what it learns on the bus.
+`GroupWatch` judges the values of one group over time (stuck, implausible, spikes); the supervisor adds faults of transfers.
 """
 
 from collections.abc import Mapping
@@ -17,11 +17,11 @@ _TITLES = {g.name: g.title for g in GROUPS}
 
 @dataclass(slots=True)
 class GroupHealth:
-    """How one sensor group is; kept up by its supervisor, handed out as copies.
+    """Health of one sensor group; its supervisor updates it, and others get copies.
 
-    detail: what is wrong, in words; empty when nothing is. since_ns: monotonic time of the last change of state.
-    retries: transfers that had to be repeated. setups: how often the chip was set up (1 after a clean start).
-    upsets: how often its settings were found changed when they were read back, and put right.
+    detail: what is wrong, in words; empty without a fault. since_ns: monotonic time of the last change of state [ns]. retries:
+    repeated transfers. setups: how often the chip was set up (1 after a clean start). upsets: how often its settings had changed
+    when read back. required: no flight without it.
     """
 
     group: str
@@ -34,19 +34,19 @@ class GroupHealth:
     required: bool = True
 
     def note(self, state: SensorState, detail: str, time_ns: int) -> None:
-        """The state from now on."""
+        """Set the state at `time_ns` and from then on."""
         if state is not self.state:
             self.state, self.since_ns = state, time_ns
         self.detail = detail
 
     @property
     def title(self) -> str:
-        """What it is, for a person."""
+        """The group's title."""
         return _TITLES.get(self.group, self.group)
 
     @property
     def words(self) -> str:
-        """One line for a person: what it is, how it is, and why."""
+        """One line: title, state and detail."""
         return f"{self.title}: {self.state.words}" + (f" ({self.detail})" if self.detail else "")
 
 
@@ -65,7 +65,7 @@ class HealthSummary:
 
     @property
     def ready(self) -> bool:
-        """Whether every required sensor is well."""
+        """Whether every required sensor and the bus work."""
         return not self.bus_fault and not any(g.required for g in self.failing)
 
     def group(self, name: str) -> GroupHealth:
@@ -77,7 +77,7 @@ class HealthSummary:
 
     @property
     def words(self) -> str:
-        """One sentence: all well, or what is not."""
+        """One sentence: all faults, or that there is none."""
         faults = [self.bus_fault] if self.bus_fault else []
         faults += [g.words for g in self.failing]
         return "; ".join(faults) if faults else "all fitted sensors are well"
@@ -85,7 +85,7 @@ class HealthSummary:
 
 @dataclass(frozen=True, slots=True)
 class SampleVerdict:
-    """What `GroupWatch` thinks of one sample."""
+    """The judgement of `GroupWatch` on one sample."""
 
     state: SensorState = SensorState.OK
     detail: str = ""
@@ -95,27 +95,32 @@ WELL = SampleVerdict()
 
 
 class GroupWatch:
-    """Judges the samples of one group: limits, spikes, values that never change. of_chip: its largest steps."""
+    """Judges the samples of one group: limits, spikes, values that never change.
+
+    chip_steps: the driver's largest steps [counts] by channel, in force unless the configuration sets `max_step`.
+    """
 
     def __init__(
-        self, channels: tuple[str, ...], config: HealthConfig, of_chip: Mapping[str, float] = MappingProxyType({})
+        self, channels: tuple[str, ...], config: HealthConfig, chip_steps: Mapping[str, float] = MappingProxyType({})
     ) -> None:
         self._limits = {
             c: config.plausible.get(c, CHANNEL_BY_NAME[c].limits()) for c in channels if c in config.plausible
         }
-        steps = config.max_step if "max_step" in config.model_fields_set else {**config.max_step, **of_chip}
+        steps = config.max_step if "max_step" in config.model_fields_set else {**config.max_step, **chip_steps}
         self._max_step = {c: steps[c] for c in channels if c in steps}
         self._stuck_ns = {c: round(config.stuck_s[c] * 1e9) for c in channels if c in config.stuck_s}
-        self.forget()
+        self.restart()
 
-    def forget(self) -> None:
-        """Start afresh, after the sensor was away."""
-        self._held: dict[str, tuple[RawValue, int]] = {}  # last value of each channel, and when it took it
-        self._level: dict[str, RawValue] = {}
-        self._doubtful: dict[str, RawValue] = {}
+    def restart(self) -> None:
+        """Discard all history, after a gap in the samples."""
+        self._unchanged: dict[
+            str, tuple[RawValue, int]
+        ] = {}  # last value of each channel, and since when it has it [ns]
+        self._level: dict[str, RawValue] = {}  # last value that was no spike
+        self._doubtful: dict[str, RawValue] = {}  # a spike, unless the next sample confirms it
 
     def judge(self, values: Mapping[str, RawValue], time_ns: int) -> SampleVerdict:
-        """The verdict on one sample taken at `time_ns`."""
+        """The verdict on one sample, taken at monotonic `time_ns` [ns]."""
         verdict = self._range(values) if self._limits else None
         if verdict is None and self._max_step:
             verdict = self._spike(values)
@@ -155,9 +160,9 @@ class GroupWatch:
             value = values.get(name)
             if value is None:
                 continue
-            last_change = self._held.get(name)
+            last_change = self._unchanged.get(name)
             if last_change is None or value != last_change[0]:
-                self._held[name] = value, time_ns
+                self._unchanged[name] = value, time_ns
             elif time_ns - last_change[1] > limit_ns:
                 verdict = SampleVerdict(
                     SensorState.STUCK, f"{name} at {value} for {(time_ns - last_change[1]) * 1e-9:.1f} s"
@@ -166,7 +171,7 @@ class GroupWatch:
 
 
 def repetitions(summary: HealthSummary) -> str:
-    """Which sensors had to be asked again or set right, in words: a connector on its way out shows here first."""
+    """Repeated transfers and restored settings by sensor, in words: a failing connector shows here first."""
     retries = [f"{g.title} {g.retries}" for g in summary.groups if g.retries]
     upsets = [f"{g.title} {g.upsets}" for g in summary.groups if g.upsets]
     repeated = f"; transfers repeated: {', '.join(retries)}" if retries else ""
@@ -174,7 +179,7 @@ def repetitions(summary: HealthSummary) -> str:
 
 
 def as_message(summary: HealthSummary, utc_ns: int, number: int) -> Health:
-    """The report as recordings have it. utc_ns: UTC of now [ns]; number: of the scan."""
+    """The summary as the message of a recording. utc_ns: present time [ns]; number: of the scan."""
     entries = tuple(
         HealthEntry(g.group, int(g.state), g.words, max(0, g.since_ns), max(0, g.setups - 1) + g.retries)
         for g in summary.groups

@@ -1,15 +1,15 @@
-"""The sampler: one call reads all sensors once, whatever state they are in; another makes a scan of what was read.
+"""The sampler: `take` reads all sensors once, whatever state they are in; `finish` makes a scan of what was read.
 
-Reading keeps to the scan's time. Finishing, the attitude above all, can wait, so that several scans are finished together.
+`take` keeps to the scan's schedule. `finish`, which computes the attitude, may wait, so that several scans are finished together.
 
-A scan is cooperative. Each due sensor is a sample in stages; whoever has to wait (a converter converting) lets others use
-the bus. Converters are started first and the IMU is read while the first inputs, the vanes, are being converted, so
-what is compared in flight is also taken together. Nothing here waits longer than the scan's budget, and no trouble of
-a sensor leaves `take`: it becomes a state in the scan and a sentence in `health`.
+Sensors share the bus cooperatively. A sample has stages; while one waits (a converter converting), others use the bus.
+Converters are started first, and the IMU is read while their first inputs, the vanes, are being converted, so that samples which
+are compared in flight are simultaneous. Nothing waits longer than the scan's budget, and a sensor's fault never raises out of
+`take`: it becomes a state in the scan and a sentence in `health`.
 
-A group that is not due in a scan (`every` > 1) is missing from that scan's `groups`. Values are recorded for the states
-ok, recovering, out of range and stuck (they are what the chip said); for all others the channels are unset.
-Offsets may be negative: a conversion begun in one scan can end in the next, and a GPS fix is older than its message.
+A group that is not due in a scan (`every` > 1) is missing from that scan's `groups`. Values are recorded for the states ok,
+recovering, out of range and stuck; in all other states the channels are unset. Offsets may be negative: a conversion begun in one
+scan can end in the next, and a GPS fix is older than its message.
 """
 
 import math
@@ -23,7 +23,7 @@ from daq.acquisition.supervisor import GroupOutcome, Supervisor
 from daq.clock import Clock
 from daq.contract.channels import GROUP_NAMES
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
-from daq.sensors.base import Driver, Surroundings
+from daq.sensors.base import Driver, DriverContext
 from daq.sensors.bus import I2cBus, SerialPortCalls
 from daq.sensors.config import SensorsConfig, build_drivers
 from daq.sensors.timebase import TimeBase
@@ -31,11 +31,11 @@ from daq.sensors.timebase import TimeBase
 BUDGET = 0.8
 """Share of the scan interval that the sensors may use."""
 
-AUDIT_INTERVAL_NS = 50_000_000
-BUS_HELD_AFTER = 2
-BUS_RETRY_NS = 100_000_000
+AUDIT_INTERVAL_NS = 50_000_000  # between two audits, each of one chip: a dozen chips take 0.6 s
+BUS_HELD_AFTER = 2  # time-outs in a scan after which the bus itself counts as held
+BUS_RETRY_NS = 100_000_000  # first pause before a held bus is tried again; it doubles up to the limit below
 BUS_RETRY_LIMIT_NS = 1_000_000_000
-START_LIMIT_NS = 6_000_000_000
+START_LIMIT_NS = 6_000_000_000  # longest set-up of all sensors at start
 SHARED_RATE_HZ = 50.0
 FULL_SCAN_HZ = 80.0
 """At scan rates above this, all groups but the IMU are read at `SHARED_RATE_HZ` only, unless the configuration says `every`: a
@@ -52,7 +52,7 @@ class EventMark:
 
 
 class UnfinishedScan(NamedTuple):
-    """What was read in one scan: `Scan` with the outcomes of the groups that were due, before the attitude is computed."""
+    """What was read in one scan: the fields of `Scan`, and an outcome for each group that was due; no attitude yet."""
 
     number: int
     time_monotonic_ns: int
@@ -67,13 +67,12 @@ def _ignore(_: object) -> None:
 
 
 class Sampler:
-    """Reads all fitted sensors once per `take`; `finish` wants what was taken, each once and in order.
+    """Reads all fitted sensors once per `take`; pass each result to `finish` once, in order.
 
-    bus, serial: the I2C bus and the GPS receiver's port, real or simulated; None where nothing fitted needs them.
-    autopilot: serial port to one, where groups come from it. pulse: returns the monotonic time of the newest
-    pulse-per-second edge [ns], or None. on_event: told about every edge of the event switch; on_taken: about every scan as
-    soon as it is read, in the sampler's thread.
-    Raises DriverConfigError when the configuration asks for a driver or port that is not there.
+    bus, serial: the I2C bus and the GPS receiver's port, real or simulated; None where no fitted sensor needs them. autopilot:
+    serial port to one that supplies groups. rate_hz: of the scans. pulse: returns the monotonic time of the newest
+    pulse-per-second edge [ns], or None. on_event: called for every edge of the event switch. on_taken: called with every scan as
+    soon as it is read, in the sampler's thread. Raises DriverConfigError for a driver or port that is not available.
     """
 
     def __init__(
@@ -98,11 +97,11 @@ class Sampler:
         self._budget_ns = round(BUDGET * self._period_ns)
         latency = config.gnss.arrival_s if config.gnss else 0.0
         self.timebase = TimeBase(round(latency * 1e9), self._period_ns)
-        around = Surroundings(bus, serial, autopilot, clock.monotonic_ns, self.timebase, config.section, rate_hz)
+        context = DriverContext(bus, serial, autopilot, clock.monotonic_ns, self.timebase, config.section, rate_hz)
         now_ns = clock.monotonic_ns()
         self._supervisors = {
             group: Supervisor(driver, config.section(group), config.health, self._every(group, driver, rate_hz), now_ns)
-            for group, driver in build_drivers(config, around).items()
+            for group, driver in build_drivers(config, context).items()
         }
         ranked = sorted(self._supervisors.values(), key=lambda s: s.driver.precedence)
         self._on_bus = [s for s in ranked if s.driver.uses_i2c]
@@ -112,7 +111,7 @@ class Sampler:
         self._attitude = (
             AttitudeSource(config, rate_hz / self._imu_every(), now_ns) if "attitude" in config.derived else None
         )
-        self._bus_held = ""
+        self._bus_held = ""  # why the bus is not used, in words; empty while it works
         self._bus_retry_ns = 0
         self._bus_pause_ns = BUS_RETRY_NS
         self._audit_turn = 0
@@ -133,7 +132,7 @@ class Sampler:
     # -- start ------------------------------------------------------------------------------------------------
 
     def start(self) -> HealthSummary:
-        """Set all sensors up, once each, waiting for them (a few seconds); those that fail are tried again later."""
+        """Set all sensors up, which takes a few seconds; those that fail are set up again between scans."""
         limit = self._clock.monotonic_ns() + START_LIMIT_NS
         pending = [s for s in self._supervisors.values() if not s.up]
         while pending and self._clock.monotonic_ns() < limit:
@@ -146,7 +145,7 @@ class Sampler:
         return self.health()
 
     def _rehearse(self) -> None:
-        """Two rounds over all sensors, thrown away: what they say about their timing is then as in flight."""
+        """Read all sensors twice and discard the samples, so that their timing in `metadata` is that of a scan."""
         running = [s for s in self._on_bus if s.up]
         for _ in range(2):
             now_ns = self._clock.monotonic_ns()
@@ -155,16 +154,16 @@ class Sampler:
                 self._read_serial(supervisor, 0, {})
             self._clock.sleep_until(now_ns + self._period_ns)
         for supervisor in self._supervisors.values():
-            supervisor.rehearsed()
+            supervisor.end_rehearsal()
 
     def _waits_for(self, supervisor: Supervisor, others: list[Supervisor]) -> bool:
-        """Whether a sensor's turn comes only after another one that is still to be set up."""
+        """Whether a sensor can be set up only after one of the others."""
         return any(other.group == supervisor.driver.needs for other in others)
 
     # -- scan -------------------------------------------------------------------------------------------------
 
     def take(self, number: int, deadline_ns: int) -> UnfinishedScan:
-        """Read all sensors, now. `deadline_ns`: when that should have begun on the monotonic clock."""
+        """Read all sensors now. deadline_ns: scheduled monotonic time of the scan [ns]."""
         start = self._clock.monotonic_ns()
         if self._pulse is not None and (edge := self._pulse()) is not None:
             self.timebase.observe_pulse(edge)
@@ -183,7 +182,7 @@ class Sampler:
         return unfinished
 
     def finish(self, taken: UnfinishedScan) -> Scan:
-        """The scan, with the attitude at its instant."""
+        """The scan, with the attitude at its time."""
         number, start, utc, accuracy, lateness_us, outcomes = taken
         groups = dict(self._off)
         values: dict[str, RawValue] = {}
@@ -200,7 +199,7 @@ class Sampler:
         return supervisor.starved or (number + self._phase(supervisor)) % supervisor.every == 0
 
     def _phase(self, supervisor: Supervisor) -> int:
-        """Sensors read less often take turns instead of all falling into the same scan."""
+        """Offset [scans] that spreads sensors with `every` > 1 over different scans."""
         return self._on_bus.index(supervisor) if supervisor in self._on_bus else 0
 
     def _read_bus(self, number: int, start: int, outcomes: dict[str, GroupOutcome]) -> None:
@@ -214,12 +213,12 @@ class Sampler:
                 else:
                     outcomes[supervisor.group] = supervisor.lost(start)
         if self._bus_held and start < self._bus_retry_ns:
-            self._pass_over(due, start, outcomes)
+            self._skip(due, start, outcomes)
             return
         self._run(due, start, outcomes)
 
     def _run(self, due: list[Supervisor], start: int, outcomes: dict[str, GroupOutcome]) -> None:
-        """Take all due samples as far as the budget allows; a sample begun but not finished goes on in the next scan."""
+        """Take the due samples within the budget; one that is begun but not finished continues in the next scan."""
         clock, limit = self._clock, start + self._budget_ns
         pending = list(due)
         timeouts = 0
@@ -242,43 +241,43 @@ class Sampler:
                 pending.remove(supervisor)
             if supervisor.timed_out:
                 timeouts += 1
-                supervisor.excuse()
+                supervisor.excuse_failure()
                 if timeouts >= BUS_HELD_AFTER or self._bus_held:
                     self._hold_bus(now_ns)
-                    self._pass_over(pending, now_ns, outcomes)
+                    self._skip(pending, now_ns, outcomes)
                     return
             elif self._bus_held:
                 self._bus_held, self._bus_pause_ns = "", BUS_RETRY_NS
         for supervisor in pending:
             if supervisor.ready_ns is None:
                 supervisor.starved = True
-                outcomes[supervisor.group] = supervisor.passed_over("scan ran out of time", SensorState.STALE, now_ns)
+                outcomes[supervisor.group] = supervisor.skipped("scan ran out of time", SensorState.STALE, now_ns)
 
     @staticmethod
-    def _next(waiting: list[Supervisor], now: int) -> Supervisor:
-        """Who has the bus next: the urgent and the starved if not begun, then whoever can go on, else waits least."""
-        willing: Supervisor | None = None
-        soonest, soonest_ns = waiting[0], math.inf
-        for supervisor in waiting:
+    def _next(pending: list[Supervisor], now: int) -> Supervisor:
+        """Which sensor uses the bus next: one that starts first or was starved, then one that is ready, else the soonest."""
+        first_ready: Supervisor | None = None
+        soonest, soonest_ns = pending[0], math.inf
+        for supervisor in pending:
             ready = supervisor.ready_ns
             if ready is None:
-                if supervisor.starved or supervisor.driver.begun_first:
+                if supervisor.starved or supervisor.driver.starts_first:
                     return supervisor
-                willing = willing or supervisor
+                first_ready = first_ready or supervisor
             elif ready <= now:
-                willing = willing or supervisor
+                first_ready = first_ready or supervisor
             elif ready < soonest_ns:
                 soonest, soonest_ns = supervisor, ready
-        return willing or soonest
+        return first_ready or soonest
 
     def _hold_bus(self, now: int) -> None:
         self._bus_held = "I2C bus is held low: transfers time out"
         self._bus_retry_ns = now + self._bus_pause_ns
         self._bus_pause_ns = min(2 * self._bus_pause_ns, BUS_RETRY_LIMIT_NS)
 
-    def _pass_over(self, waiting: list[Supervisor], now: int, outcomes: dict[str, GroupOutcome]) -> None:
-        for supervisor in waiting:
-            outcomes[supervisor.group] = supervisor.passed_over(self._bus_held, SensorState.ABSENT, now)
+    def _skip(self, pending: list[Supervisor], now: int, outcomes: dict[str, GroupOutcome]) -> None:
+        for supervisor in pending:
+            outcomes[supervisor.group] = supervisor.skipped(self._bus_held, SensorState.ABSENT, now)
 
     def _read_serial(self, supervisor: Supervisor, number: int, outcomes: dict[str, GroupOutcome]) -> None:
         if supervisor.every != 1 and not self._due(supervisor, number):
@@ -293,7 +292,7 @@ class Sampler:
             outcomes[supervisor.group] = outcome
 
     def _maintain(self, start: int) -> None:
-        """With what is left of the budget: one set-up step of a lost sensor, and now and then one audit."""
+        """Use the rest of the budget for one set-up step of a lost sensor and, every AUDIT_INTERVAL_NS, one audit."""
         now_ns = self._clock.monotonic_ns()
         failed = [s for s in self._all if not s.up]
         if failed and now_ns < start + self._budget_ns:
@@ -305,7 +304,7 @@ class Sampler:
                 self._on_bus[self._audit_turn].audit(now_ns)
 
     def _set_up(self, down: list[Supervisor], now: int) -> None:
-        """One step for the sensor that has waited longest, of those that can be reached."""
+        """Run one set-up step of the sensor that is overdue by most, of those that can be reached."""
         ready = [
             s
             for s in down
@@ -327,11 +326,11 @@ class Sampler:
         return HealthSummary(now_ns, groups, self._bus_held)
 
     def refusals(self) -> dict[str, str]:
-        """What devices would not do as they were asked, by group, in words."""
+        """Group -> which request its device refused, in words."""
         return {g: s.driver.refusal for g, s in self._supervisors.items() if s.driver.refusal}
 
     def metadata(self) -> dict[str, str]:
-        """What the ground needs to use the counts, `group.key` -> text; goes into every recording."""
+        """What is needed to interpret the counts, `group.key` -> text; goes into every recording."""
         flat = {"sensors.rate_hz": repr(round(1e9 / self._period_ns, 6))}
         for group, supervisor in self._supervisors.items():
             flat[f"{group}.every"] = str(supervisor.every)

@@ -1,8 +1,8 @@
-"""One sensor under supervision: reads it, judges it, loses it, finds it again, and never lets it stop the scan.
+"""Supervision of one sensor: reads and judges it, sets it up again after a failure, and never delays the scan.
 
-A sensor that fails is read again up to three times in the same scan; failing in two scans in a row it is given up and
-tried anew at growing intervals, at most one short set-up step in a scan. After its return a number of good samples are
-marked recovering before they count. Every exception of a driver that means trouble with hardware ends here as a state.
+A sample that fails is repeated up to three times in the same scan. A sensor that fails in two scans in a row is down: it is set
+up again at growing intervals, at most one short step in a scan. Its first samples after that are marked recovering. Every
+exception of a driver that means a hardware fault becomes a state.
 """
 
 from collections.abc import Generator, Mapping
@@ -16,22 +16,22 @@ from daq.sensors.bus import TIMEOUT_ERRNOS
 from daq.sensors.config import HealthConfig
 
 REPETITIONS = 3
-"""How often a sample that failed is begun again within a scan, while the scan's budget lasts."""
+"""Repetitions of a failed sample within a scan, while the scan's budget lasts."""
 
 GIVE_UP_AFTER = 2
-"""Failed scans in a row after which a sensor is no longer read but tried anew."""
+"""Failed scans in a row after which a sensor counts as down and is set up again."""
 
 EXCUSES = 20
-"""Time-outs in a row that are put down to the bus before a sensor is given up for holding it."""
+"""Time-outs in a row that are attributed to the bus before a sensor counts as down for holding it."""
 
 _OK = SensorState.OK
 
-# A value of these states is what the chip said and is recorded; of the others there is none, or only an old one.
+# In these states the value is the chip's and is recorded; in the others there is none, or an old one.
 VALUES_RECORDED = frozenset({SensorState.OK, SensorState.OUT_OF_RANGE, SensorState.STUCK, SensorState.RECOVERING})
 
 
 class GroupOutcome(NamedTuple):
-    """What a group contributes to a scan. Times are monotonic [ns]."""
+    """What a group contributes to a scan. time_ns: of the sample; events: edges of the event switch; monotonic [ns]."""
 
     state: SensorState
     detail: str = ""
@@ -41,7 +41,7 @@ class GroupOutcome(NamedTuple):
 
 
 class Supervisor:
-    """A driver with its health. All calls carry the time; none waits and none raises for a hardware fault."""
+    """A driver with its health. every: read in every n-th scan. No call blocks, and none raises for a hardware fault."""
 
     def __init__(self, driver: Driver, section: SensorSection, config: HealthConfig, every: int, now_ns: int) -> None:
         self.driver = driver
@@ -50,21 +50,21 @@ class Supervisor:
         self.record = GroupHealth(
             self.group, SensorState.ABSENT, "not set up yet", since_ns=now_ns, required=section.required
         )
-        self.starved = False  # a scan ran out of time before this sensor's turn: it goes first in the next
-        self.ready_ns: int | None = None  # when the sample under way can go on [ns]; None when there is none
-        self.timed_out = False  # the last transfer ended in a time-out: the bus itself may be held
+        self.starved = False  # the last scan ran out of time before this sensor: the next begins with it
+        self.ready_ns: int | None = None  # when the current sample can continue [ns]; None without one
+        self.timed_out = False  # the last transfer timed out: the bus itself may be held
         self.up = False  # set up and being read
         self._config = config
         self._watch = GroupWatch(tuple(c.name for c in channels_of(self.group)), config, driver.max_step)
         self._staged = type(driver).stages is not Driver.stages
         self._setup: Generator[Wait, None, None] | None = None
         self._sample: Generator[Wait, None, Reading] | None = None
-        self._repetitions = 0  # left to the sample under way
-        self._failures = 0
-        self._excused = 0
+        self._repetitions = 0  # still allowed for the current sample
+        self._failures = 0  # failed scans in a row
+        self._excused = 0  # time-outs in a row attributed to the bus
         self._next_try_ns = now_ns
         self._pause_ns = round(config.retry_s * SECOND)
-        self._untrusted = 0
+        self._untrusted = 0  # samples to come that are marked recovering
         self._stale_since_ns: int | None = None
         self._lost_state = SensorState.ABSENT
         self._lost_detail = "not set up yet"
@@ -73,16 +73,16 @@ class Supervisor:
 
     @property
     def setting_up(self) -> bool:
-        """In the middle of a set-up."""
+        """Whether a set-up has begun and not ended."""
         return self._setup is not None
 
     @property
     def next_try_ns(self) -> int:
-        """When a sensor that is down wants its next set-up step [ns]."""
+        """When the next set-up step of a sensor that is down is due [ns]."""
         return self._next_try_ns
 
     def setup_step(self, now_ns: int, trusted: bool = False) -> None:
-        """One step of setting the chip up; `trusted` skips the recovering samples (first start)."""
+        """Run one step of the set-up. trusted: mark no samples recovering (first start)."""
         if self._setup is None:
             self._setup = self.driver.initialise()
         try:
@@ -102,7 +102,7 @@ class Supervisor:
         self._pause_ns = round(self._config.retry_s * SECOND)
         self._untrusted = 0 if trusted else self._config.trust_after
         self._stale_since_ns = None
-        self._watch.forget()
+        self._watch.restart()
         self.record.setups += 1
         self.record.note(SensorState.OK if trusted else SensorState.RECOVERING, "", now_ns)
 
@@ -119,23 +119,23 @@ class Supervisor:
         self._lost_state, self._lost_detail = state, detail
         self._next_try_ns = now_ns
 
-    def rehearsed(self) -> None:
-        """What was read so far was a rehearsal: keep its timing, forget its samples."""
-        self.driver.keep_timing()
-        self._watch.forget()
+    def end_rehearsal(self) -> None:
+        """End the rehearsal: the driver stores its timing, and the judgement of samples starts over."""
+        self.driver.store_timing()
+        self._watch.restart()
         self.starved = False
 
     # -- reading ----------------------------------------------------------------------------------------------
 
     def begin(self, now_ns: int) -> None:
-        """Begin a sample; `advance` does the work."""
+        """Begin a sample; `advance` runs its stages."""
         if self._staged:
             self._sample = self.driver.stages()
         self.ready_ns = now_ns
         self._repetitions = REPETITIONS
 
     def advance(self, now_ns: int, may_retry: bool) -> GroupOutcome | None:
-        """Take the sample one stage further; the outcome when it is finished, else None."""
+        """Run one stage of the sample; returns the outcome when it is finished, else None."""
         self.timed_out = False
         try:
             if self._sample is not None:
@@ -181,9 +181,9 @@ class Supervisor:
         if time_ns is None:
             time_ns = started_ns
         if state is not _OK:
-            self._chip_complains(state, detail, started_ns)
+            self._note_chip_state(state, detail, started_ns)
             return self._outcome(state, detail, time_ns, reading)
-        # The chip has nothing to say: now the verdict of the watch, then whether the sensor is trusted again.
+        # the chip reports no fault: now the values over time, then whether the sensor is still recovering
         self._stale_since_ns = None
         verdict = self._watch.judge(values, time_ns)
         if verdict is not WELL:
@@ -194,7 +194,7 @@ class Supervisor:
         self.record.note(_OK, "", time_ns)
         return GroupOutcome(_OK, "", time_ns, values, events)
 
-    def _chip_complains(self, state: SensorState, detail: str, now_ns: int) -> None:
+    def _note_chip_state(self, state: SensorState, detail: str, now_ns: int) -> None:
         if state is SensorState.FAULT:
             self._go_down(state, detail, now_ns)
         elif state in (SensorState.STALE, SensorState.ABSENT):
@@ -203,7 +203,7 @@ class Supervisor:
             self._stale_since_ns = None
 
     def _check_staleness(self, state: SensorState, detail: str, now_ns: int) -> None:
-        """A chip that answers without new samples for long has lost its settings, or hangs: set it up anew."""
+        """Set up again a chip that answers without new samples for too long: it has lost its settings, or hangs."""
         if self._stale_since_ns is None:
             self._stale_since_ns = now_ns
         stale_ns = now_ns - self._stale_since_ns
@@ -217,28 +217,28 @@ class Supervisor:
                 self._go_down(SensorState.FAULT, "no new samples; being set up again", now_ns)
 
     def _intact(self) -> bool:
-        """Whether the chip does not say that it lost its settings; silence is for the next reading to judge."""
+        """Whether the chip still has its settings; True where it does not answer, which the next reading will show."""
         try:
             return self.driver.intact()
         except OSError:
             return True
 
-    def excuse(self) -> None:
-        """The last failure was perhaps the bus's, not the sensor's: a few of them are not counted."""
+    def excuse_failure(self) -> None:
+        """Do not count the last failure, which may be the bus's; at most EXCUSES times in a row."""
         if self._excused < EXCUSES:
             self._excused += 1
             self._failures = 0
 
     def audit(self, now_ns: int) -> None:
-        """Look whether the chip still has its settings; a brown-out can reset one without silencing it."""
+        """Set the chip up again if it has lost its settings; after a brown-out it may answer without them."""
         if self.up and self.ready_ns is None and not self._intact():
             self.record.upsets += 1
             self._go_down(
                 SensorState.FAULT, "lost its settings (supply dip, or a bit flipped); being set up again", now_ns
             )
 
-    def passed_over(self, reason: str, state: SensorState, now_ns: int) -> GroupOutcome:
-        """The outcome of a scan in which the sensor could not be read at all, through no fault of its own."""
+    def skipped(self, reason: str, state: SensorState, now_ns: int) -> GroupOutcome:
+        """The outcome of a scan in which the sensor was not read, for a reason other than its own fault."""
         if self._sample is not None:
             self._sample.close()
         self._end_sample()

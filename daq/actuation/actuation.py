@@ -1,7 +1,7 @@
-"""The sequencer at work: once a scan it looks, decides, and puts out through a servo driver or an autopilot.
+"""The sequencer with its output, a servo driver or an autopilot: each scan it observes, decides, and commands.
 
-Everything that was done is recorded, and words about it go to the ground. The logger calls `frame` after each scan; commands
-from the ground come through `ask`.
+Every frame is recorded, and transitions are reported to the ground. The logger calls `frame` after each scan; requests from the
+ground come through `request`.
 """
 
 import math
@@ -32,7 +32,8 @@ from daq.sensors.config import SensorsConfig
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """bus and heartbeat for a servo driver behind a multiplexer, autopilot for one in between; None where not opened."""
+    """The opened devices of an output, None where not opened. bus, heartbeat: for a servo driver behind a multiplexer;
+    autopilot: the port to one that passes the pilot's signals on."""
 
     bus: I2cBus | None
     heartbeat: HeartbeatLine | None
@@ -41,7 +42,7 @@ class Devices:
 
 
 def findings(config: SequencerConfig, devices: Devices, take_scan: Callable[[], Scan]) -> Iterator[TrialFinding]:
-    """Try the configured output; take_scan: one scan of the aircraft's sensors, now."""
+    """Results of the trial of the configured output. take_scan: samples the aircraft's sensors once, now."""
     if config.through == "ardupilot":
         if devices.autopilot is None:
             return iter([TrialFinding("sequencer", False, "no port to the autopilot is open; set sequencer.autopilot")])
@@ -56,7 +57,7 @@ _ORDINARY = (Reason.NONE, Reason.COMPLETE, Reason.REACHED)
 
 
 class Reporter(Protocol):
-    """Where the sequencer's doings go; everything returns at once."""
+    """Takes the sequencer's reports for log, recording and ground; no call blocks."""
 
     @property
     def recording(self) -> bool:
@@ -64,15 +65,15 @@ class Reporter(Protocol):
         ...
 
     def say(self, level: LogLevel, name: str, text: str) -> None:
-        """A line for the log and, from warnings up, the ground."""
+        """Write a line to the log and, from warnings up, send it to the ground."""
         ...
 
     def mark_event(self, text: str, origin: str) -> EventMessage:
-        """An event in the recording, told to the ground."""
+        """Record an event and send it to the ground."""
         ...
 
     def record_sequencer(self, frame: SequencerFrame, *, send: bool) -> bool:
-        """A frame for the recording, False when it is not taken, and when it is time for the ground."""
+        """Record a frame, and send it to the ground where `send`. Returns whether it was recorded."""
         ...
 
 
@@ -92,10 +93,10 @@ def output_of(config: SequencerConfig, devices: Devices) -> Output:
 
 
 class Actuation:
-    """Sequencer and output of one aircraft. period_s: of the scans, clock: theirs.
+    """Sequencer and output of one aircraft. period_s: of the scans; clock: the one that dates them.
 
-    link_s: seconds since the ground was last heard at a time [ns], None for never; set where there is a link. known:
-    derivative -> estimate and bound, by identification on board, None where it has not told lately; set where there is one.
+    Two functions that the caller sets: link_s: time [ns] -> time since the last message from the ground [s], None for none.
+    known: -> derivative -> estimate and standard deviation by identification on board, None while out of date.
     """
 
     def __init__(
@@ -115,22 +116,23 @@ class Actuation:
         self._wanted = config.wanted
         self._send_ns = round(NS / config.status_rate_hz) if config.status_rate_hz else 0
         self._next_send_ns = 0
-        self._quiet = True  # the last frame was idle: nothing to record
-        self._recorded = True  # the last frame was recorded, where it was to be
+        self._idle = True  # the last frame was idle: nothing to record
+        self._recorded = True  # no frame has failed to be recorded
 
-    def ask(self, digest: int | None) -> str:
-        """A wish from the ground: start the manoeuvre with this digest (its first 24 bits), or None: stop. Why not, or empty."""
-        return self.sequencer.ask_stop() if digest is None else self.sequencer.ask_start(digest)
+    def request(self, digest: int | None) -> str:
+        """Take a request from the ground: start the manoeuvre whose digest begins with these 24 bits; None: stop. Returns why it
+        is refused, or ""."""
+        return self.sequencer.request_stop() if digest is None else self.sequencer.request_start(digest)
 
-    def weigh(self, manoeuvre: Manoeuvre) -> Callable[[], str]:
-        """Weigh a manoeuvre against this aircraft's limits, in any thread. What is returned puts it in place, between two
-        frames, and says why not, empty when it is taken. Raises ManoeuvreError."""
+    def check_manoeuvre(self, manoeuvre: Manoeuvre) -> Callable[[], str]:
+        """Check a manoeuvre against this aircraft's limits, in any thread. Returns a function that loads it between two frames
+        and returns why it is refused, or "". Raises ManoeuvreError."""
         return partial(self.sequencer.load_plan, plan_of(manoeuvre, self._config))
 
     def frame(self, scan: Scan, reporter: Reporter) -> None:
-        """One frame, after the scan it goes by."""
+        """Observe, decide, command and report one frame, after its scan."""
         now_ns = self._clock.monotonic_ns()
-        output = self._output.look(scan, now_ns)
+        output = self._output.observe(scan, now_ns)
         observation = FrameObservation(
             now_ns=now_ns,
             late_ns=1000 * scan.lateness_us,
@@ -141,20 +143,20 @@ class Actuation:
             reached=self._reached(),
         )
         frame = self.sequencer.decide_frame(observation)
-        self._report(frame, self._output.put(frame, now_ns), observation, scan, reporter)
+        self._report(frame, self._output.apply(frame, now_ns), observation, scan, reporter)
 
     def _reached(self) -> bool | None:
         known = self.known() if self._wanted is not None else None
         return None if self._wanted is None or known is None else self._wanted.reached(known)
 
     def close(self) -> None:
-        """Let go at the end of the recording."""
+        """Release the servos to the pilot at the end of the recording."""
         self._output.close(self._clock.monotonic_ns())
 
     def _report(
         self,
         frame: SequencerCommand,
-        put: tuple[float, ...] | None,
+        sent: tuple[float, ...] | None,
         seen: FrameObservation,
         scan: Scan,
         reporter: Reporter,
@@ -163,8 +165,8 @@ class Actuation:
             ordinary = frame.reason in _ORDINARY or frame.state is State.IDLE
             reporter.say(LogLevel.INFO if ordinary else LogLevel.WARNING, "sequencer", frame.words)
             reporter.mark_event(frame.words, "sequencer")
-        quiet, self._quiet = self._quiet, frame.state is State.IDLE
-        if quiet and self._quiet:
+        was_idle, self._idle = self._idle, frame.state is State.IDLE
+        if was_idle and self._idle:
             self._recorded = True
             return
         due = bool(frame.words) or (self._send_ns > 0 and seen.now_ns >= self._next_send_ns)
@@ -180,11 +182,11 @@ class Actuation:
                 int(frame.reason),
                 int(seen.output.switch),
                 elapsed_us=min(math.floor(frame.elapsed_s * 1e6), 2**32 - 1),
-                beating=put is not None,
+                beating=sent is not None,
                 limited=frame.limited,
                 increments=frame.increments,
                 pilot_us=seen.output.pilot or (),
-                output_us=put or (),
+                output_us=sent or (),
             ),
             send=due,
         )

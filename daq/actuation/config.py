@@ -1,4 +1,4 @@
-"""`[sequencer]`: servo driver, pilot's signals, limits and manoeuvre. Left out, nothing on board moves a control."""
+"""`[sequencer]`: servo driver, pilot's signals, limits and manoeuvre. Without this section nothing on board moves a control."""
 
 import math
 import re
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from daq.sensors.base import Address, NotNegative, Positive
 
 LEAST_RATE_HZ = 50.0
-"""Frames a second: manoeuvre files have a sample every 20 ms, and 10 Hz has been found too slow in flight (PX4 #25775)."""
+"""Least rate of frames: manoeuvre files have a sample every 20 ms, and 10 Hz has been found too slow in flight (PX4 #25775)."""
 PX4_WORDS = (
     "PX4 takes either the sticks or MANUAL_CONTROL (COM_RC_IN_MODE), all axes and the throttle together, so increments cannot be "
     'added to the pilot\'s own signals; use a servo driver behind a multiplexer (through = "pca9685")'
@@ -25,10 +25,10 @@ class _SequencerTable(BaseModel):
 
 
 class ChipConfig(_SequencerTable):
-    """`[sequencer.chip]`: PCA9685. Not at 0x40, where the capture co-processor is; 0x41 is strap A0 closed.
+    """`[sequencer.chip]`: the PCA9685. Not at 0x40, the address of the capture co-processor; 0x41 is strap A0 closed.
 
-    oscillator_hz: of this very chip, 23 to 27 MHz; measure it once on the bench (`docs/sequencer.md`).
-    loopback_channel: output wired back to a pulse input, by which the frequency is measured.
+    oscillator_hz: of this chip, 23 to 27 MHz; measure it once on the bench (`docs/sequencer.md`). loopback_channel: output that
+    is wired to a pulse input, by which the frequency is measured.
     """
 
     address: Address = 0x41
@@ -38,9 +38,10 @@ class ChipConfig(_SequencerTable):
 
 
 class PilotConfig(_SequencerTable):
-    """`[sequencer.pilot]`: a second capture co-processor at the receiver, in front of the multiplexer.
+    """`[sequencer.pilot]`: a second capture co-processor at the receiver, before the multiplexer.
 
-    switch_input: the channel that is also the multiplexer's SEL. loopback_input: where the chip's spare output comes back.
+    switch_input: input of the switch's channel, which is also the multiplexer's SEL. loopback_input: input of the chip's
+    loopback.
     """
 
     address: Address = 0x42
@@ -52,9 +53,9 @@ class PilotConfig(_SequencerTable):
 class AutopilotConfig(_SequencerTable):
     """`[sequencer.autopilot]`: an ArduPlane that drives the servos, with `through = "ardupilot"`.
 
-    port: as `[downlink]` has it, such as serial:/dev/ttyAMA2:115200; nobody else may read it. system_id: ours, the one whose
-    overrides are taken (MAV_GCS_SYSID). switch_channel: of the receiver, RCn_OPTION 46. watch: channels that end a manoeuvre when
-    moved by more than `stick_us`, the throttle first of all. longest_override_s: RC_OVERRIDE_TIME may be no longer.
+    port: as in `[downlink]`, such as serial:/dev/ttyAMA2:115200; no other program may read it. system_id: ours, from which the
+    autopilot accepts overrides (MAV_GCS_SYSID). switch_channel: of the receiver, with RCn_OPTION 46. watch: channels, above all
+    the throttle, that end a manoeuvre when moved by more than `stick_us`. longest_override_s: largest RC_OVERRIDE_TIME allowed.
     """
 
     port: str = ""
@@ -67,8 +68,8 @@ class AutopilotConfig(_SequencerTable):
 class HeartbeatConfig(_SequencerTable):
     """`[sequencer.heartbeat]`: files of the two lines to the monostable, such as a gpio-leds device's `brightness`.
 
-    line: a rising edge starts the monostable anew. clear: low ends it at once; None where it is not wired.
-    The monostable's time and the multiplexer's time to miss SEL together must stay below 0.1 s.
+    line: a rising edge retriggers the monostable. clear: low ends it at once; None where not wired. The monostable's time plus
+    the time in which the multiplexer detects the loss of SEL must be less than 0.1 s.
     """
 
     line: Path = Path("/sys/class/leds/sideslip-heartbeat/brightness")
@@ -76,10 +77,10 @@ class HeartbeatConfig(_SequencerTable):
 
 
 class ServoOutputConfig(_SequencerTable):
-    """`[sequencer.output.NAME]`: one servo. us_per_rad: pulse width for each radian of a control.
+    """`[sequencer.output.NAME]`: one servo. us_per_rad: control -> pulse width per radian.
 
-    pilot_input: his signal for this servo. readback: the pulse input behind the multiplexer, 0 for none. Through an autopilot an
-    output is a stick: channel is that of the receiver, 1 to 8, and the other two are left out.
+    pilot_input: pulse input of the pilot's signal for this servo. readback: pulse input behind the multiplexer, 0 for none. With
+    an autopilot an output is a stick: channel is that of the receiver, 1 to 8, and the other two are omitted.
     """
 
     channel: Annotated[int, Field(ge=0, le=15)]
@@ -103,30 +104,30 @@ _UNTIL = re.compile(r"\s*([A-Za-z][A-Za-z0-9_]{0,9})\s+(\d{1,2}(?:\.\d{1,3})?)\s
 
 
 class WantedBound(NamedTuple):
-    """What a set is flown until: the bound (one standard deviation) of a derivative is this share of its estimate."""
+    """The bound at which a manoeuvre ends: the standard deviation of a derivative is at most this share of its estimate."""
 
     name: str
     share: float
 
     @classmethod
     def read(cls, text: str) -> "WantedBound":
-        """From `Cl_p 5 %`. Raises ValueError for anything else."""
+        """Parse a text such as `Cl_p 5 %`. Raises ValueError for anything else."""
         match = _UNTIL.fullmatch(text)
         if match is None or not float(match[2]) > 0.0:
             raise ValueError(f'{text!r} is no bound to be reached; write a derivative and a share, such as "Cl_p 5 %"')
         return cls(match[1], float(match[2]) / 100.0)
 
     def reached(self, known: Mapping[str, tuple[float, float]]) -> bool:
-        """known: derivative -> estimate and bound."""
+        """Whether the bound is reached. known: derivative -> estimate and standard deviation."""
         estimate, bound = known.get(self.name, (0.0, math.inf))
         return 0.0 < bound <= self.share * abs(estimate)
 
 
 class EnvelopeConfig(_SequencerTable):
-    """`[sequencer.limits]`: outside of these the pilot gets the aircraft. None: not watched.
+    """`[sequencer.limits]`: beyond these the pilot gets the aircraft. None: no limit.
 
-    Motion is what the scan shows with nominal transfer functions, without calibration: leave room for it.
-    link_s: longest silence of the ground. stick_us: a stick moved further than this is the pilot's wish to fly.
+    Motion is computed with nominal transfer functions, without calibration: leave a margin. link_s: longest silence of the
+    ground. stick_us: a stick moved by more means that the pilot takes over.
     """
 
     bank_deg: Annotated[float, Field(gt=0, le=90)] | None = 60.0
@@ -154,20 +155,19 @@ class EnvelopeConfig(_SequencerTable):
 
 
 class VaneConfig(_SequencerTable):
-    """`[sequencer.alpha_vane]`: nominal transfer function of the angle-of-attack vane, as its calibration file has it."""
+    """`[sequencer.alpha_vane]`: nominal transfer function of the angle-of-attack vane, as in its calibration file."""
 
     centre_v: float = 2.5
     rad_per_v: float = 0.8
 
 
 class SequencerConfig(_SequencerTable):
-    """The whole of `[sequencer]`.
+    """`[sequencer]`.
 
-    manoeuvre: file of `sideslip design`. through: a servo driver of our own, or an autopilot. start: `switch`: it begins when
-    the pilot switches to go; `ground`: it begins by a signed command while his switch is at go, which comes within wait_s.
-    ramp_s: the increments of an aborted manoeuvre fade in this time. until: `Cl_p 5 %`; when identification on board has that
-    bound the set ends, and while it has not the set is flown again, most_sets times at most and not beyond longest_s. Empty: the
-    set is flown once, to its end.
+    manoeuvre: file of `sideslip design`. through: a servo driver, or an autopilot. start: `switch`: the manoeuvre begins when the
+    pilot switches to go; `ground`: by a signed command within wait_s after that. ramp_s: time in which the increments of an
+    aborted manoeuvre fade. until: a bound such as `Cl_p 5 %`; the manoeuvre ends when identification on board reaches it, and is
+    repeated until then, at most most_sets times and not beyond longest_s. Empty: flown once, to its end.
     """
 
     manoeuvre: Path
@@ -196,7 +196,7 @@ class SequencerConfig(_SequencerTable):
 
     @property
     def wanted(self) -> WantedBound | None:
-        """The bound that ends a set; None where none does."""
+        """The bound of `until`; None where it is empty."""
         return WantedBound.read(self.until) if self.until else None
 
     @model_validator(mode="after")

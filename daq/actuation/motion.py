@@ -1,4 +1,4 @@
-"""What the scan shows of the aircraft's motion, with nominal transfer functions: enough to protect it, not to learn from it.
+"""The aircraft's motion from a scan with nominal transfer functions: accurate enough to protect the aircraft.
 
 Bank and load factor to about 1 deg and 0.02, airspeed to some per cent (indicated, sea-level density), angle of attack to
 about 1 deg at the vane. A quantity whose last good sample is too old is None.
@@ -24,12 +24,15 @@ _NEEDED: Mapping[str, str] = {
     "analog_a": "alpha_vane",
     "gnss": "height_msl_mm",
 }
-"""Groups looked at, and the channel without which a sample says nothing."""
+"""Sensor group -> the channel without which its sample is not used."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotionState:
-    """At one instant; None where not known. bank, alpha [rad]; load_factor [1], + upwards; airspeed [m/s]; height [m]."""
+    """Motion at one instant, None where not known.
+
+    bank, alpha [rad]; load_factor [1], positive upwards; airspeed: indicated [m/s]; height: above the field [m].
+    """
 
     bank: float | None = None
     load_factor: float | None = None
@@ -39,7 +42,7 @@ class MotionState:
 
 
 class MotionReader:
-    """Reads each scan's counts; remembers when each group was last good."""
+    """Converts the counts of each scan; holds the last good sample of each group for as long as the limits allow."""
 
     def __init__(self, config: SequencerConfig, sensors: SensorsConfig) -> None:
         limits = config.limits
@@ -53,7 +56,7 @@ class MotionReader:
         self._good: dict[str, tuple[int, Mapping[str, RawValue]]] = {}
 
     def read(self, scan: Scan, now_ns: int) -> MotionState:
-        """The motion as known at `now_ns`."""
+        """The motion at `now_ns`, from this scan and earlier ones."""
         for group, channel in _NEEDED.items():
             status = scan.groups.get(group)
             if status is not None and status.state is SensorState.OK and channel in scan.values:
@@ -67,7 +70,7 @@ class MotionReader:
         )
 
     def _values(self, group: str, now_ns: int) -> Mapping[str, RawValue]:
-        """Values of a group's last good sample; empty when it is too old. Values of one scan stay together."""
+        """All values of the scan in which a group was last good; empty when that is too old."""
         sample = self._good.get(group)
         stale_ns = self._gnss_stale_ns if group == "gnss" else self._stale_ns
         return sample[1] if sample is not None and now_ns - sample[0] <= stale_ns else {}
@@ -100,7 +103,7 @@ class MotionReader:
 
 
 class FlightEnvelope:
-    """Judges a motion against the configured limits; a watched quantity that is not known is a stale sensor."""
+    """The configured limits of motion; a limited quantity that is not known counts as a stale sensor."""
 
     def __init__(self, limits: EnvelopeConfig) -> None:
         bank = None if limits.bank_deg is None else (-math.radians(limits.bank_deg), math.radians(limits.bank_deg))
@@ -120,7 +123,7 @@ class FlightEnvelope:
         ]
 
     def judge(self, motion: MotionState) -> tuple[Reason, str] | None:
-        """The first thing that is wrong, stale sensors before limits; None inside."""
+        """Reason and detail of the first violation, stale sensors before limits; None within all limits."""
         for name, *_ in self._rows:
             if getattr(motion, name) is None:
                 return Reason.SENSOR, f"no {name.replace('_', ' ')}"

@@ -1,4 +1,4 @@
-"""Between the sequencer and an output: what is seen in a frame, what is to be done, how an output proves itself first."""
+"""The interface between sequencer and output: observation and command of a frame, and the trial before anything moves."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -12,11 +12,12 @@ from daq.contract.sequencing import Reason, State, Switch
 
 @dataclass(frozen=True, slots=True)
 class OutputObservation:
-    """What an output shows in a frame, of itself and of the pilot.
+    """What an output measures in a frame, of itself and of the pilot.
 
-    pilot: his signal for each output [us], None while not seen. hidden: he cannot be seen, because what is put out stands in
-    his place. watched: other channels of his, which he leaves alone unless he wants to fly [us]. loopback_us: a spare output
-    as measured. fault: why the output cannot be used. readback: what became of each output [us], None where not seen.
+    switch: the pilot's switch. pilot: his pulse width for each output [us], None while not measured. hidden: his signals cannot
+    be measured, because the output's own replace them. watched: his other channels, which he moves only to take over [us].
+    loopback_us: pulse width measured on a spare output. fault: why the output cannot be used, empty when it can. readback: pulse
+    width measured behind each output [us], None where not measured.
     """
 
     switch: Switch = Switch.UNKNOWN
@@ -30,10 +31,11 @@ class OutputObservation:
 
 @dataclass(frozen=True, slots=True)
 class FrameObservation:
-    """What is known in a frame.
+    """All inputs of the sequencer in a frame.
 
-    late_ns: how late the frame began. link_s: since the ground was last heard, None where nobody listens. reached: whether the
-    bound that the set is flown until is reached; None where nobody asks, or nobody has told lately.
+    late_ns: delay of the frame against its schedule. recording: a recording is under way. link_s: time since the last message
+    from the ground [s], None where there was none. reached: whether the estimates have reached the bound at which the manoeuvre
+    ends; None where no bound is set, or the estimates are out of date.
     """
 
     now_ns: int
@@ -47,56 +49,60 @@ class FrameObservation:
 
 @dataclass(frozen=True, slots=True)
 class OutputTrialResult:
-    """What came of it: reason NONE when it is shown, else why not; detail in words."""
+    """Result of a trial. reason: NONE when passed, otherwise why it failed; detail: in words."""
 
     reason: Reason = Reason.NONE
     detail: str = ""
 
 
 class OutputTrial(ABC):
-    """What an output has to show before it may move anything; the sequencer asks, whatever the output is.
+    """The trial that an output must pass before it may move a surface; the sequencer runs it, whatever the output is.
 
-    fault: what a fault of this output is called. unlike: what is to be looked for when it is not followed. scale: pulse width
-    put out over the one asked for.
+    fault: the reason under which a fault of this output is reported. not_followed_hint: where to look when the servo pulses are
+    not those sent. scale: true pulse width over the commanded one.
     """
 
     fault: Reason
-    unlike: str
+    not_followed_hint: str
     scale = 1.0
 
     @property
-    def trying(self) -> str:
-        """What is still being tried at go, empty when it may start."""
+    def pending(self) -> str:
+        """Which part of the trial is not finished while the switch is at go; empty when the manoeuvre may start."""
         return ""
 
-    def note(self, seen: FrameObservation) -> None:
-        """Every frame, before anything is decided."""
+    def note(self, frame: FrameObservation) -> None:
+        """Take in a frame; called in every state, before the decision."""
         return
 
     @abstractmethod
     def begin(self) -> None:
-        """Checking begins."""
+        """Restart the trial: the state CHECKING has been entered."""
 
     @abstractmethod
-    def check(self, seen: FrameObservation, elapsed_s: float) -> OutputTrialResult | None:
-        """While checking, so long after it began; None: not yet."""
+    def check(self, frame: FrameObservation, elapsed_s: float) -> OutputTrialResult | None:
+        """One frame of CHECKING, `elapsed_s` after it began; None while undecided."""
 
-    def rest(self) -> None:
-        """Armed, and the switch is not at go."""
+    def at_arm(self) -> None:
+        """One frame of ARMED with the switch not at go."""
         return
 
-    def at_go(self, seen: FrameObservation) -> OutputTrialResult | None:
-        """Armed, and the switch is at go; None: not yet."""
+    def at_go(self, frame: FrameObservation) -> OutputTrialResult | None:
+        """One frame of ARMED with the switch at go; None while undecided."""
         return OutputTrialResult()
 
     @abstractmethod
-    def pulses(self, seen: FrameObservation) -> tuple[float, ...] | None:
-        """What is put out while checking and armed [us], None for nothing."""
+    def pulses(self, frame: FrameObservation) -> tuple[float, ...] | None:
+        """Pulse widths for the outputs in CHECKING and ARMED [us], None for none."""
 
 
 @dataclass(frozen=True, slots=True)
 class SequencerCommand:
-    """What to do. pulses: for each output [us], None for none. words: what to tell, empty without a transition."""
+    """The sequencer's decision for a frame.
+
+    elapsed_s: since the state was entered. increments: of the controls [rad]. pulses: width for each output [us], None for none.
+    limited: slew or limits changed a pulse. words: the transition in words, empty without one.
+    """
 
     state: State
     reason: Reason
@@ -108,19 +114,19 @@ class SequencerCommand:
 
 
 class Output(Protocol):
-    """A way to the servos. proof: what it has to show before it may move anything."""
+    """A way to the servos. proof: the trial that it must pass before it may move a surface."""
 
     @property
     def proof(self) -> OutputTrial: ...
 
-    def look(self, scan: Scan, now_ns: int) -> OutputObservation:
-        """What is seen in this frame, of the output and of the pilot."""
+    def observe(self, scan: Scan, now_ns: int) -> OutputObservation:
+        """Measure output and pilot in this frame; `scan` holds the pulses behind the output."""
         ...
 
-    def put(self, frame: SequencerCommand, now_ns: int) -> tuple[float, ...] | None:
-        """Do what was decided; the pulses that went out [us], None when the pilot has the aircraft."""
+    def apply(self, command: SequencerCommand, now_ns: int) -> tuple[float, ...] | None:
+        """Carry out the command; returns the pulses sent [us], None when the pilot has the aircraft."""
         ...
 
     def close(self, now_ns: int) -> None:
-        """Let go at the end."""
+        """Release the servos to the pilot."""
         ...

@@ -1,4 +1,4 @@
-"""From increments of controls to servo pulses, and the limits of both; what a manoeuvre must keep to be taken on board."""
+"""Servo pulses from increments of the controls, the limits of both, and the check of a manoeuvre against them."""
 
 import math
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ STILL: Increments = (0.0,) * len(CONTROLS)
 
 @dataclass(frozen=True, slots=True)
 class ConfiguredServo:
-    """One output. us_per_rad in the order of CONTROLS; limits of the pulse width [us] and of its rate [us/s].
+    """One output: gains [us/rad] in the order of CONTROLS, limits of the pulse width [us] and of its rate [us/s].
 
-    read_back: its pulses are measured behind the multiplexer.
+    read_back: whether the pulses that reach the servo are measured.
     """
 
     name: str
@@ -31,7 +31,7 @@ class ConfiguredServo:
         return sum(gain * value for gain, value in zip(self.us_per_rad, increments, strict=True))
 
     def limited(self, wanted_us: float, last_us: float, seconds: float) -> float:
-        """The width nearest to the wanted one that keeps slew and limits; where both cannot be kept, the limits."""
+        """The width nearest to `wanted_us` within slew rate and limits; where both cannot be met, within the limits."""
         step = self.slew_us_per_s * seconds
         slewed = min(max(wanted_us, last_us - step), last_us + step)
         return min(max(slewed, self.lowest_us), self.highest_us)
@@ -47,21 +47,21 @@ class ServoManoeuvre:
 
     @property
     def duration_s(self) -> float:
-        """When the last sample, zero, has been held for a step."""
+        """Duration [s], with one step for the last sample, which is zero."""
         return len(self.increments) * self.time_step
 
     def at(self, elapsed_s: float) -> Increments:
-        """Increments `elapsed_s` after the start, straight between samples; zero outside.
+        """Increments `elapsed_s` after the start [rad], interpolated linearly between samples; zero outside.
 
-        Straight, because frames come with some jitter: of held samples two could fall into one frame, twice the designed rate.
+        Linear, because frames jitter: steps of two samples could fall into one frame, which is twice the designed rate.
         """
-        place = elapsed_s / self.time_step
-        index = math.floor(place)
+        position = elapsed_s / self.time_step
+        index = math.floor(position)
         if not 0 <= index < len(self.increments) - 1:
             return STILL
-        share = place - index
+        fraction = position - index
         first, second = self.increments[index], self.increments[index + 1]
-        return tuple(a + share * (b - a) for a, b in zip(first, second, strict=True))
+        return tuple(a + fraction * (b - a) for a, b in zip(first, second, strict=True))
 
     def reach(self, servo: ConfiguredServo) -> tuple[float, float]:
         """Smallest and largest change of a servo's pulse width [us]."""
@@ -70,7 +70,7 @@ class ServoManoeuvre:
 
 
 def servos_of(config: SequencerConfig) -> tuple[ConfiguredServo, ...]:
-    """The servos of a configuration, in its order; an autopilot tells of each output what it takes it for."""
+    """The servos of a configuration, in its order; an autopilot reports the signal of every output."""
     return tuple(
         ConfiguredServo(
             name,
@@ -85,7 +85,8 @@ def servos_of(config: SequencerConfig) -> tuple[ConfiguredServo, ...]:
 
 
 def plan_of(manoeuvre: Manoeuvre, config: SequencerConfig) -> ServoManoeuvre:
-    """The manoeuvre, if this aircraft's limits allow it. Raises ManoeuvreError naming control or output, value and limit."""
+    """The manoeuvre as the sequencer flies it. Raises ManoeuvreError, naming control or output, value and limit, where this
+    aircraft's limits forbid it."""
     largest = math.radians(config.limits.largest_deg)
     for name, values in manoeuvre.increments.items():
         peak = max(abs(v) for v in values)
@@ -111,10 +112,10 @@ def _check_servo(servo: ConfiguredServo, plan: ServoManoeuvre) -> None:
             f"manoeuvre: moves output {servo.name} at {fastest:.0f} us/s, its slew_us_per_s allows "
             f"{servo.slew_us_per_s:g}; design it with a lower rate_deg_s"
         )
-    room = servo.highest_us - servo.lowest_us
-    if max(shifts) - min(shifts) > room:
+    travel = servo.highest_us - servo.lowest_us
+    if max(shifts) - min(shifts) > travel:
         raise ManoeuvreError(
-            f"manoeuvre: output {servo.name} would need {max(shifts) - min(shifts):.0f} us, its limits leave {room:.0f}"
+            f"manoeuvre: output {servo.name} would need {max(shifts) - min(shifts):.0f} us, its limits leave {travel:.0f}"
         )
 
 
@@ -128,7 +129,7 @@ def _check_moved(manoeuvre: Manoeuvre, servos: Sequence[ConfiguredServo]) -> Non
 
 @dataclass(frozen=True, slots=True)
 class TrialFinding:
-    """One thing tried: well or not, in words."""
+    """Result of one check of a trial. what: the part checked; well: whether it passed; text: why, in words."""
 
     what: str
     well: bool
@@ -136,7 +137,7 @@ class TrialFinding:
 
 
 def try_manoeuvre(config: SequencerConfig) -> TrialFinding:
-    """Whether the configured manoeuvre is one this aircraft may fly."""
+    """Check the configured manoeuvre against this aircraft's limits."""
     try:
         plan = plan_of(load_manoeuvre(config.manoeuvre), config)
     except ManoeuvreError as error:

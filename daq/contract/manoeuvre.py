@@ -77,9 +77,9 @@ class Manoeuvre:
         }
 
 
-Weigh = Callable[[Manoeuvre], Callable[[], str]]
-"""Weighs a manoeuvre against the aircraft's limits, in any thread; raises ManoeuvreError. What it returns puts the manoeuvre in
-place, in the scan loop, and says why not, empty when it is taken."""
+ManoeuvreCheck = Callable[[Manoeuvre], Callable[[], str]]
+"""Checks a manoeuvre against the aircraft's limits, in any thread; raises ManoeuvreError. Returns a function that loads the
+manoeuvre, to be called in the scan loop, which returns why it is refused, or ""."""
 
 
 def checked(manoeuvre: Manoeuvre, where: str = "manoeuvre") -> Manoeuvre:

@@ -1,4 +1,4 @@
-"""The sequencer's states, reasons and switch positions, and which transitions there are. `docs/sequencer.md` explains them.
+"""The sequencer's states, reasons, switch positions and transitions; `docs/sequencer.md` explains them.
 
 Numbers go into recordings and over the radio: never renumber, only add.
 """
@@ -8,14 +8,14 @@ from enum import IntEnum
 
 
 class State(IntEnum):
-    """Who has the aircraft, and how far the sequencer is."""
+    """State of the sequencer, which decides who controls the servos."""
 
-    IDLE = 0  # nothing is put out; waits for the pilot's switch
-    CHECKING = 1  # the pilot flies; the chip repeats his signals while its output frequency is measured
-    ARMED = 2  # checked; the chip repeats the pilot's signals, waits for the start
+    IDLE = 0  # no output; the switch is awaited
+    CHECKING = 1  # the pilot flies while the output passes its trial
+    ARMED = 2  # trial passed; the pilot flies, the start is awaited
     RUNNING = 3  # the pilot's signals as they were at the start, plus increments
-    RAMPING = 4  # the increments fade; then released
-    RELEASED = 5  # the pilot has the aircraft; nothing more happens until his switch has been off
+    RAMPING = 4  # the increments fade to zero
+    RELEASED = 5  # the pilot flies; nothing happens until his switch is at off
 
     @property
     def words(self) -> str:
@@ -23,19 +23,19 @@ class State(IntEnum):
 
     @property
     def beats(self) -> bool:
-        """Whether the heartbeat is kept up, without which neither chip nor multiplexer can reach the servos."""
+        """Whether the heartbeat runs in this state; without it neither chip nor multiplexer passes pulses to the servos."""
         return self in (State.CHECKING, State.ARMED, State.RUNNING, State.RAMPING)
 
 
 class Exit(IntEnum):
-    """How a reason ends a manoeuvre."""
+    """How a manoeuvre ends."""
 
-    DROP = 0  # heartbeat ends in the same frame
-    RAMP = 1  # increments fade first: the aircraft is sound and what is measured can be trusted
+    DROP = 0  # the heartbeat ends in the same frame
+    RAMP = 1  # increments fade first: the aircraft works and its measurements can be trusted
 
 
 class Reason(IntEnum):
-    """Why a state was left: number, words for a person, and how it ends a manoeuvre that is running."""
+    """Why a state ended: number, words, and how it ends a manoeuvre in flight."""
 
     words: str
     exit: Exit
@@ -81,7 +81,7 @@ TRANSITIONS: Mapping[State, frozenset[State]] = {
     State.RAMPING: frozenset({State.RELEASED}),
     State.RELEASED: frozenset({State.IDLE}),
 }
-"""Every transition there is; staying is always possible, except in RAMPING, which ends by itself."""
+"""All transitions; each state but RAMPING may last without limit."""
 
 
 class Switch(IntEnum):
@@ -94,10 +94,8 @@ class Switch(IntEnum):
 
 
 def switch_position(pulse_us: float | None) -> Switch:
-    """The position by pulse width [us].
-
-    The multiplexer selects its second source above 1700 +-64 us; so near to that the position is not known.
-    """
+    """The position by pulse width [us], UNKNOWN near the threshold of the multiplexer, which selects its second source above
+    1700 +-64 us."""
     if pulse_us is None or not 800.0 <= pulse_us <= 2200.0:
         return Switch.UNKNOWN
     if pulse_us < 1300.0:

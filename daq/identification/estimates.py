@@ -1,4 +1,4 @@
-"""What the recursive estimator says: derivatives with their bounds, and the information behind them."""
+"""Results of the recursive estimator: derivatives with their bounds, and the information matrices."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,15 +10,14 @@ from daq.identification.airframe import Belief
 
 Array = NDArray[np.float64]
 
-USEFUL = 0.3  # a bound wider than this part of what is believed tells nothing new
-BEYOND_DOUBT = 0.2  # but five bounds from zero is told, however small it was believed to be
+USEFUL = 0.3  # largest useful bound, relative to the prior value
+BEYOND_DOUBT = 0.2  # or relative to the estimate: five bounds from zero, however small the prior value
 
 
 @dataclass(frozen=True, slots=True)
 class LiveDerivative:
-    """One derivative now [1/rad]. std: honest bound, one standard deviation; white: the bound as if
-    residuals were white. `why` says why the number is not fit to be shown
-    yet; where there is none at all, estimate is NaN and std infinite."""
+    """The present estimate of one derivative [1/rad]. std: standard deviation for coloured residuals; white: that for white ones.
+    why: why the estimate should not be shown, empty when it may; without any estimate it is NaN, and std infinite."""
 
     name: str
     estimate: float
@@ -28,13 +27,14 @@ class LiveDerivative:
 
     @property
     def told(self) -> bool:
-        """Whether there is a number to show."""
+        """Whether the estimate may be shown."""
         return not self.why
 
 
 @dataclass(frozen=True)
 class LiveEstimates:
-    """What is known at `time` [s]. span: seconds of flight in it; still: controls that have not moved, as signals."""
+    """The estimates at `time` [s]. span: flight time used [s]; rows: of the regression; still: signals of the controls that have
+    not moved."""
 
     time: float
     span: float
@@ -45,8 +45,8 @@ class LiveEstimates:
 
 @dataclass(frozen=True)
 class EquationInformation:
-    """One equation. names: its derivatives; columns: theirs in the regression; normal: (n, n) sum of products of its columns over
-    the rows [Pa2 s2]; covariance: (n, n) the honest one."""
+    """Information on the derivatives `names` of one equation. columns: theirs in the regression; normal: (n, n) sums of products
+    of the columns over the rows [Pa2 s2]; covariance: (n, n) of the estimates, for coloured residuals."""
 
     names: tuple[str, ...]
     columns: tuple[int, ...]
@@ -55,13 +55,13 @@ class EquationInformation:
 
     @property
     def noise(self) -> float:
-        """Variance of white noise of a row [Pa2 s2] that would explain the bounds: mean over the columns, in logarithms."""
+        """Variance of white noise per row [Pa2 s2] that gives the same bounds: geometric mean over the columns."""
         ratio = np.diag(self.covariance) / np.diag(np.linalg.inv(self.normal))
         return float(np.exp(np.mean(np.log(ratio))))
 
 
 def joined(parts: Sequence[LiveEstimates]) -> LiveEstimates:
-    """Of several regressions over the same flight: flight time and rows of the one that has most."""
+    """Join the estimates of several regressions over the same flight; time, span and rows are the largest of each."""
     if len(parts) == 1:
         return parts[0]
     return LiveEstimates(
@@ -74,7 +74,7 @@ def joined(parts: Sequence[LiveEstimates]) -> LiveEstimates:
 
 
 def useful_bound(value: float, belief: Belief | None) -> float:
-    """The widest bound with which a number is worth showing beside what is believed; the laboratory's rule for its own."""
+    """The largest bound of an estimate `value` that is useful beside its prior, None for a laboratory's own derivative."""
     beyond_doubt = BEYOND_DOUBT * abs(value)
     if belief is None:
         return abs(value)

@@ -1,4 +1,4 @@
-"""The recursive estimator: scans in, derivatives with bounds out, at any moment."""
+"""The recursive estimator: takes scans and returns, at any time, derivatives with their bounds."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -16,22 +16,22 @@ from daq.identification.solve import Block, RegressionSolution, Sums, solve
 
 Array = NDArray[np.float64]
 
-BLOCK = 30.0  # s in which constants are taken to stay the same
-GAP = 1.0  # s without a whole scan after which a new stretch begins
-SLOWEST = 3.0  # m/s; below, non-dimensional rates mean nothing
+BLOCK = 30.0  # s over which the constants of the equations are assumed not to change
+GAP = 1.0  # s without a complete scan after which a new stretch begins
+SLOWEST = 3.0  # m/s; at lower airspeeds non-dimensional rates are meaningless
 MOVE_IT = "move it on purpose (doublet or 3-2-1-1)"
 NONE_MOVED = "no control has moved yet"
 SHAPE, SHAPE_NO_LAG = 0.035, 0.05
-"""Of a derivative of a moment: what an unknown way of the surfaces between scans 0.1 s apart is worth, where the servos' lag is
-known and where it is not; it grows with the square of the interval. Found by simulation without noise."""
-LEARN = 1.0  # s between two lookings at what the instruments are simulated with
+"""Relative error of a derivative of a moment due to the unknown motion of the surfaces between scans 0.1 s apart, with known and
+unknown lag of the servos; it grows with the square of the interval. From simulations without noise."""
+LEARN = 1.0  # s between two updates of the derivatives with which the instruments are simulated
 
 
 class LiveEstimator:
-    """Takes calibrated scans in order of time; any step length, scans may be missing.
+    """Estimates the derivatives of a regression from calibrated scans in order of time, at any interval, with gaps.
 
-    regression: what is estimated. Costs the same for every scan however long the flight is. Not thread safe. skipped: scans
-    without a row, because a value was missing, time did not advance, or the aircraft hardly moves through the air.
+    Every scan takes the same time, however long the flight. Not thread safe. scans: how many were added; skipped: those not used,
+    because a value was missing or implausible, time did not advance, or the airspeed was below SLOWEST.
     """
 
     def __init__(self, airframe: Airframe, regression: PlaneRegression = LATERAL) -> None:
@@ -47,21 +47,21 @@ class LiveEstimator:
         self._last = -math.inf
         self._learn_at = -math.inf
         self._levels = [np.zeros(regression.total)]
-        self._time, self._intervals = 0.0, 0  # between scans that belong together
+        self._time, self._intervals = 0.0, 0  # sum and number of the intervals between scans of one stretch
         self.scans = 0
         self.skipped = 0
 
     def restart(self) -> None:
-        """A new stretch begins: time may be any, and nothing leads over from before. What is known is kept."""
+        """Begin a new stretch at any time, without continuity with the last scan; the estimates so far stay."""
         for steadied in [] if self._vane is None else self._vane.restart():
-            self._take_row(steadied)
+            self._add_row(steadied)
         self._close_block()
         self._interrupt()
         self._levels.append(np.zeros(self._regression.total))
         self._last = self._learn_at = -math.inf
 
     def add(self, sample: Sample) -> None:
-        """One scan. One that is not credible, or not later than the last, is counted in `skipped`."""
+        """Add a scan; one that cannot be used is counted in `skipped`."""
         self.scans += 1
         if not self._regression.credible(sample) or sample.V < SLOWEST or sample.time <= self._last:
             self.skipped += 1
@@ -72,16 +72,16 @@ class LiveEstimator:
             self._time += sample.time - self._last
             self._intervals += 1
         self._last = sample.time
-        self._take(sample)
+        self._add_sample(sample)
         if sample.time >= self._learn_at:
             self._learn_at = sample.time + LEARN
             self._learn()
 
-    def _take(self, sample: Sample) -> None:
+    def _add_sample(self, sample: Sample) -> None:
         for steadied in [sample] if self._vane is None else self._vane.add(sample):
-            self._take_row(steadied)
+            self._add_row(steadied)
 
-    def _take_row(self, sample: Sample) -> None:
+    def _add_row(self, sample: Sample) -> None:
         signals = self._regression.controls
         surfaces = tuple(control.add(getattr(sample, signals[c])) for c, control in self._controls.items())
         row = self._rows.add(sample, surfaces)
@@ -119,20 +119,20 @@ class LiveEstimator:
         return len(self._levels) - 1
 
     def information(self) -> dict[str, "EquationInformation"]:
-        """What was flown so far tells of each equation that can be solved."""
+        """Coefficient -> information on its derivatives so far, for each equation that can be solved."""
         sums = self._sums()
         information = {}
         for coefficient, solution in self._solved().items():
             if solution is not None:
-                pick = list(solution.columns)
-                normal = sums.instruments[0][np.ix_(pick, pick)]
+                columns = list(solution.columns)
+                normal = sums.instruments[0][np.ix_(columns, columns)]
                 information[coefficient] = EquationInformation(
                     solution.names, solution.columns, normal, solution.covariance
                 )
         return information
 
     def solutions(self) -> dict[str, RegressionSolution | None]:
-        """Each equation as far as the scans so far tell it."""
+        """Coefficient -> the solution of its equation, None where the scans so far do not identify it."""
         share = self._between_scans
         return {
             c: solution
@@ -143,7 +143,7 @@ class LiveEstimator:
 
     @property
     def _between_scans(self) -> float:
-        """Share of a moment's derivatives by which they may be wrong for what surfaces do between scans."""
+        """Relative error of the derivatives of moments due to the motion of the surfaces between scans."""
         interval = self._time / max(self._intervals, 1)
         if interval <= DENSE or (self._airframe.servo_lag is not None and self._regression.name == LATERAL.name):
             return 0.0  # lateral bounds were found to hold where the lag is known
@@ -157,15 +157,15 @@ class LiveEstimator:
         }
 
     def estimates(self, stretches: slice = slice(None)) -> LiveEstimates:
-        """Every derivative as far as the scans so far tell it. stretches: those of which the constants are wanted."""
+        """The present estimates of all derivatives. stretches: those over which the constants are averaged."""
         sums, solutions, derivatives = self._sums(), self.solutions(), {}
         open_level = [*self._levels[:-1], self._levels[-1] + self._block.sums.cross[0]]
         level = np.sum(open_level[stretches], axis=0)
         for equation in self._regression.equations:
             solution = solutions[equation.coefficient]
-            if self._all_still:  # what moves it then is gusts, which no column stands for
+            if self._all_still:  # only gusts move the aircraft then, and no column represents them
                 solution = None
-            derivatives.update({d.name: d for d in self._described(equation, solution, level)})
+            derivatives.update({d.name: d for d in self._derivatives(equation, solution, level)})
         return LiveEstimates(self._last, sums.span, sums.rows, derivatives, self.still)
 
     def _sums(self) -> Sums:
@@ -183,41 +183,41 @@ class LiveEstimator:
             if column not in self._controls or self._controls[column].moved
         )
 
-    def _described(
+    def _derivatives(
         self, equation: Equation, solution: RegressionSolution | None, level: Array
     ) -> Iterator[LiveDerivative]:
         if solution is None:
-            yield from (self._untold(name, equation.terms.get(name, "0")) for name in equation.derivatives)
+            yield from (self._without_estimate(name, equation.terms.get(name, "0")) for name in equation.derivatives)
             return
         value, variance = solution.constant(level) if level[0] > 0.0 else (math.nan, math.inf)
         spread = math.sqrt(variance)
-        yield self._judged(equation.constant, value, spread, spread)
+        yield self._with_verdict(equation.constant, value, spread, spread)
         for name, column in equation.terms.items():
             if name not in solution.names:
-                yield self._untold(name, column)
+                yield self._without_estimate(name, column)
                 continue
             index = solution.names.index(name)
             bound, white = (math.sqrt(c[index, index]) for c in (solution.covariance, solution.white))
-            yield self._judged(name, float(solution.values[index]), bound, white)
+            yield self._with_verdict(name, float(solution.values[index]), bound, white)
 
-    def _untold(self, name: str, column: str) -> LiveDerivative:
-        """No number; where a control rests, the control is named."""
+    def _without_estimate(self, name: str, column: str) -> LiveDerivative:
+        """A derivative without an estimate, and why; a control that has not moved is named."""
         if column in self._controls and not self._controls[column].moved:
             reason = f"{self._regression.controls[column]} has not moved: {MOVE_IT}"
         else:
             reason = NONE_MOVED if self._all_still else "not enough flown yet"
         return LiveDerivative(name, math.nan, math.inf, math.inf, reason)
 
-    def _judged(self, name: str, value: float, bound: float, white: float) -> LiveDerivative:
+    def _with_verdict(self, name: str, value: float, bound: float, white: float) -> LiveDerivative:
         limit = useful_bound(value, self._airframe.beliefs.get(name))
         reason = "" if bound <= limit else f"bound {bound:.2g} is wider than {limit:.2g}: fly more that moves it"
         return LiveDerivative(name, value, bound, white, reason)
 
     def _learn(self) -> None:
-        """Simulate the instruments with what is known by now: belief and estimate, each weighted by its bound.
+        """Update the derivatives with which the instruments are simulated: prior and estimate, weighted by their covariances.
 
-        An equation without the column of a control that may have moved is wrong by more than its bound says, and so would be
-        all rows that are made with a motion simulated from it. While all rest, gusts move it, which no column stands for.
+        Equations that lack the column of a control that may have moved are not used, for their errors exceed their bounds, and so
+        would those of all rows made with a motion simulated from them; nor is any while all controls rest.
         """
         if self._all_still:
             return
@@ -226,9 +226,10 @@ class LiveEstimator:
         for equation in self._regression.equations:
             solution = solutions[equation.coefficient]
             if solution is not None and not doubtful.intersection(equation.terms.values()):
-                self._motion.values.update(self._weighed(solution))
+                self._motion.values.update(self._posterior(solution))
 
-    def _weighed(self, solution: RegressionSolution) -> dict[str, float]:
+    def _posterior(self, solution: RegressionSolution) -> dict[str, float]:
+        """Derivative -> mean of the posterior; empty where one lacks a prior."""
         beliefs = [self._airframe.beliefs.get(n) for n in solution.names]
         if any(b is None or not b.std > 0.0 for b in beliefs):
             return {}
@@ -239,7 +240,7 @@ class LiveEstimator:
 
 
 class JointEstimator:
-    """Estimators of several regressions over the same scans, as one: lateral and longitudinal motion of a six-dof model."""
+    """Estimators of several regressions over the same scans as one, for lateral and longitudinal motion of a six-dof model."""
 
     def __init__(self, airframe: Airframe, regressions: Sequence[PlaneRegression]) -> None:
         self.parts = tuple(LiveEstimator(airframe, r) for r in regressions)
@@ -250,19 +251,19 @@ class JointEstimator:
             part.restart()
 
     def add(self, sample: Sample) -> None:
-        """One scan."""
+        """Add a scan to all parts."""
         for part in self.parts:
             part.add(sample)
 
     @property
     def stretches(self) -> int:
-        """Number of the present stretch, of all parts together."""
+        """Number of the present stretch: the largest of the parts."""
         return max(part.stretches for part in self.parts)
 
     def solutions(self) -> dict[str, RegressionSolution | None]:
-        """Each equation as far as the scans so far tell it."""
+        """As `LiveEstimator.solutions`, of all parts."""
         return {c: solution for part in self.parts for c, solution in part.solutions().items()}
 
     def estimates(self, stretches: slice = slice(None)) -> LiveEstimates:
-        """Every derivative of all parts."""
+        """As `LiveEstimator.estimates`, of all parts."""
         return joined([part.estimates(stretches) for part in self.parts])

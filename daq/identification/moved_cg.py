@@ -1,7 +1,7 @@
-"""What instruments fixed to the aircraft show of its motion where the centre of gravity has moved along the body.
+"""Conversion of measured motion to a centre of gravity that has moved along the body.
 
-Calibrated columns hold at the point that the aircraft file calls the CG. With the CG d ahead of it that point lies at
-r = (-d, 0, 0), moves by omega x r against the CG, and is accelerated by omega_dot x r + omega x (omega x r) against it.
+Calibrated columns are those at the CG of the aircraft file. With the true CG d ahead of it, that point is at r = (-d, 0, 0) from
+the CG; relative to the CG it moves with omega x r and accelerates with omega_dot x r + omega x (omega x r).
 """
 
 from collections.abc import Mapping
@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 
 
 def at_moved_cg(columns: Mapping[str, Array], time: Array, ahead: Array) -> dict[str, Array]:
-    """Those of `ax ay az alpha beta` [m/s2, rad] that there are, at the CG `ahead` [m] of where they hold; rates that are not
-    measured count as none."""
+    """The available ones of `ax ay az alpha beta` [m/s2, rad] at a CG that is `ahead` [m] of the stated one; arrays over `time`
+    [s]. Rates that are not measured count as zero."""
     still = np.zeros(time.size)
     p, q, r = (np.nan_to_num(columns.get(name, still)) for name in ("p", "q", "r"))
     q_dot, r_dot = (np.gradient(rate, time) if time.size > 1 else still for rate in (q, r))

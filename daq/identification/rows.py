@@ -1,11 +1,11 @@
-"""Rows of the regression: what the scans about one interval say of it.
+"""Rows of the regression, one for each interval between scans.
 
 A row is an increment, not a rate: the noise of a gyro's difference is then the same for every length of interval. Its equations
 are those of a `PlaneRegression`.
 
-Measured motion is integrated by the cubic through the four nearest scans. What such a cubic misses of a motion that settles
-within a scan is taken from the simulated motion, of which both the integral and the cubic through the same scans are known.
-Forces hold at every instant, so that all their columns are left to the one cubic, which then cancels.
+Measured motion is integrated by the cubic through the four nearest scans. The error of that cubic for motion which settles
+within a scan is taken from the simulated motion, whose integral and whose cubic through the same scans are both known. Equations
+of forces hold at every instant: all their columns use the same cubic, whose error cancels.
 """
 
 from collections import deque
@@ -27,8 +27,8 @@ LONGEST_ROW = 0.21  # s; a cubic over more loses the roll mode (three scans of a
 
 
 class Row(NamedTuple):
-    """One row of all equations, of an interval of `span` seconds up to `time`. measured: (total,) columns of the equations with
-    increments, columns of those that hold at every instant, left sides; instruments: (width,)."""
+    """One row of all equations, over an interval of `span` [s] that ends at `time` [s]. measured: (total,) columns of the
+    equations of increments, columns of those that hold at every instant, left sides; instruments: (width,)."""
 
     time: float
     span: float
@@ -37,8 +37,8 @@ class Row(NamedTuple):
 
 
 class MotionScan(NamedTuple):
-    """A scan with its surfaces as the instruments take them [rad], the motion simulated at its time, its columns and left sides
-    as `_integrands` has them, and the scales of its columns: four rows need them."""
+    """A scan with the surfaces for the instruments [rad], the motion simulated at its time, its columns and left sides
+    (`_integrands`), and the scales of its columns; each is used by four rows."""
 
     sample: Sample
     surfaces: tuple[float, ...]
@@ -48,7 +48,7 @@ class MotionScan(NamedTuple):
 
 
 class RowMaker:
-    """Takes scans one by one; gives the row of an interval two scans late."""
+    """Makes rows from scans added one by one; the row of an interval needs two further scans."""
 
     def __init__(self, airframe: Airframe, simulated: Simulation, regression: PlaneRegression = LATERAL) -> None:
         self._airframe = airframe
@@ -67,7 +67,7 @@ class RowMaker:
         self._part: Row | None = None  # of a row
 
     def restart(self) -> None:
-        """Forget the scans so far: no interval leads over from them to the next."""
+        """Begin after a gap: no interval connects earlier scans with the next."""
         self._scans.clear()
         self._integrals.clear()
         self._part = None
@@ -75,9 +75,10 @@ class RowMaker:
             curves.restart()
 
     def add(self, sample: Sample, surfaces: tuple[float, ...]) -> Row | None:
-        """The row that this scan completes, None while there are too few or where the interval is too long.
+        """Add a scan, and return the row that it completes; None while there are too few scans, the row is too short, or the
+        interval too long.
 
-        surfaces: the controls as the instruments take them [rad].
+        surfaces: the controls for the instruments, in the order of the regression [rad].
         """
         if len(self._scans) < 2:
             self._simulated.restart(sample)
@@ -96,11 +97,11 @@ class RowMaker:
 
     @property
     def partial(self) -> bool:
-        """Whether a row has begun that is too short yet."""
+        """Whether a row has begun that is still too short."""
         return self._part is not None
 
     def _joined(self, row: Row) -> Row | None:
-        """The row with those before it that were too short by themselves; None while it is too short yet."""
+        """The row together with earlier ones that were too short; None while the sum is too short."""
         if self._part is not None:
             part = self._part
             row = Row(row.time, part.span + row.span, part.measured + row.measured, part.instruments + row.instruments)
@@ -108,7 +109,7 @@ class RowMaker:
         return row if self._part is None else None
 
     def _simulate(self) -> None:
-        """Carry the simulated motion to the last scan but one, whose surfaces' slopes are known now."""
+        """Advance the simulated motion to the last scan but one, at which the slopes of the surfaces are known now."""
         four = list(self._scans)[-4:]
         times = (four[0].sample.time, four[1].sample.time, four[2].sample.time, four[3].sample.time)
         curves = [
@@ -123,7 +124,7 @@ class RowMaker:
         self._integrals.append((simulated, surfaces, all(c.sure for c in self._curves)))
 
     def _deflections(self, scan: MotionScan) -> tuple[float, ...]:
-        """Controls as measured, then as the instruments take them."""
+        """Controls as measured, then as smoothed for the instruments [rad]."""
         return *self._controls(scan.sample)[1:], *scan.surfaces
 
     def _row(self, scans: list[MotionScan]) -> Row:
@@ -146,7 +147,7 @@ class RowMaker:
         )
 
     def _scales(self, s: Sample) -> Array:
-        """(linear columns,) what turns a signal into its column: dynamic pressure [Pa], times length / 2V for rates."""
+        """(linear columns,) factors from signals to columns: dynamic pressure [Pa], times length / 2V for rates."""
         pressure = 0.5 * s.rho * s.V * s.V
         return np.array([pressure * length / (2.0 * s.V) if length else pressure for length in self._lengths])
 
@@ -168,8 +169,8 @@ class RowMaker:
 
 
 def _flow_at_stated_cg(airframe: Airframe, sample: Sample) -> Sample:
-    """A sample with the flow where the aircraft file has the CG: there derivatives hold, or `CL_q` and `CY_r` are about another
-    point than the rest. sample: at the CG as it is now."""
+    """A sample with the flow angles at the CG of the aircraft file, to which all derivatives refer, `CL_q` and `CY_r` included.
+    sample: at the present CG."""
     ahead = airframe.cg_ahead(sample.cg_x)
     if ahead == 0.0:
         return sample

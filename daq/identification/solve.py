@@ -1,8 +1,8 @@
-"""Estimates and honest bounds of one equation from running sums.
+"""Estimates of one equation and their bounds for coloured residuals, from running sums.
 
-theta = (sum z phi')^-1 sum z y. Its covariance is A^-1 M A^-T with A = sum z phi' and M = sum over lags k of c_k sum z_i
-z_(i+k)', where c_k is the autocovariance of the residuals: their colour is counted, once for all rows and not row by row,
-which would need more rows than there are.
+theta = (sum z phi')^-1 sum z y with instruments z and measured columns phi. Its covariance is A^-1 M A^-T with A = sum z phi' and
+M = sum over lags k of c_k sum z_i z_(i+k)', where c_k is the autocovariance of the residuals. One autocovariance serves all rows,
+for there are too few rows to estimate the colour row by row.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Sums:
-    """Sums over rows. cross: (width, total) instruments by measured; measured: (lags + 1, total, total) and
-    instruments: (lags + 1, width, width) products of each row with the one so many rows later; span: [s] covered."""
+    """Sums over rows. rows: how many; span: time that they cover [s]; cross: (width, total) instruments by measured; measured:
+    (lags + 1, total, total) and instruments: (lags + 1, width, width) products of each row with the one `lag` rows later."""
 
     rows: int
     span: float
@@ -30,7 +30,7 @@ class Sums:
 
     @classmethod
     def empty(cls, width: int, total: int, lags: int) -> "Sums":
-        """Of no rows."""
+        """The sums of no rows."""
         lagged = lags + 1
         return cls(0, 0.0, np.zeros((width, total)), np.zeros((lagged, total, total)), np.zeros((lagged, width, width)))
 
@@ -45,14 +45,14 @@ class Sums:
         )
 
     def without_constant(self) -> "Sums":
-        """Sums of the rows less what the constant's column explains of them (its own entries are zero then)."""
+        """Sums of the rows after projecting out the constant's column, whose own entries become zero."""
         energy, (width, total) = self.cross[0, 0], self.cross.shape
         if not energy > 0.0:
             return Sums.empty(width, total, len(self.measured) - 1)
-        share, instrument_share = self.cross[0] / energy, self.cross[:, 0] / energy
+        mean, instrument_mean = self.cross[0] / energy, self.cross[:, 0] / energy
         projection, instrument_projection = np.eye(total), np.eye(width)
-        projection[:, 0] -= share
-        instrument_projection[:, 0] -= instrument_share
+        projection[:, 0] -= mean
+        instrument_projection[:, 0] -= instrument_mean
         return Sums(
             self.rows,
             self.span,
@@ -63,7 +63,7 @@ class Sums:
 
 
 class Block:
-    """Rows of one block as they come."""
+    """The running sums over the rows of one block."""
 
     def __init__(self, regression: PlaneRegression = LATERAL) -> None:
         self.sums = Sums.empty(regression.width, regression.total, regression.lags)
@@ -71,7 +71,7 @@ class Block:
         self._instruments = np.zeros((regression.lags + 1, regression.width))
 
     def add(self, row: Row) -> None:
-        """One more row."""
+        """Add a row."""
         for history, values in ((self._measured, row.measured), (self._instruments, row.instruments)):
             history[1:] = history[:-1]
             history[0] = values
@@ -83,31 +83,29 @@ class Block:
         s.instruments += self._instruments[:, :, None] * row.instruments
 
     def interrupt(self) -> None:
-        """Rows are missing here: those before have no neighbours behind."""
+        """Begin a new run after missing rows: earlier rows are not lagged neighbours of later ones."""
         self._measured[:] = 0.0
         self._instruments[:] = 0.0
 
 
-SHORT = 4.0  # s; a bound from T seconds is widened by sqrt(1 + SHORT / T): its own scatter, found by simulation
-FEWEST_ROWS = 24  # beyond the columns
+SHORT = 4.0  # s; bounds from T seconds are widened by sqrt(1 + SHORT / T), for their own scatter (by simulation)
+FEWEST_ROWS = 24  # beyond the number of columns
 SINGULAR = 1e-10  # reciprocal condition of the scaled normal matrix below which columns are dependent
-ROUNDING = 1e-12  # of the left sides' energy: less is lost in the sums' own digits
-LEAST_SHARE = (
-    0.15  # of the white bound's variance that is kept where neighbouring residuals cancel (differenced gyro noise)
-)
+ROUNDING = 1e-12  # of the left side's energy: a smaller residual energy is rounding of the sums
+LEAST_SHARE = 0.15  # least variance over the white bound's, where neighbouring residuals cancel
 
 
 def _bartlett(lags: int) -> Array:
-    """(lags + 1,) weights of the lags, each for both directions; falling so that a covariance stays positive."""
+    """(lags + 1,) Bartlett weights, each for both directions, which keep the covariance positive."""
     return np.concatenate([[1.0], 2.0 * (1.0 - np.arange(1, lags + 1) / (lags + 1.0))])
 
 
 @dataclass(frozen=True)
 class RegressionSolution:
-    """values: (n,) of the derivatives `names`, which belong to the columns `columns`; covariance: (n, n), honest; white: the same
-    as if residuals were white.
+    """values: (n,) of the derivatives `names`, of the instruments' columns `columns`; covariance: (n, n) for coloured residuals;
+    white: (n, n) for white ones.
 
-    places: where the measured columns stand in a row, and its left side last. scatter: of the sum of the left side's residuals,
+    places: indices of the measured columns in a row, and of the left side, last. scatter: variance of the sum of the residuals,
     per row.
     """
 
@@ -120,20 +118,20 @@ class RegressionSolution:
     scatter: float
 
     def widened(self, share: float) -> "RegressionSolution":
-        """With a further error of that share of each value."""
+        """The solution with an additional standard deviation of `share` times each value."""
         return replace(self, covariance=self.covariance + np.diag((share * self.values) ** 2))
 
     def constant(self, level: Array) -> tuple[float, float]:
-        """The equation's constant and its variance. level: (total,) the constant's row of the crossed sums."""
+        """The equation's constant and its variance. level: (total,) the constant's row of `Sums.cross`."""
         mean = level[list(self.places[:-1])] / level[0]
         value = float(level[self.places[-1]] / level[0] - mean @ self.values)
         return value, float(self.scatter / level[0] + mean @ self.covariance @ mean)
 
 
 def solve(sums: Sums, regression: PlaneRegression, equation: int, names: Sequence[str]) -> RegressionSolution | None:
-    """The named derivatives of one equation of a regression; None where these rows cannot tell them.
+    """Estimate the named derivatives of one equation of a regression; None where these rows do not identify them.
 
-    sums: without their constant.
+    sums: of rows without their constant (`Sums.without_constant`).
     """
     terms, n = regression.equations[equation].terms, len(names)
     instruments = [regression.columns.index(terms[name]) for name in names]
@@ -168,17 +166,17 @@ def solve(sums: Sums, regression: PlaneRegression, equation: int, names: Sequenc
     )
 
 
-def _residual_products(sums: Sums, left_side: int, own: list[int], values: Array) -> Array:
-    """(lags + 1,) sums of the residual of a row times that of the row so many later."""
+def _residual_products(sums: Sums, left_side: int, columns: list[int], values: Array) -> Array:
+    """(lags + 1,) sums of products of a row's residual with that of the row `lag` rows later."""
     v = np.zeros(sums.cross.shape[1])
-    v[own], v[left_side] = -values, 1.0
+    v[columns], v[left_side] = -values, 1.0
     products: Array = np.einsum("i,kij,j->k", v, sums.measured, v)
     products[0] = max(products[0], ROUNDING * sums.measured[0, left_side, left_side])
     return products
 
 
-def _score(sums: Sums, pick: list[int], residual: Array, freedom: int) -> Array:
-    """Covariance of sum z e of residuals coloured over so many rows."""
-    products = sums.instruments[:, pick][:, :, pick]
+def _score(sums: Sums, columns: list[int], residual: Array, freedom: int) -> Array:
+    """Covariance of sum z e for residuals e with the autocovariance `residual` / `freedom`; columns: of the instruments z."""
+    products = sums.instruments[:, columns][:, :, columns]
     symmetric = 0.5 * (products + products.transpose(0, 2, 1))
     return np.asarray(np.einsum("k,kij->ij", _bartlett(len(residual) - 1) * residual / freedom, symmetric))

@@ -1,7 +1,6 @@
-"""The file operations the recorder needs, behind one small interface.
+"""The file operations of the recorder behind one small interface.
 
-A real card and a failing one differ only here: a test or the simulator hands the recorder a storage whose writes are
-slow, whose space ends, or whose mount is gone.
+Tests and the simulator replace it by a storage whose writes are slow, whose space ends, or whose mount is gone.
 """
 
 import contextlib
@@ -14,7 +13,7 @@ from daq.utilities.durable import make_directories, sync_directory
 
 
 class StorageFile(Protocol):
-    """One file being written. Errors are OSError, as from the operating system."""
+    """An open file that is being written. All methods raise OSError on failure."""
 
     def write(self, data: bytes) -> int:
         """Write all of `data`."""
@@ -23,7 +22,7 @@ class StorageFile(Protocol):
         """Bytes written so far."""
 
     def flush(self) -> None:
-        """Nothing is held back in the process: everything written has gone to the operating system."""
+        """Return once everything written is with the operating system."""
 
     def sync(self) -> None:
         """Return once everything written is on the medium."""
@@ -33,41 +32,41 @@ class StorageFile(Protocol):
 
 
 class Storage(Protocol):
-    """Where recordings are kept."""
+    """The file system that holds the recordings."""
 
     def create(self, path: Path) -> StorageFile:
-        """Open a new file for writing, its directory made if need be; FileExistsError when there is one."""
+        """Open a new file for writing, making missing directories. Raises FileExistsError when it exists."""
 
     def free_bytes(self, directory: Path) -> int:
-        """Space left for an ordinary user in the file system of `directory`."""
+        """Free space for an ordinary user in the file system of `directory` [bytes]."""
 
     def recordings(self, directory: Path) -> list[Path]:
-        """All .mcap files under `directory`, the oldest first."""
+        """All .mcap files under `directory`, oldest first."""
 
     def remove(self, path: Path) -> None:
         """Remove a file."""
 
 
 class RealFile:
-    """A file of the operating system, unbuffered: what is written survives the end of the process."""
+    """An unbuffered file: what is written survives the end of the process."""
 
     def __init__(self, path: Path) -> None:
         make_directories(path.parent)
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self._path = path
-        self._at = 0
-        self._directory: Path | None = path.parent  # to be synced once, so that the name survives a power cut too
+        self._size = 0
+        self._directory: Path | None = path.parent  # synced once, so that the name survives a power cut; then None
 
     def write(self, data: bytes) -> int:
         view = memoryview(data)
         while view:
             count = os.write(self._descriptor, view)
-            self._at += count
+            self._size += count
             view = view[count:]
         return len(data)
 
     def tell(self) -> int:
-        return self._at
+        return self._size
 
     def flush(self) -> None:
         pass
@@ -77,10 +76,11 @@ class RealFile:
         if self._directory is not None:
             sync_directory(self._directory)
             self._directory = None
-        self._must_be_there()
+        self._check_present()
 
-    def _must_be_there(self) -> None:
-        """A file system unmounted under an open file, or a file removed, swallows writes without an error."""
+    def _check_present(self) -> None:
+        """Raise OSError unless the path still leads to the open file: writes to a removed file, or to one whose file system was
+        unmounted, succeed and are lost."""
         open_file, named_file = os.fstat(self._descriptor), self._path.stat()
         if (open_file.st_dev, open_file.st_ino) != (named_file.st_dev, named_file.st_ino):
             raise OSError(errno.ESTALE, "another file has taken its place", str(self._path))
@@ -90,14 +90,14 @@ class RealFile:
 
 
 def in_memory(directory: Path, mounts: Path = Path("/proc/self/mountinfo")) -> bool:
-    """Whether what is written there goes with the power: a tmpfs, or one laid over a system that is never written.
+    """Whether files in a directory are lost without power: it lies in a tmpfs, or in an overlay whose upper layer is one.
 
-    That is where recordings go when their card is not mounted. False where the system does not say.
+    Recordings end up there when their card is not mounted. mounts: the mount table, proc(5). False where that is not readable.
     """
     existing = next(p for p in (directory, *directory.parents) if p.exists())
     try:
         kinds = dict(_mount(line) for line in mounts.read_text(encoding="utf-8").splitlines())
-        kind, options = kinds.get(existing.stat().st_dev, ("", ""))
+        kind, options = kinds.get(existing.stat().st_dev, ("", ""))  # type of file system, options
         if kind == "overlay":
             upper = next((o.partition("=")[2] for o in options.split(",") if o.startswith("upperdir=")), "")
             kind, _ = kinds.get(Path(upper).stat().st_dev, ("", "")) if upper else ("", "")
@@ -107,9 +107,9 @@ def in_memory(directory: Path, mounts: Path = Path("/proc/self/mountinfo")) -> b
 
 
 def _mount(line: str) -> tuple[int, tuple[str, str]]:
-    """Device number -> type and options of a line of mountinfo, proc(5)."""
-    place, _, system = line.partition(" - ")
-    major, minor = place.split()[2].split(":")
+    """Device number, and type and options, of a line of mountinfo, proc(5)."""
+    mount, _, system = line.partition(" - ")
+    major, minor = mount.split()[2].split(":")
     kind, _, options = system.split(" ", 2)
     return os.makedev(int(major), int(minor)), (kind, options)
 
@@ -128,7 +128,7 @@ class RealStorage:
     def recordings(self, directory: Path) -> list[Path]:
         dated: list[tuple[float, Path]] = []
         for path in directory.rglob("*.mcap"):
-            with contextlib.suppress(FileNotFoundError):  # removed by somebody else meanwhile
+            with contextlib.suppress(FileNotFoundError):  # removed by another process meanwhile
                 dated.append((path.stat().st_mtime, path))
         return [path for _, path in sorted(dated)]
 

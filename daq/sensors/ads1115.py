@@ -68,7 +68,7 @@ class Ads1115(Driver):
     name = "ads1115"
     groups = ("analog_a", "analog_b", "analog_c")
     precedence = 0  # it works while the others are read
-    begun_first = True
+    starts_first = True
     stuck_s = {  # noqa: RUF012
         **dict.fromkeys(("alpha_vane", "beta_vane"), 2.0),
         **dict.fromkeys(("elevon_left_pot", "elevon_right_pot", "rudder_pot"), 10.0),
@@ -76,7 +76,7 @@ class Ads1115(Driver):
     max_step = dict.fromkeys(("alpha_vane", "beta_vane"), 12000.0)
     _config: AnalogConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         config = self._config
         self._names = tuple(c.name for c in channels_of(self.group))[:4]
         words = [configuration(i, config.range_v, config.samples_per_second) for i in config.inputs]
@@ -178,7 +178,7 @@ class Ads1115(Driver):
                 error = again
         raise error
 
-    def keep_timing(self) -> None:
+    def store_timing(self) -> None:
         self._kept = self._middles
 
     def metadata(self) -> dict[str, str]:

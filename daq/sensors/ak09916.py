@@ -18,10 +18,10 @@ from daq.sensors.base import (
     MS,
     Address,
     Driver,
+    DriverContext,
     Reading,
     SelfTestError,
     SensorSection,
-    Surroundings,
     Wait,
     WrongChipError,
 )
@@ -60,8 +60,8 @@ class Ak09916(Driver):
         self.max_rate_hz = config.rate_hz / 1.1  # the chip's clock may run 10 % slow
 
     @classmethod
-    def build(cls, group: str, around: Surroundings) -> Driver:
-        return cls(around.section(group), around.section("imu"), around.need_bus(group))
+    def build(cls, group: str, context: DriverContext) -> Driver:
+        return cls(context.section(group), context.section("imu"), context.need_bus(group))
 
     def initialise(self) -> Generator[Wait, None, None]:
         bus, address = self._bus, self._address

@@ -37,7 +37,7 @@ from daq.sensors.autopilot_line import (
     AutopilotMessage,
     MessageWish,
 )
-from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, SensorConfigSection, Surroundings, Wait
+from daq.sensors.base import MS, SECOND, Driver, DriverContext, Reading, SelfTestError, SensorConfigSection, Wait
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
 from daq.sensors.ms4525do import nominal_transfer
 from daq.sensors.timebase import EARLIEST_UTC_NS
@@ -82,36 +82,36 @@ class AutopilotGroup(Driver):
     groups: ClassVar[tuple[str, ...]] = ("imu", "mag", "attitude", "pitot", "static", "capture", "gnss")
     uses_i2c = False
 
-    def __init__(self, group: str, around: Surroundings, line: AutopilotLine) -> None:
+    def __init__(self, group: str, context: DriverContext, line: AutopilotLine) -> None:
         self.group = group
-        self._section, self._line, self._around, self._now = around.section(group), line, around, around.now_ns
-        rate = min(around.rate_hz, self.max_rate_hz)
+        self._section, self._line, self._context, self._now = context.section(group), line, context, context.now_ns
+        rate = min(context.rate_hz, self.max_rate_hz)
         messages = _MESSAGES[group]
-        carried = carried_hz(self._line_baud(around), [g for g in _MESSAGES if self._is_read(g, around)])
+        carried = carried_hz(self._line_baud(context), [g for g in _MESSAGES if self._is_read(g, context)])
         rates = tuple(r for r in (SAMPLES_PER_SCAN * rate, rate, rate / 2) if r <= carried) or (carried,)
         self._wishes: list[MessageWish] = [line.want(messages, *(rates if group != "gnss" else (GNSS_HZ, GNSS_HZ / 2)))]
         if carried < rate and group != "gnss":
-            words = f"{self._line_baud(around)} baud carry {carried:.0f} of {rate:.0f} samples a second"
+            words = f"{self._line_baud(context)} baud carry {carried:.0f} of {rate:.0f} samples a second"
             self._wishes[0].refusal = f"{words}: raise the baud rate (USB: write 921600), or lower scan.rate_hz"
         if group == "gnss":
             self._wishes += [line.want((GPS_RAW_INT,), GNSS_HZ / 2), line.want((SYSTEM_TIME,), TIME_HZ)]
         self._seen_ns = self._time_ns = 0
 
     @classmethod
-    def build(cls, group: str, around: Surroundings) -> Driver:
-        port = around.need_port(around.autopilot, "autopilot")
-        section = around.section("autopilot")
+    def build(cls, group: str, context: DriverContext) -> Driver:
+        port = context.need_port(context.autopilot, "autopilot")
+        section = context.section("autopilot")
         device = section.device if section is not None else "its port"
-        names = tuple(_FILTERS.values()) if getattr(around.section("imu"), "driver", "") == cls.name else ()
-        line = around.shared.setdefault("autopilot", AutopilotLine(port, around.now_ns, device, names))
-        return cls(group, around, line)
+        names = tuple(_FILTERS.values()) if getattr(context.section("imu"), "driver", "") == cls.name else ()
+        line = context.shared.setdefault("autopilot", AutopilotLine(port, context.now_ns, device, names))
+        return cls(group, context, line)
 
     @classmethod
-    def _is_read(cls, group: str, around: Surroundings) -> bool:
-        return getattr(around.section(group), "driver", "") == cls.name
+    def _is_read(cls, group: str, context: DriverContext) -> bool:
+        return getattr(context.section(group), "driver", "") == cls.name
 
-    def _line_baud(self, around: Surroundings) -> int:
-        return int(around.section("autopilot").baud)
+    def _line_baud(self, context: DriverContext) -> int:
+        return int(context.section("autopilot").baud)
 
     def initialise(self) -> Generator[Wait, None, None]:
         asked_ns = self._now()
@@ -215,7 +215,7 @@ class AutopilotGroup(Driver):
         if raw is None or self._now() - raw.arrived_ns > 2 * SECOND:
             return Reading(state=SensorState.STALE, detail="autopilot sends no GPS_RAW_INT")
         g, r = newest.fields, raw.fields
-        utc_ns, accuracy_ns = self._around.timebase.utc(newest.sampled_ns)
+        utc_ns, accuracy_ns = self._context.timebase.utc(newest.sampled_ns)
         values: dict[str, RawValue] = {
             **{"gnss_utc_ns": utc_ns, "gnss_fix": _FIXES.get(int(r[8]), 0), "gnss_satellites": r[9]},
             **{"latitude_e7": g[1], "longitude_e7": g[2], "height_msl_mm": g[3], "time_accuracy_ns": accuracy_ns},
@@ -235,7 +235,7 @@ class AutopilotGroup(Driver):
         utc_ns = int(message.fields[0]) * 1000
         if utc_ns > EARLIEST_UTC_NS:  # before a fix it counts from the start-up, or from 1970
             sigma = math.hypot(_UTC_SIGMA_NS, self._line.clock.accuracy_ns)
-            self._around.timebase.observe_instant(message.sampled_ns, utc_ns, round(sigma))
+            self._context.timebase.observe_instant(message.sampled_ns, utc_ns, round(sigma))
 
     def metadata(self) -> dict[str, str]:
         facts = {"chip": f"MAVLink {NAMES[self._wishes[0].message]}", "stamped": "sender"}
@@ -260,13 +260,13 @@ class MavlinkServo(AutopilotGroup):
     name, groups = "mavlink_servo", ("capture",)
     max_rate_hz = 50.0
 
-    def _line_baud(self, around: Surroundings) -> int:
+    def _line_baud(self, context: DriverContext) -> int:
         return int(self._section.baud)
 
     @classmethod
-    def build(cls, group: str, around: Surroundings) -> Driver:
-        port = around.need_port(around.autopilot, group)
-        return cls(group, around, AutopilotLine(port, around.now_ns, around.section(group).device))
+    def build(cls, group: str, context: DriverContext) -> Driver:
+        port = context.need_port(context.autopilot, group)
+        return cls(group, context, AutopilotLine(port, context.now_ns, context.section(group).device))
 
 
 SENDERS = (AutopilotGroup.name, MavlinkServo.name)

@@ -1,8 +1,8 @@
-"""What a sensor driver is: a chip on a bus that can be set up, read and audited without ever holding up a scan.
+"""The interface of a sensor driver: a chip on a bus that is set up, read and audited without delaying a scan.
 
-A driver never sleeps. Where the chip needs time, in the set-up or between starting a conversion and collecting it, the
-driver yields the time to wait, and the sampler does something else meanwhile. A driver lets `OSError` of the bus
-pass and raises `SensorError` when the chip answers but is not what it should be; the sampler turns both into states.
+A driver never sleeps. Where the chip needs time, in the set-up or between starting a conversion and collecting it, the driver
+yields the time to wait, and the sampler uses it for others. A driver lets `OSError` of the bus pass and raises `SensorError` when
+the chip answers but cannot be used; the supervisor turns both into states.
 """
 
 import time
@@ -20,7 +20,7 @@ from daq.sensors.timebase import TimeBase
 from daq.utilities.errors import UserError
 
 Wait = int
-"""Time until the driver wants to go on [ns]."""
+"""Time until the driver can continue [ns]."""
 
 US = 1_000
 MS = 1_000_000
@@ -44,16 +44,16 @@ def one_of(*choices: float) -> AfterValidator:
 
 
 class SensorConfigSection(BaseModel):
-    """Base of the configuration's sections: unknown keys are mistakes, values do not change after reading."""
+    """Base of the configuration's sections: unknown keys are errors, and values are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class SensorSection(SensorConfigSection):
-    """What the sections of all sensors have in common.
+    """Keys common to the sections of all sensors.
 
-    driver: the class that reads it, by its name. every: read in every n-th scan; left out, the smallest n at which the chip can
-    deliver a new sample each time. required: a flight is refused by the preflight check while this sensor is not well.
+    driver: name of the driver. every: read in every n-th scan; by default the smallest n at which the chip has a new sample each
+    time. required: the preflight check fails while this sensor does.
     """
 
     every: Annotated[int, Field(ge=1, le=100_000)] | None = None
@@ -66,7 +66,7 @@ class SensorError(Exception):
 
 
 class WrongChipError(SensorError):
-    """The identity register does not hold what the configured chip would show."""
+    """The identity register does not hold the value of the configured chip."""
 
     def __init__(self, chip: str, address: int, expected: int, found: int) -> None:
         super().__init__(
@@ -95,13 +95,13 @@ class Reading(NamedTuple):
 
 
 class DriverConfigError(UserError):
-    """A driver that the configuration asks for but that cannot be had."""
+    """A driver of the configuration that is not available."""
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
-    """What drivers are connected to. autopilot: the serial port to one. section: of a group, or None. rate_hz: of the scan.
-    shared: what drivers of one device have in common."""
+class DriverContext:
+    """What drivers are built from. bus, gnss, autopilot: opened ports, None where not opened. now_ns: the monotonic clock.
+    section: group -> its configuration, or None. rate_hz: of the scans. shared: objects shared by drivers of one device."""
 
     bus: I2cBus | None
     gnss: SerialPortCalls | None
@@ -128,27 +128,27 @@ class Surroundings:
 
 
 class Driver(ABC):
-    """One sensor group. Subclasses say in their docstring which datasheet revision they follow."""
+    """Driver of one sensor group. Subclasses state the revision of the data sheet that they follow."""
 
     name: ClassVar[str] = ""
-    """How the configuration calls it."""
+    """Name in the configuration."""
 
     groups: ClassVar[tuple[str, ...]] = ()
     """Groups that it can serve."""
 
     precedence: ClassVar[int] = 99
-    """On the bus: lower ones first."""
+    """Order on the bus: lower first."""
 
-    begun_first: ClassVar[bool] = False
-    """Begun before any converter is served again."""
+    starts_first: ClassVar[bool] = False
+    """Whether its sample begins before any sample under way continues."""
 
     stuck_s: ClassVar[Mapping[str, float]] = {}
-    """Longest time that channels show one and the same value while all is well [s]: many times the longest run of equal codes
-    that a quiet chip's own noise permits."""
+    """Channel -> longest time without a change of a working sensor [s]: many times the longest run of equal codes that a quiet
+    chip's noise permits."""
 
     max_step: Mapping[str, float] = {}
-    """Largest change of channels from one sample to the next [counts at 20 Hz]: far beyond what a 3 kg aircraft does in 50 ms,
-    far below what a broken wire does."""
+    """Channel -> largest change from one sample to the next [counts at 20 Hz]: far beyond that of a 3 kg aircraft in 50 ms, far
+    below that of a broken wire."""
 
     group: str
     max_rate_hz: float = 1000.0
@@ -156,13 +156,13 @@ class Driver(ABC):
 
     uses_i2c: bool = True
     repeated: int = 0
-    """Transfers that the driver repeated by itself since the supervisor last looked; it sets this to 0 again."""
+    """Transfers that the driver itself repeated; the supervisor reads it and resets it to 0."""
 
     refusal: str = ""
-    """What the device would not do as it was asked, in words; empty where nothing."""
+    """Which request the device refused, in words; empty without one."""
 
     needs: str = ""
-    """Group that has to be set up before this one can be."""
+    """Group that must be set up before this one."""
 
     def __init__(
         self, section: Any, bus: I2cBus, now_ns: Callable[[], int] = time.monotonic_ns, group: str = ""
@@ -172,40 +172,40 @@ class Driver(ABC):
         self._address: int = section.address
         self._bus = bus
         self._now = now_ns
-        self._adopt_settings()
+        self._derive_settings()
 
-    def _adopt_settings(self) -> None:
-        """What follows from the section once for all; `self._config` and `self.group` are known."""
+    def _derive_settings(self) -> None:
+        """Compute what follows from the section, once; `self._config` and `self.group` are set."""
         return
 
     @classmethod
-    def build(cls, group: str, around: Surroundings) -> "Driver":
+    def build(cls, group: str, context: DriverContext) -> "Driver":
         """The driver of a group. Raises DriverConfigError where its bus or port was not opened."""
-        return cls(around.section(group), around.need_bus(group), around.now_ns, group)
+        return cls(context.section(group), context.need_bus(group), context.now_ns, group)
 
     @abstractmethod
     def initialise(self) -> Generator[Wait, None, None]:
-        """Reset, identify, configure and self-test, yielding the waits. Raises OSError or SensorError."""
+        """Reset, identify, configure and self-test the chip, yielding the waits. Raises OSError or SensorError."""
 
     @abstractmethod
     def read(self) -> Reading:
-        """One sample, now. Raises OSError when the chip does not answer."""
+        """Read one sample now. Raises OSError when the chip does not answer."""
 
     def stages(self) -> Generator[Wait, None, Reading]:
-        """One sample in stages, yielding the waits between them; by default a single `read`."""
+        """Read one sample in stages, yielding the waits between them; by default a single `read`."""
         yield from ()
         return self.read()
 
     def intact(self) -> bool:
-        """Whether the chip still has the settings it was given; one short transaction. Raises OSError."""
+        """Whether the chip still has its settings; one short transaction. Raises OSError."""
         return True
 
-    def keep_timing(self) -> None:
-        """The sample just taken was timed as in flight, among all the others: keep that for `metadata`."""
+    def store_timing(self) -> None:
+        """Store the timing of the last sample, which was taken among all others as in flight, for `metadata`."""
         return
 
     def metadata(self) -> dict[str, str]:
-        """What the ground needs to know about this chip to make use of the counts."""
+        """What is needed to interpret the counts of this chip, key -> text."""
         return {}
 
 

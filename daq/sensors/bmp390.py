@@ -79,7 +79,7 @@ class Bmp390(Driver):
     max_step = {"static_pressure": 40000.0}  # noqa: RUF012
     _config: StaticConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         config = self._config
         self._osr = (
             config.pressure_oversampling.bit_length() - 1 | (config.temperature_oversampling.bit_length() - 1) << 3

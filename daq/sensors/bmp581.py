@@ -33,7 +33,7 @@ class Bmp581(Driver):
     name, groups, precedence = "bmp581", ("static",), 5
     _config: StaticConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         config = self._config
         steps = (config.pressure_oversampling.bit_length() - 1, config.temperature_oversampling.bit_length() - 1)
         self._osr = PRESSURE_ON | steps[0] << 3 | steps[1]

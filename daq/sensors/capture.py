@@ -74,7 +74,7 @@ class Capture(Driver):
     name, groups, precedence = "capture", ("capture",), 3
     _config: CaptureConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         self._wired = (1 << self._config.pwm_inputs) - 1
         self._sequence: int | None = None
         self._sequence_ns = 0

@@ -1,7 +1,7 @@
-"""`[sensors]` of the logger's configuration: which chips are fitted, where, at what ranges, and how they are judged.
+"""`[sensors]` of the logger's configuration: fitted chips, their addresses and ranges, and limits of their health.
 
-One section per sensor group of the channel table; a section that is left out means "not fitted" and its group is
-recorded as off. Group sections of a laboratory's own go under `[sensors.extra.NAME]`.
+One section per sensor group of the channel table; a group without a section is not fitted and recorded as off. Sections of a
+laboratory's own groups are under `[sensors.extra.NAME]`.
 """
 
 import importlib
@@ -18,11 +18,11 @@ from daq.sensors.base import (
     Address,
     Driver,
     DriverConfigError,
+    DriverContext,
     NotNegative,
     Positive,
     SensorConfigSection,
     SensorSection,
-    Surroundings,
 )
 from daq.sensors.bmp390 import Bmp390, StaticConfig
 from daq.sensors.bmp581 import Bmp581
@@ -59,15 +59,15 @@ CHIPS: tuple[type[Driver], ...] = (
     AutopilotGroup,
     Ublox,
 )
-"""What can be fitted. Names, groups, order on the bus and limits of health stand in each class, keys in the section beside it;
-`SensorsConfig` says which section a group has."""
+"""All drivers. Each class defines its name, groups, order on the bus and limits of health, and its module the section with its
+keys; `SensorsConfig` assigns sections to groups."""
 
 DERIVED_GROUPS = frozenset({"attitude"})
-"""Groups computed from others, without a chip, unless an autopilot sends them."""
+"""Groups that are computed from others on board, unless an autopilot sends them."""
 
 
 class BusConfig(SensorConfigSection):
-    """`[sensors.bus]`: the I2C adapter. timeout_ms bounds a transfer on a bus that is held low."""
+    """`[sensors.bus]`: the I2C adapter. timeout_ms: longest transfer, on a bus that is held low."""
 
     device: str = "/dev/i2c-1"
     timeout_ms: Annotated[int, Field(ge=10, le=1000, multiple_of=10)] = 10
@@ -76,12 +76,12 @@ class BusConfig(SensorConfigSection):
 class AttitudeConfig(SensorSection):
     """`[sensors.attitude]`: the onboard attitude filter (imufusion).
 
-    gain: weight of accelerometer and magnetometer against the gyro [1/s]; aided_gain: the same while GPS velocities tell
-    the accelerations of the path, so that the plumb line deserves more. rejection_deg: a direction further off
-    than this is not used. airspeed_correction: without GPS, take the turn's centripetal acceleration, from the pitot's
-    nominal transfer function, out of the accelerometer before it is used as a plumb line.
-    antenna_m: the GPS antenna's place from the IMU, body axes [m].
-    hard_iron_ut: body-axes offset taken off the magnetometer [uT]; declination_deg: + east, added to the heading.
+    gain: weight of accelerometer and magnetometer against the gyro [1/s]; aided_gain: the same while GPS velocities give the
+    acceleration of the flight path, which makes the direction of gravity more certain. acceleration_rejection_deg,
+    magnetic_rejection_deg: a measured direction further off than this is not used; rejection_timeout_s: for at most so long.
+    airspeed_correction: without GPS, subtract the centripetal acceleration of a turn, by the airspeed at the pitot's nominal
+    scale, from the accelerometer. antenna_m: position of the GPS antenna relative to the IMU, body axes [m]. hard_iron_ut: offset
+    subtracted from the magnetometer, body axes [uT]. declination_deg: positive east, added to the heading.
     """
 
     driver: str = "imufusion"
@@ -95,17 +95,16 @@ class AttitudeConfig(SensorSection):
     antenna_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     hard_iron_ut: tuple[float, float, float] = (0.0, 0.0, 0.0)
     declination_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
-    standstill_dps: Positive = 1.5  # rates below this for standstill_s count as standing still
+    standstill_dps: Positive = 1.5  # rates below this for standstill_s count as standstill
     standstill_s: Positive = 2.0
 
 
 class HealthConfig(SensorConfigSection):
-    """`[sensors.health]`: when a sensor is no longer believed.
+    """`[sensors.health]`: limits beyond which a sensor's samples are marked.
 
-    stuck_s: longest time a channel may show one and the same value; channels not named are not watched.
-    plausible: lowest and highest raw value of a channel, where narrower than its raw type.
-    max_step: largest change from one sample to the next [counts]; a single sample beyond it is marked out of range,
-    a second one that agrees with it is taken as the new level.
+    stuck_s: channel -> longest time without a change [s]; other channels are not checked. plausible: channel -> lowest and
+    highest raw value, where narrower than its raw type. max_step: channel -> largest change from one sample to the next
+    [counts]; a single sample beyond it is marked out of range, a second one that agrees with it becomes the new level.
     """
 
     stuck_s: dict[str, Positive] = Field(
@@ -115,9 +114,9 @@ class HealthConfig(SensorConfigSection):
     max_step: dict[str, Positive] = Field(
         default_factory=lambda: {c: s for chip in CHIPS for c, s in chip.max_step.items()}
     )
-    stale_s: Positive = 0.5  # an answering chip without new samples for longer is looked into, then set up anew
-    trust_after: Annotated[int, Field(ge=1, le=1000)] = 5  # good samples after a return before they count again
-    retry_s: Positive = 0.1  # first wait before an absent sensor is tried again, doubled up to retry_limit_s
+    stale_s: Positive = 0.5  # a chip without new samples for longer is checked, and set up again
+    trust_after: Annotated[int, Field(ge=1, le=1000)] = 5  # samples marked recovering after a failure
+    retry_s: Positive = 0.1  # first pause before a missing sensor is set up again, doubled up to retry_limit_s
     retry_limit_s: Positive = 2.0
 
     @field_validator("stuck_s", "plausible", "max_step")
@@ -130,7 +129,7 @@ class HealthConfig(SensorConfigSection):
 
 
 class ExtraConfig(SensorSection):
-    """`[sensors.extra.GROUP]`: a driver of one's own, `module:Class`, for a group of the channel table."""
+    """`[sensors.extra.GROUP]`: a laboratory's own driver, `module:Class`, for a group of the channel table."""
 
     driver: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
     address: Address | None = None
@@ -138,7 +137,7 @@ class ExtraConfig(SensorSection):
 
 
 class SensorsConfig(SensorConfigSection):
-    """The whole of `[sensors]`."""
+    """`[sensors]`."""
 
     bus: BusConfig = BusConfig()
     imu: ImuConfig | None = None
@@ -159,7 +158,7 @@ class SensorsConfig(SensorConfigSection):
     extra: dict[str, ExtraConfig] = Field(default_factory=dict)
 
     def section(self, group: str) -> Any:
-        """The section that decides about a group of the channel table: a SensorSection, or None when not fitted."""
+        """The section of a group of the channel table, a SensorSection; None when not fitted."""
         return self.extra.get(group) or getattr(self, group, None)
 
     @property
@@ -169,7 +168,7 @@ class SensorsConfig(SensorConfigSection):
 
     @property
     def from_sender(self) -> tuple[str, ...]:
-        """Groups that come from an autopilot, dated by its clock."""
+        """Groups that an autopilot sends, dated by its clock."""
         return tuple(g for g in self.fitted if self.section(g).driver in SENDERS)
 
     @property
@@ -179,7 +178,7 @@ class SensorsConfig(SensorConfigSection):
 
     @property
     def autopilot_port(self) -> tuple[str, int] | None:
-        """Device and baud rate of the line to an autopilot, or to an SBUS receiver; None where no group comes from one."""
+        """Device and baud rate of the port to an autopilot or an SBUS receiver; None where neither sends a group."""
         if self.has_sbus and self.capture is not None:
             return self.capture.device, SBUS_BAUD
         if not self.from_sender:
@@ -191,7 +190,7 @@ class SensorsConfig(SensorConfigSection):
 
     @property
     def without_bus(self) -> bool:
-        """Whether pulse widths come from GPIO lines or a receiver's SBUS."""
+        """Whether pulse widths come from GPIO lines or a receiver's SBUS, not from the I2C bus."""
         return self.capture is not None and self.capture.driver in (GpioPwm.name, Sbus.name)
 
     @property
@@ -235,25 +234,26 @@ class SensorsConfig(SensorConfigSection):
             group_at[address] = group
 
 
-def build_drivers(config: SensorsConfig, around: Surroundings) -> dict[str, Driver]:
-    """Drivers of all fitted groups with a chip, in table order. Raises DriverConfigError naming the key where there is none."""
-    return {g: _driver(g, config, around) for g in config.fitted if g not in config.derived}
+def build_drivers(config: SensorsConfig, context: DriverContext) -> dict[str, Driver]:
+    """Drivers of all fitted groups that are not computed, in table order. Raises DriverConfigError, naming the key, for an
+    unknown driver."""
+    return {g: _driver(g, config, context) for g in config.fitted if g not in config.derived}
 
 
-def _driver(group: str, config: SensorsConfig, around: Surroundings) -> Driver:
+def _driver(group: str, config: SensorsConfig, context: DriverContext) -> Driver:
     section = config.section(group)
     if isinstance(section, ExtraConfig):
-        return _laboratory_driver(group, section, around)
+        return _laboratory_driver(group, section, context)
     serving = {chip.name: chip for chip in CHIPS if group in chip.groups}
     if section.driver not in serving:
         raise DriverConfigError(
             f"key sensors.{group}.driver: no driver {section.driver!r} for this group; use {', '.join(serving)}"
         )
-    return serving[section.driver].build(group, around)
+    return serving[section.driver].build(group, context)
 
 
-def _laboratory_driver(group: str, section: ExtraConfig, around: Surroundings) -> Driver:
-    """A driver of one's own, `Class(group, section, bus, now_ns)`; it needs no entry here."""
+def _laboratory_driver(group: str, section: ExtraConfig, context: DriverContext) -> Driver:
+    """A laboratory's own driver, built as `Class(group, section, bus, now_ns)`."""
     module_name, _, class_name = section.driver.partition(":")
     try:
         factory: Any = getattr(importlib.import_module(module_name), class_name)
@@ -261,7 +261,7 @@ def _laboratory_driver(group: str, section: ExtraConfig, around: Surroundings) -
         raise DriverConfigError(
             f"key sensors.extra.{group}.driver: {section.driver} cannot be loaded ({error})"
         ) from error
-    driver = factory(group, section, around.bus, around.now_ns)
+    driver = factory(group, section, context.bus, context.now_ns)
     if not isinstance(driver, Driver):
         raise DriverConfigError(f"key sensors.extra.{group}.driver: {section.driver} is not a daq.sensors.base.Driver")
     return driver

@@ -17,8 +17,8 @@ class Dlvr(Ms4525do):
 
     name, title = "dlvr", "DLVR"
 
-    def _adopt_settings(self) -> None:
-        super()._adopt_settings()
+    def _derive_settings(self) -> None:
+        super()._derive_settings()
         scale, offset = nominal_transfer(self._config)
         self.max_step = {"pitot_pressure": JUMP_PA / scale}
         self._ends = tuple((pascal - offset) / scale for pascal in self._config.span_pa)

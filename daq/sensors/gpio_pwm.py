@@ -12,7 +12,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import NamedTuple, Protocol
 
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import MS, US, Driver, DriverConfigError, Reading, SelfTestError, Surroundings, Wait
+from daq.sensors.base import MS, US, Driver, DriverConfigError, DriverContext, Reading, SelfTestError, Wait
 from daq.sensors.capture import CaptureConfig
 
 SHORTEST, LONGEST = 500 * US, 2500 * US
@@ -83,8 +83,8 @@ class GpioPwm(Driver):
         self._forget()
 
     @classmethod
-    def build(cls, group: str, around: Surroundings) -> Driver:
-        return cls(around.section(group), around.now_ns)
+    def build(cls, group: str, context: DriverContext) -> Driver:
+        return cls(context.section(group), context.now_ns)
 
     def _forget(self) -> None:
         self._rose: dict[int, LineEdge] = {}

@@ -112,13 +112,13 @@ class ImuConfig(SensorSection):
 class Icm20948(Driver):
     """Accelerometer and gyro in body axes [counts]; also opens the bypass to the magnetometer."""
 
-    name, groups, precedence, begun_first = "icm20948", ("imu",), 1, True
+    name, groups, precedence, starts_first = "icm20948", ("imu",), 1, True
     stuck_s = dict.fromkeys(NAMES[:6], 1.0)
     max_step = {**dict.fromkeys(NAMES[:3], 20000.0), **dict.fromkeys(NAMES[3:6], 30000.0)}  # noqa: RUF012
     max_rate_hz = 1125.0
     _config: ImuConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         config = self._config
         self._unread = False
         self._other_bank = False  # than that of the data may be selected

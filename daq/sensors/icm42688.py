@@ -37,11 +37,11 @@ _LEAST, _MOST = -32768, 32767
 class Icm42688(Driver):
     """Accelerometer and gyro in body axes [counts]."""
 
-    name, groups, precedence, begun_first = "icm42688", ("imu",), 1, True
+    name, groups, precedence, starts_first = "icm42688", ("imu",), 1, True
     max_rate_hz = 500.0 / 1.1
     _config: ImuConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         config = self._config
         self._unread = False
         self._other_bank = False  # than that of the data may be selected

@@ -119,12 +119,12 @@ def split(data: bytes) -> tuple[int, int, int]:
 class Ms4525do(Driver):
     """Differential pressure and die temperature [counts]."""
 
-    name, groups, precedence, begun_first, title = "ms4525do", ("pitot",), 2, True, "MS4525DO"
+    name, groups, precedence, starts_first, title = "ms4525do", ("pitot",), 2, True, "MS4525DO"
     stuck_s = {"pitot_pressure": 3.0}  # noqa: RUF012
     max_step = {"pitot_pressure": 1500.0}  # noqa: RUF012 - JUMP_PA at 1.05 Pa a count
     _config: PitotConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         self._unconfirmed: tuple[int, int] | None = None  # fetched, but the confirming read failed
 
     def initialise(self) -> Generator[Wait, None, None]:

@@ -48,11 +48,11 @@ def compensate(words: Sequence[int], pressure: int, temperature: int) -> tuple[f
 class Ms5525(Driver):
     """Differential pressure [16 bits over the range] and temperature [counts of the channel table]."""
 
-    name, groups, precedence, begun_first = "ms5525", ("pitot",), 2, True
+    name, groups, precedence, starts_first = "ms5525", ("pitot",), 2, True
     max_rate_hz = 100.0
     _config: PitotConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         self._scale, self._offset = nominal_transfer(self._config)
         self.max_step = {"pitot_pressure": JUMP_PA / self._scale}
         self._prom: tuple[int, ...] = ()

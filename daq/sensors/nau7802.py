@@ -54,7 +54,7 @@ class Nau7802(Driver):
     stuck_s = {"thrust_load": 1.0}  # noqa: RUF012
     _config: ThrustConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         config = self._config
         self._ctrl1 = SUPPLY_SELECT[config.supply_v] << 3 | config.gain.bit_length() - 1
         self._ctrl2 = RATE_SELECT[config.rate_hz] << 4

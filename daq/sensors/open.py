@@ -1,6 +1,6 @@
-"""The edge where real hardware is opened: the only place that knows smbus2.SMBus and serial.Serial.
+"""Opening of real hardware: the only module that uses smbus2.SMBus and serial.Serial.
 
-Everything behind it sees `daq.sensors.bus.I2cBus` and `daq.sensors.bus.SerialPort`.
+All others use `daq.sensors.bus.I2cBus` and `daq.sensors.bus.SerialPortCalls`.
 """
 
 import errno
@@ -20,13 +20,13 @@ I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, unit 10 ms
 I2C_RETRIES = 0x0701
 REOPEN_AFTER_NS = 1_000_000_000
 BY_ID = Path("/dev/serial/by-id")
-"""Names of adapters that stay the same on every plug."""
-LOOK_AFTER_NS = 200_000_000  # between two looks at whether a bus that fails is still there
+"""Names of serial adapters that do not depend on the order of plugging in."""
+LOOK_AFTER_NS = 200_000_000  # between two checks whether a bus that fails is still present
 
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
-    """What the sampler is given. Any of them is None when nothing fitted needs it."""
+    """The devices of the sampler, each None when no fitted sensor needs it."""
 
     bus: "ReopeningBus | None"
     gnss: "ReopeningPort | None"
@@ -35,23 +35,23 @@ class Hardware:
 
     @property
     def devices(self) -> tuple["_Reopening", ...]:
-        """What was asked for of the bus and the ports."""
+        """The bus and ports that are needed, opened or not."""
         return tuple(d for d in (self.bus, self.gnss, self.autopilot) if d is not None)
 
     @property
     def absent(self) -> tuple[str, ...]:
-        """A sentence on every bus, port and pulse that was not there when it was opened."""
+        """A sentence on every bus, port and pulse that was missing at start."""
         pulse = () if self.pulse is None else (self.pulse.absent,)
         return tuple(reason for reason in (*(d.absent for d in self.devices), *pulse) if reason)
 
     def close(self) -> None:
-        """Release everything."""
+        """Close all devices."""
         for device in self.devices:
             device.close()
 
 
 def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
-    """Open the bus and ports that the configuration needs; what is absent is tried again, once a second, and joins later."""
+    """Open the bus and ports that the configuration needs; a missing one is opened later, tried once a second."""
     of_port = {"gnss", *config.derived, *config.from_sender, *(("capture",) if config.without_bus else ())}
     bus = None
     if set(config.fitted) - of_port:
@@ -66,9 +66,9 @@ def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
 
 
 class _Reopening:
-    """A device that comes, and comes back: opened again once a second, and meanwhile every call raises OSError.
+    """A device that is opened again, tried once a second, while it is missing; meanwhile every call raises OSError.
 
-    absent: why it was not there at the start, or empty.
+    absent: why it was missing at start, or "".
     """
 
     def __init__(self, device: str, clock: Clock) -> None:
@@ -90,11 +90,11 @@ class _Reopening:
         raise NotImplementedError
 
     def _failed(self) -> None:
-        """After a call that raised: whether to let go of the device."""
+        """Close the device after a failed call, if it must be opened again."""
         raise NotImplementedError
 
-    def _there(self) -> Any:
-        """The device, opened if it has come; OSError while it has not."""
+    def _device_or_open(self) -> Any:
+        """The device, opened if it is not yet. Raises OSError while it is missing."""
         if self._opened is None:
             now_ns = self._clock.monotonic_ns()
             if now_ns < self._retry_ns:
@@ -102,12 +102,12 @@ class _Reopening:
             self._retry_ns = now_ns + REOPEN_AFTER_NS
             try:
                 self._opened = self._open()
-            except FileNotFoundError as error:  # its words name no file
+            except FileNotFoundError as error:  # smbus2's message does not name the device
                 raise OSError(errno.ENODEV, f"{self._device} is not there") from error
         return self._opened
 
     def _use(self, method: str, *arguments: Any) -> Any:
-        device = self._opened or self._there()
+        device = self._opened or self._device_or_open()
         try:
             return getattr(device, method)(*arguments)
         except OSError:
@@ -121,12 +121,12 @@ class _Reopening:
 
 
 class ReopeningBus(_Reopening):
-    """An I2C adapter that comes back after its plug was pulled, whatever number it then has.
+    """An I2C adapter that is opened again after it was unplugged, whatever number it then has.
 
-    As long as anybody holds a file of an adapter that is gone, the kernel keeps its number, and its USB hub sees nothing
-    new. So after an error the name is looked at: where it leads elsewhere, or nowhere, the file is closed and the name is
-    tried again once a second. `device` should be a name that udev keeps. Time-outs are shortened so that a held bus costs
-    one scan little.
+    While a process holds the file of an adapter that is gone, the kernel reserves its number, and the USB hub reports no new
+    device. After an error, therefore, the file is closed if the name no longer leads to it, and the name is opened again, tried
+    once a second. `device` should be a persistent udev name. timeout_ms: of a transfer, short so that a held bus delays one scan
+    only a little.
     """
 
     def __init__(self, device: str, timeout_ms: int, clock: Clock) -> None:
@@ -141,7 +141,7 @@ class ReopeningBus(_Reopening):
         self._use("write_byte_data", i2c_addr, register, value)
 
     def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, /) -> list[int]:
-        bus = self._opened or self._there()  # this and the next are asked forty times a scan
+        bus = self._opened or self._device_or_open()  # not `_use`: this and the next run forty times a scan
         try:
             data: list[int] = bus.read_i2c_block_data(i2c_addr, register, length)
         except OSError:
@@ -150,7 +150,7 @@ class ReopeningBus(_Reopening):
         return data
 
     def write_i2c_block_data(self, i2c_addr: int, register: int, data: Sequence[int], /) -> None:
-        bus = self._opened or self._there()
+        bus = self._opened or self._device_or_open()
         try:
             bus.write_i2c_block_data(i2c_addr, register, data)
         except OSError:
@@ -187,7 +187,7 @@ class ReopeningBus(_Reopening):
         return f"{self._device}: {advice}"
 
     def _failed(self) -> None:
-        """Let go of an adapter that is no longer there. Looked at not at every error: a chip may be missing for hours."""
+        """Close an adapter that is no longer present. Not checked at every error, for a chip may be missing for hours."""
         now_ns = self._clock.monotonic_ns()
         if self._opened is None or now_ns < self._look_ns:
             return
@@ -203,7 +203,7 @@ class ReopeningBus(_Reopening):
 
 
 class ReopeningPort(_Reopening):
-    """A serial port that comes, and comes back after its plug was pulled."""
+    """A serial port that is opened again after it was unplugged. framing: further arguments of `serial.Serial`."""
 
     def __init__(self, device: str, baud: int, clock: Clock, framing: Mapping[str, Any] = MappingProxyType({})) -> None:
         self._baud, self._framing = baud, framing
@@ -245,10 +245,11 @@ class ReopeningPort(_Reopening):
 
 
 class SysfsPulse:
-    """Edges of a pulse-per-second line from the kernel's sysfs file, as monotonic times.
+    """Edges of a pulse-per-second line from the kernel's sysfs file; a call returns the monotonic time of a new one [ns], or
+    None.
 
-    The kernel stamps edges in UTC as the system believes it (`seconds.nanoseconds#count`); the stamp is carried to the
-    monotonic clock by reading both clocks now, so a step of the system's UTC in between spoils one edge at most.
+    The kernel stamps edges in the system's UTC (`seconds.nanoseconds#count`). The stamp is converted to the monotonic clock by
+    reading both clocks now, so that a step of UTC in between spoils at most one edge.
     """
 
     def __init__(self, path: Path, clock: Clock) -> None:

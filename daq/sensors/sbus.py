@@ -13,7 +13,7 @@ from collections.abc import Generator, Iterator
 from typing import NamedTuple
 
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Surroundings, Wait
+from daq.sensors.base import MS, SECOND, Driver, DriverContext, Reading, SelfTestError, Wait
 from daq.sensors.bus import SerialPortCalls
 from daq.sensors.capture import CaptureConfig
 
@@ -69,17 +69,17 @@ class Sbus(Driver):
     name, groups, uses_i2c = "sbus", ("capture",), False
     max_rate_hz = 65.0
 
-    def __init__(self, config: CaptureConfig, port: SerialPortCalls, around: Surroundings) -> None:
+    def __init__(self, config: CaptureConfig, port: SerialPortCalls, context: DriverContext) -> None:
         self.group = self.groups[0]
-        self._config, self._port, self._now = config, port, around.now_ns
+        self._config, self._port, self._now = config, port, context.now_ns
         self._parser = SbusParser()
         self._newest: SbusFrame | None = None
         self._bytes_came = False
         self._newest_ns = 0
 
     @classmethod
-    def build(cls, group: str, around: Surroundings) -> Driver:
-        return cls(around.section(group), around.need_port(around.autopilot, group), around)
+    def build(cls, group: str, context: DriverContext) -> Driver:
+        return cls(context.section(group), context.need_port(context.autopilot, group), context)
 
     def initialise(self) -> Generator[Wait, None, None]:
         self._newest, self._bytes_came = None, False

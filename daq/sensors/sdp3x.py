@@ -1,13 +1,13 @@
 """SDP31, SDP32, SDP33: differential pressure of the pitot tube by the heat that a flow through the sensor carries away.
 
 Sensirion datasheet SDP3x-Digital version 0.8: command 0x3615 measures continuously, differential pressure, averaged until read; a
-read gives pressure, temperature (200 counts a kelvin) and scale (60, 240 or 20 counts a pascal), each with a CRC-8 (polynomial
-0x31, begun with 0xFF). As ArduPilot's and PX4's drivers have it. Recorded is the signed count plus 32768.
-The sensor counts molecules: at an ambient pressure p it shows p / 966 hPa of what there is (section "Altitude correction"),
-which the ground takes out by the static pressure (`calibrated_pa`). Hoses longer than a metre weaken it further.
+read returns pressure, temperature (200 counts a kelvin) and scale (60, 240 or 20 counts a pascal), each with a CRC-8 (polynomial
+0x31, initial value 0xFF), as in the drivers of ArduPilot and PX4. The signed count plus 32768 is recorded.
+The sensor measures mass flow: at an ambient pressure p it shows p / 966 hPa of the true difference (section "Altitude
+correction"), which the ground corrects by the static pressure (`calibrated_pa`). Hoses longer than a metre reduce it further.
 
-Self-test: CRCs, scale as of the configured chip. Plausibility: CRC of each read, counts at the ends; a chip that lost power does
-not acknowledge a read until it is told to measure.
+Self-test: CRCs, scale of the configured chip. Plausibility: CRC of each read, counts at the ends of the range; a chip that lost
+power does not acknowledge a read until it gets the command to measure.
 """
 
 import errno
@@ -27,11 +27,11 @@ MIDDLE, COUNTS_PER_KELVIN = 32768, 200.0
 _ENDS = (-32768, 32767)
 
 crc8: Callable[[bytes], int] = fastcrc.crc8.nrsc_5
-"""CRC-8 with polynomial 0x31 begun with 0xFF."""
+"""CRC-8 with polynomial 0x31 and initial value 0xFF."""
 
 
 def words_of(data: bytes) -> list[int]:
-    """16-bit words of a read, each followed by its checksum. Raises OSError for a wrong one."""
+    """The 16-bit words of a read, in which each is followed by its checksum. Raises OSError for a wrong checksum."""
     for i in range(0, len(data), 3):
         if crc8(data[i : i + 2]) != data[i + 2]:
             raise OSError(errno.EBADMSG, "SDP3x: checksum of a word is wrong")
@@ -44,7 +44,7 @@ class Sdp3x(Driver):
     name, groups, precedence = "sdp3x", ("pitot",), 2
     _config: PitotConfig
 
-    def _adopt_settings(self) -> None:
+    def _derive_settings(self) -> None:
         self.max_step = {"pitot_pressure": JUMP_PA * SDP_COUNTS_PER_PA[self._config.part]}
 
     def initialise(self) -> Generator[Wait, None, None]:
@@ -61,8 +61,8 @@ class Sdp3x(Driver):
             )
 
     def read(self) -> Reading:
-        raw, warmth = (signed(w, 16) for w in words_of(read_raw(self._bus, self._address, 6)))
-        kelvin = warmth / COUNTS_PER_KELVIN + ZERO_CELSIUS
+        raw, temperature = (signed(w, 16) for w in words_of(read_raw(self._bus, self._address, 6)))
+        kelvin = temperature / COUNTS_PER_KELVIN + ZERO_CELSIUS
         values = {"pitot_pressure": raw + MIDDLE, "pitot_temperature": temperature_count(kelvin)}
         if raw in _ENDS:
             return Reading(values, SensorState.OUT_OF_RANGE, "pitot pressure at the end of the sensor's range")

@@ -1,10 +1,10 @@
 """The relation between the aircraft's monotonic clock and UTC, estimated from GPS alone.
 
-The operating system's UTC may be unset, or step when somebody corrects it; the monotonic clock never steps. So scans
-are timed on the monotonic clock, and UTC is a line through what the GPS receiver said: offset and drift, with an
-accuracy. Two kinds of observation: the arrival of a fix over the serial line, late by the receiver's latency and by the
-waiting for the next poll (accurate to some 15 ms), and the edge of a pulse-per-second line (accurate to microseconds). Once
-edges come, arrivals only say which second an edge belongs to.
+The operating system's UTC may be unset, or step when it is corrected; the monotonic clock never steps. Scans are therefore timed
+on the monotonic clock, and UTC is a line fitted to the GPS receiver's times: offset and drift, with an accuracy. Two kinds of
+observation: the arrival of a fix over the serial line, late by the receiver's latency and the time to the next poll (accurate to
+some 15 ms), and the edge of a pulse-per-second line (accurate to microseconds). Once there are edges, arrivals only decide which
+second an edge belongs to.
 """
 
 import math
@@ -15,13 +15,12 @@ from daq.clock import NS
 
 MS = 1_000_000
 EARLIEST_UTC_NS = 1_704_067_200 * NS
-"""2024-01-01, before this was written: an earlier UTC is a receiver that has no time yet, or whose week number
-rolled over (`rollovers`)."""
+"""2024-01-01: an earlier UTC comes from a receiver that has no time yet, or whose week number rolled over (`rollovers`)."""
 ROLLOVER_NS = 1024 * 7 * 86_400 * NS
 
 
 def rollovers(utc_ns: int) -> int:
-    """How often the week number of a receiver has rolled over that vouches for this date: GPS sends ten bits of it."""
+    """How often the week number of a receiver that reports this date [ns] has rolled over: GPS sends ten bits of it."""
     return max(0, -((utc_ns - EARLIEST_UTC_NS) // ROLLOVER_NS))
 
 
@@ -29,7 +28,7 @@ def rollovers(utc_ns: int) -> int:
 class Relation:
     """UTC = monotonic + offset + drift * (monotonic - reference).
 
-    reference_ns: monotonic time of the relation's middle [ns]. drift: seconds of UTC gained per monotonic second.
+    reference_ns: monotonic time at the middle of the observations [ns]. drift: seconds of UTC gained per monotonic second.
     accuracy_ns: one sigma at the reference [ns]. source: `fix` or `pps`.
     """
 
@@ -45,14 +44,15 @@ class Relation:
 
 
 class _OffsetLine:
-    """Offset observations in bins of one second, the smallest delay of each, and the line through them.
+    """A line fitted to observed offsets, of which each second contributes the one with the shortest delay.
 
-    An observation that contradicts the line by more than `jump_ns` is set aside; when `_AGREED` in a row contradict
-    it in the same way, time itself has jumped (a leap second, a receiver that was wrong before) and the line restarts.
+    An observation that differs from the line by more than `jump_ns` is not used; when `_AGREED` in a row differ equally, time has
+    jumped (a leap second, a receiver that was wrong before) and the line restarts. drift_after_s: span of observations from which
+    a drift is fitted [s].
     """
 
     _BINS = 128
-    _EAGER = 16  # a line through so many bins need not follow each change of the last one at once
+    _EAGER = 16  # with fewer bins the line is fitted again at every change of the last one
     _AGREED = 5
 
     def __init__(self, jump_ns: int, drift_after_s: float) -> None:
@@ -76,7 +76,7 @@ class _OffsetLine:
         if same_second:
             if offset_ns <= bins[-1][1]:
                 return
-            bins.pop()  # a larger offset came with a smaller delay: the better one of its second
+            bins.pop()  # a larger offset has a shorter delay: it replaces the one of its second
         bins.append((monotonic_ns, offset_ns))
         if not same_second or len(bins) < self._EAGER:
             self._fit()
@@ -103,7 +103,7 @@ class _OffsetLine:
             spread = sum((t - t0 - mean_t) ** 2 for t, _ in bins)
             drift = sum((t - t0 - mean_t) * (o - o0 - mean_o) for t, o in bins) / spread
         self._line = (t0 + round(mean_t), o0 + round(mean_o), drift)
-        if n >= 3:  # here, and not when asked: every scan asks
+        if n >= 3:  # computed here, because every scan reads it
             self.scatter_ns = math.sqrt(sum((o - self.offset_at(t)) ** 2 for t, o in bins) / n)
         else:
             self.scatter_ns = 0.0
@@ -119,10 +119,10 @@ class _OffsetLine:
 
 
 class TimeBase:
-    """Collects observations and answers what UTC was at a monotonic instant.
+    """Collects observations and converts between monotonic time and UTC.
 
-    latency_ns: shortest time from the instant of a fix to its arrival. poll_ns: interval at which the serial port is
-    looked at; arrivals are on average half of it late.
+    latency_ns: shortest time from a fix to its arrival [ns]. poll_ns: interval at which the serial port is read [ns]; arrivals
+    are on average late by half of it.
     """
 
     PPS_LOST_NS = 10 * NS
@@ -138,7 +138,7 @@ class TimeBase:
         self._time_accuracy_ns = 0
         self._last_pulse_ns: int | None = None
         self._last_edge_ns: int | None = None
-        self._by_fixes: Relation | None = None  # as long as nothing new has been observed: every scan asks
+        self._by_fixes: Relation | None = None  # cached until the next observation, because every scan reads it
         self._by_pulses: Relation | None = None
 
     def observe_fix(self, monotonic_ns: int, utc_ns: int, accuracy_ns: int) -> None:

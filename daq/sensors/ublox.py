@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, SensorSection, Surroundings, Wait
+from daq.sensors.base import MS, SECOND, Driver, DriverContext, Reading, SelfTestError, SensorSection, Wait
 from daq.sensors.bus import SerialPortCalls
 from daq.sensors.timebase import ROLLOVER_NS, TimeBase, rollovers
 from daq.sensors.ubx import ACK_ACK, ACK_NAK, NAV_PVT, NavPvt, UbxParser, parse_nav_pvt, setup_m8, setup_m9
@@ -73,9 +73,9 @@ class Ublox(Driver):
         self._stale_after = round(SECOND / config.rate_hz) + max(3 * timebase.poll_ns // 2, 50 * MS)
 
     @classmethod
-    def build(cls, group: str, around: Surroundings) -> Driver:
-        port = around.need_port(around.gnss, group)
-        return cls(around.section(group), port, around.now_ns, around.timebase)
+    def build(cls, group: str, context: DriverContext) -> Driver:
+        port = context.need_port(context.gnss, group)
+        return cls(context.section(group), port, context.now_ns, context.timebase)
 
     def initialise(self) -> Generator[Wait, None, None]:
         setup = _SETUP.get(self._config.generation)

@@ -1,7 +1,7 @@
-"""Lines of the go/no-go table: at rest an aircraft is level and has no airspeed, and its radio is heard.
+"""Checks of the go/no-go table at rest: level attitude, no airspeed, age of an autopilot's samples, radio signal.
 
-Each line: measured, limit, what to do. A SiK radio reports its signal once it has seen a heartbeat pass; signal in dBm is
-RSSI / 1.9 - 127 (SiK firmware, Si4463 scale).
+Each line has measured value, limit and remedy. A SiK radio reports its signal once a heartbeat has passed through it; the signal
+in dBm is RSSI / 1.9 - 127 (SiK firmware, Si4463 scale).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,13 +14,13 @@ from daq.acquisition.air_truth import BROKEN_PA, OFFSET_PA, Scales, level, pitot
 from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
-from daq.sensors.standstill import LEAST_SCANS, counts, unrest
+from daq.sensors.standstill import LEAST_SCANS, counts, motion_evidence
 from daq.transport.mavlink_codec import RADIO_STATUS_ID, FrameDecoder, FrameEncoder, MavlinkFrame
 from daq.transport.ports import BytePort
 
 
 class PreflightVerdict(StrEnum):
-    """What a check says."""
+    """Result of a preflight check."""
 
     GO = "go"
     CAUTION = "caution"
@@ -29,7 +29,7 @@ class PreflightVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PreflightCheck:
-    """One line of the table. of_sequencer: it concerns what moves the controls."""
+    """One line of the table. of_sequencer: whether it concerns the sequencer, which moves the controls."""
 
     name: str
     verdict: PreflightVerdict
@@ -38,14 +38,14 @@ class PreflightCheck:
 
 
 def graded(name: str, passed: bool, text: str, failure: PreflightVerdict = PreflightVerdict.NO_GO) -> PreflightCheck:
-    """A line that says go where it passed."""
+    """A line with GO where the check passed, otherwise with `failure`."""
     return PreflightCheck(name, PreflightVerdict.GO if passed else failure, text)
 
 
 def rest_checks(config: LoggerConfig, scans: Sequence[Scan]) -> Iterator[PreflightCheck]:
-    """Level attitude and pitot offset; a caution instead of them while something moves."""
+    """Check level attitude and pitot offset; a caution instead of both while the aircraft moves."""
     scales = Scales(config.sensors)
-    motion = unrest(scans)
+    motion = motion_evidence(scans)
     if motion:
         yield PreflightCheck(
             "at rest",
@@ -83,13 +83,14 @@ def _pitot(config: LoggerConfig, scans: Sequence[Scan], scales: Scales) -> Itera
 
 
 OLDEST_S = 0.15
-"""Samples of a sender may be so old: three scans at 20 Hz; a sequencer that goes by older ones acts on another attitude."""
+"""Greatest age of an autopilot's samples [s]: three scans at 20 Hz; with older ones the sequencer would act on a past
+attitude."""
 _LEAST_SHARE = 0.9
-"""Of the scans must have a sample of their own: a sender at three quarters of the scan rate leaves every fourth without."""
+"""Least share of scans with a new sample: an autopilot at three quarters of the scan rate leaves every fourth without one."""
 
 
 def sender_checks(config: LoggerConfig, scans: Sequence[Scan], refusals: Mapping[str, str]) -> Iterator[PreflightCheck]:
-    """How often samples come that an autopilot dates, and how old they are. refusals: what it would not do, by group."""
+    """Check rate and age of the samples of an autopilot. refusals: group -> which request it refused (`Sampler.refusals`)."""
     span_s = scans[-1].time - scans[0].time
     for group in config.sensors.from_sender:
         dated = [
@@ -105,22 +106,22 @@ def sender_checks(config: LoggerConfig, scans: Sequence[Scan], refusals: Mapping
         age = ages[int(0.95 * (len(ages) - 1))]
         least = _LEAST_SHARE * config.scan.rate_hz
         text = f"{rate:.1f} samples a second (at least {least:.0f}), 95 % no older than {age:.0f} ms (limit {OLDEST_S * 1e3:.0f})"
-        well = rate >= least and age <= OLDEST_S * 1e3
-        if not well:
-            cure = "raise the autopilot's stream and baud rate, or lower scan.rate_hz"
-            text += f"; {refusals.get(group) or cure}"
+        passed = rate >= least and age <= OLDEST_S * 1e3
+        if not passed:
+            remedy = "raise the autopilot's stream and baud rate, or lower scan.rate_hz"
+            text += f"; {refusals.get(group) or remedy}"
         failure = PreflightVerdict.NO_GO if config.sensors.section(group).required else PreflightVerdict.CAUTION
-        yield graded(f"{group} time", well, text, failure)
+        yield graded(f"{group} time", passed, text, failure)
 
 
 _STEP_NS = NS // 20
-_READ_BYTES = 4096  # a step: more than fourteen times what a radio at 57600 baud brings
-_FIXED_WING, _STANDBY, _MAVLINK_2 = 1, 3, 3
+_READ_BYTES = 4096  # in a step: fourteen times what a radio at 57600 baud delivers in one
+_FIXED_WING, _STANDBY, _MAVLINK_2 = 1, 3, 3  # MAV_TYPE, MAV_STATE, version in HEARTBEAT
 
 
 @dataclass(frozen=True, slots=True)
 class RadioReport:
-    """What was heard from the radio: local and remote signal and noise [dBm], share of the send buffer free [%]."""
+    """A report of the radio: local and remote signal and noise [dBm], free share of its send buffer [%]."""
 
     rssi_dbm: float
     noise_dbm: float
@@ -132,13 +133,13 @@ class RadioReport:
 def listen_to_radio(
     port: BytePort, clock: Clock, *, seconds: float = 3.0, system_id: int = 1, component_id: int = 191
 ) -> RadioReport | None:
-    """Send heartbeats and wait for the radio's report; None when there is none within `seconds`, or no port."""
+    """Send heartbeats and wait for the radio's report; None when none comes within `seconds` [s]."""
     decoder = FrameDecoder()
     encoder = FrameEncoder(system_id, component_id)
     start = now_ns = clock.monotonic_ns()
     next_heartbeat = start
     while now_ns - start < seconds * NS:
-        with suppress(OSError):  # a port that is away at present
+        with suppress(OSError):  # the port is away; it may come back
             if now_ns >= next_heartbeat:
                 next_heartbeat += NS
                 port.write(

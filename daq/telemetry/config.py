@@ -14,32 +14,32 @@ SCAN_FRAME_BYTES = 118
 """Largest scan frame on the wire: 93 bytes of payload, 12 of framing, 13 of signature."""
 HEARTBEAT_BYTES = 34
 MIN_RATE_HZ = 2.0
-"""The downlink never sends fewer scans than this while it is on, whatever the radio reports."""
+"""Lowest rate of scans while the downlink is on, whatever the radio reports."""
 
 
 Count = Annotated[float, Field(ge=-(2.0**31), le=2.0**32, allow_inf_nan=False)]
-"""What a raw channel can hold."""
+"""A value of a raw channel."""
 Slope = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
-"""Times a count it still fits the messages' numbers."""
+"""A scale per count; the bounds keep the product within the fields of the messages."""
 
 
 class LinkLimits(BaseModel):
-    """`[downlink.limits]`: what the ground may ask at most. Beyond it, requests are refused, counted and told."""
+    """`[downlink.limits]`: limits of requests from the ground. Requests beyond them are refused, counted and reported."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    requests_per_s: Annotated[float, Field(gt=0, le=1000)] = 50.0  # of one sender; two senders' worth for all together
-    recording_s: Annotated[float, Field(ge=0, le=3600)] = 10.0  # a recording begun by command lasts at least so long
+    requests_per_s: Annotated[float, Field(gt=0, le=1000)] = 50.0  # of one sender; twice that for all senders together
+    recording_s: Annotated[float, Field(ge=0, le=3600)] = 10.0  # shortest recording begun by command
     recordings: Annotated[int, Field(ge=0, le=10_000)] = 100  # begun by command, until the logger is started again
     marks_per_s: Annotated[float, Field(gt=0, le=100)] = 1.0  # events marked by command, in the long run
     marks_at_once: Annotated[int, Field(ge=1, le=100)] = 5
 
 
 class DisplayConfig(BaseModel):
-    """`[downlink.display]`: what standard ground stations show of the air data, from raw counts, for the eye only.
+    """`[downlink.display]`: nominal scales of the air data that standard ground stations display.
 
-    Nominal numbers of data sheet and installation drawing; a value whose numbers are left out is not sent. None of them has
-    any part in what is recorded, calibrated or estimated.
+    From data sheets and the installation drawing; a quantity without them is not sent. They do not affect what is recorded,
+    calibrated or estimated.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -50,14 +50,14 @@ class DisplayConfig(BaseModel):
     alpha_rad_per_count: Slope | None = None  # + nose up
     beta_zero_count: Count | None = None
     beta_rad_per_count: Slope | None = None  # + wind from the right
-    # Supply of the vanes for which their numbers hold; None: they do not depend on it.
+    # Supply of the vanes at which their numbers hold; None for vanes that do not depend on it.
     sensor_supply_count: Annotated[Count, Field(gt=0)] | None = None
 
 
 class DownlinkConfig(BaseModel):
-    """What is sent to the ground, how fast, and who may command the logger.
+    """`[downlink]`: what is sent to the ground, at which rates, and with which key commands are signed.
 
-    port: `serial:/dev/ttyUSB0:57600`, `udp:HOST:PORT` (sends there), `udpin:HOST:PORT` (answers whoever asked first),
+    port: `serial:/dev/ttyUSB0:57600`, `udp:HOST:PORT` (sends there), `udpin:HOST:PORT` (answers the first sender),
     `tcp:HOST:PORT` or `tcpin:HOST:PORT`.
     """
 
@@ -71,7 +71,7 @@ class DownlinkConfig(BaseModel):
     # write 1 where no autopilot sends.
     component_id: Annotated[int, Field(ge=1, le=250)] = 191
     data_component_id: Annotated[int, Field(ge=1, le=250)] = (
-        192  # of the messages that only Sideslip knows; own sequence
+        192  # of Sideslip's own messages, with a sequence of their own
     )
     slow_rate_hz: Annotated[float, Field(gt=0, le=20)] = 1.0
     gnss_rate_hz: Annotated[float, Field(gt=0, le=20)] = 1.0

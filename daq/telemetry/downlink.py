@@ -1,9 +1,10 @@
-"""The downlink: scans and status to the ground within the capacity of the radio, without ever blocking the scan loop.
+"""The downlink: sends scans and status to the ground at the rate that the radio carries, without blocking the scan loop.
 
-`offer` is called with every scan, `service` after each. Scans are picked by time, so that their average rate is exact;
-the numbers of sent scans are stored and reported, so that the ground can distinguish a scan lost on the link from one never sent.
-The rate follows the radio's report of its buffer (RADIO_STATUS). A forged report can lower it to 2 Hz at most, and does not
-affect the heartbeat."""
+`offer` takes every scan; `service` follows each. Scans are chosen by time, so that their mean rate is exact. The downlink reports
+which scans it has sent, so that the ground can distinguish scans lost on the link from those never sent. The rate follows the
+radio's report of its buffer (RADIO_STATUS). Anybody could forge that, but it lowers the rate to 2 Hz at worst and does not affect
+the heartbeat.
+"""
 
 import math
 from collections import deque
@@ -29,19 +30,19 @@ LOW_BUFFER, HIGH_BUFFER = 20, 90
 _STEP_UP = 1.25
 _ADAPT_NS = NS // 2  # two reports closer together than this count as one
 _RECOVER_NS = 5 * NS  # without reports for so long, the rate is raised again step by step
-_RECENT_SCANS = 40
-_MAP_REPEATS = 3
-_MAP_DELAY = 64  # scans to wait after a block ends, so that what is queued has been sent or dropped
-_PAUSE_NS = NS
-_FIRST_NS = 3 * NS  # the 600 bytes of one message of each kind take as long beside scans, at the default budget
-_TEXT_CHARS = 50
+_RECENT_SCANS = 40  # by which the aircraft is judged to be at rest: two seconds at 20 Hz
+_MAP_REPEATS = 3  # times that each SENT_MAP is sent, against loss
+_MAP_DELAY = 64  # scans to wait after a block ends, so that queued scans have been sent or dropped
+_PAUSE_NS = NS  # without scans before the maps are sent; doubled for each repetition
+_FIRST_NS = 3 * NS  # one message of each kind, 600 bytes, takes as long beside scans at the default budget
+_TEXT_CHARS = 50  # of one STATUSTEXT
 
 
 class Downlink:
-    """Sends to one ground link. All methods belong to the scan loop's thread.
+    """Sends over one radio link. Call all methods from the scan loop's thread.
 
-    boot: random number of this start of the logger (1 to 255). facts: run-time facts of the sensors, asked at a low rate.
-    logger: whose state is sent; its statistics are sent at a low rate.
+    boot: random number of this start of the logger (1 to 255). facts: returns run-time facts of the sensors; called at a low
+    rate. logger: the one whose state and statistics are sent.
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class Downlink:
         self.config = config
         self.sent = ScanMap()
         self.offered = ScanMap()
-        self.rejected_frames = self.rejected_commands = 0  # refusals of the uplink, as LINK_STATISTICS reports them
+        self.rejected_frames = self.rejected_commands = 0  # by the uplink, for LINK_STATISTICS
         self.recent: deque[Scan] = deque(maxlen=_RECENT_SCANS)
         self._clock = clock
         self._layouts = layouts()
@@ -72,9 +73,9 @@ class Downlink:
         self._radio_ns: int | None = None
         self._next_fast = 0.0
         self._next_slow = 0.0
-        self._rare = _Turns(self._layouts[SCAN_RARE_ID].channels)
+        self._rare = _GroupRotation(self._layouts[SCAN_RARE_ID].channels)
         laboratory_channels = self._layouts[SCAN_LABORATORY_ID].channels if SCAN_LABORATORY_ID in self._layouts else ()
-        self._laboratory = _Turns(laboratory_channels)
+        self._laboratory = _GroupRotation(laboratory_channels)
         self._laboratory_always = any(c.downlink == "fast" for c in laboratory_channels)
         self._first: int | None = None
         self._last = 0
@@ -100,7 +101,7 @@ class Downlink:
         self._scans_come = False  # since the last service
         self._pause_reports = 0
         self._pause_ns = 0
-        self._unsettled: list[int] = []  # numbers of scans queued and not gone yet
+        self._unsettled: list[int] = []  # numbers of scans in the queue
 
     # -------------------------------------------------------------------------------------------------- scans
 
@@ -110,14 +111,14 @@ class Downlink:
         return max(MIN_RATE_HZ, self._requested_rate * self._factor)
 
     def set_rate(self, rate_hz: float) -> bool:
-        """Wish for another rate [Hz]; False, and no change, when it is below 2 Hz or the byte budget has no room."""
+        """Set the scan rate [Hz]; False, without a change, below MIN_RATE_HZ or beyond the byte budget."""
         if not MIN_RATE_HZ <= rate_hz <= max_rate(self.config.budget_bytes_per_s):
             return False
         self._requested_rate = rate_hz
         return True
 
     def offer(self, scan: Scan) -> None:
-        """Take a scan; it is queued for sending when its time has come."""
+        """Take a scan, and queue it if one is due."""
         number, time = scan.number, scan.time
         self.offered.add(number)
         self._scans_come = True
@@ -136,7 +137,7 @@ class Downlink:
         self._send_scan(scan, time)
 
     def _send_scan(self, scan: Scan, time: float) -> None:
-        # Slow parts go before the fast one, so that the ground has the scan complete when the fast one arrives.
+        # slow parts go first, so that the scan is complete on the ground when the fast part arrives
         table = self._layouts
         items = []
         if time >= self._next_slow:
@@ -162,7 +163,7 @@ class Downlink:
 
     @property
     def settled(self) -> int:
-        """Last scan of which, and of all before it, it is known whether it was sent."""
+        """Number of the last scan up to which all have been sent or dropped."""
         return min(self._unsettled) - 1 if self._unsettled else self._last
 
     def _report_maps(self, block: int) -> None:
@@ -201,7 +202,7 @@ class Downlink:
         self.send_queue.service(now_ns)
 
     def _report_pause(self, now_ns: int) -> None:
-        """When scans stop coming, report a few times which were sent, so that the accounting of the ground is complete."""
+        """When scans stop, repeat the maps and statistics, so that the ground can account for all scans."""
         if now_ns >= self._pause_ns + (_PAUSE_NS << self._pause_reports):
             self._pause_reports += 1
             block = self._last // BLOCK
@@ -219,17 +220,17 @@ class Downlink:
             self.send_queue.put_low(message)
 
     def statistics(self) -> Item:
-        """The LINK_STATISTICS message of now."""
-        box = self.send_queue
+        """The present LINK_STATISTICS message."""
+        queue = self.send_queue
         return item(
             "LINK_STATISTICS",
-            bytes_sent=box.bytes_sent,
+            bytes_sent=queue.bytes_sent,
             first_number=self._first or 0,
             last_number=self._last,
             scans_offered=len(self.offered),
             scans_sent=len(self.sent),
-            scans_dropped=box.scans_dropped,
-            frames_sent=box.frames_sent,
+            scans_dropped=queue.scans_dropped,
+            frames_sent=queue.frames_sent,
             boot=self.boot,
             rate_centihz=min(65535, round(self.rate_hz * 100)),
             rejected_frames=min(65535, self.rejected_frames),
@@ -250,9 +251,9 @@ class Downlink:
             in_flight=int(flight_evidence(self.recent, self.messages.display.pitot_pascal) is not None),
         )
 
-    def text(self, severity: int, words: str) -> None:
-        """Send a STATUSTEXT; severity as in syslog (0 emergency to 7 debug). Long ones go in numbered pieces."""
-        pieces = [words[i : i + _TEXT_CHARS] for i in range(0, len(words), _TEXT_CHARS)] or [""]
+    def text(self, severity: int, text: str) -> None:
+        """Send a STATUSTEXT; severity as in syslog (0 emergency to 7 debug). A long text is sent in numbered pieces."""
+        pieces = [text[i : i + _TEXT_CHARS] for i in range(0, len(text), _TEXT_CHARS)] or [""]
         if len(pieces) > 1 and len(pieces[-1]) == _TEXT_CHARS:
             pieces.append("")  # a piece shorter than the field ends the text
         if len(pieces) > 1:
@@ -292,7 +293,7 @@ class Downlink:
     # -------------------------------------------------------------------------------------------------- adaptation
 
     def radio_status(self, txbuf: int, now_ns: int) -> None:
-        """Follow the radio's report of its free buffer [%]."""
+        """Adapt the rate to the free share of the radio's buffer [%]."""
         if self._radio_ns is not None and now_ns - self._radio_ns < _ADAPT_NS:
             return
         self._radio_ns = self._adapted_ns = now_ns
@@ -312,11 +313,11 @@ class Downlink:
         self.send_queue.budget = self.config.budget_bytes_per_s * self._factor
 
 
-class _Turns:
-    """Which scan a message goes with whose channels come less often than scans: groups of them take turns.
+class _GroupRotation:
+    """Chooses the scans that go with a message whose groups of channels are sampled less often than scans.
 
     next: when the next message is due [s]. It goes with the first scan from then on that has a value of the group whose last
-    value was sent longest ago, so that no sensor is always missed; a group that has none for a second has had its turn.
+    value was sent longest ago, so that no group is always missed; after a second without one it goes without.
     """
 
     def __init__(self, channels: Sequence[Channel]) -> None:
@@ -344,7 +345,7 @@ def _increment(value: float) -> int:
 
 
 def _percentile(edges_us: Sequence[int], counts: Sequence[int], share: float) -> int:
-    """Upper edge of the histogram bin in which a percentile lies; the last bin has none and gives 65535."""
+    """Upper edge of the histogram bin that holds a percentile [us]; 65535 for the last bin, which has none."""
     cumulative, total = 0, sum(counts)
     for edge, count in zip((*edges_us, 65535), counts, strict=False):
         cumulative += count
@@ -354,7 +355,7 @@ def _percentile(edges_us: Sequence[int], counts: Sequence[int], share: float) ->
 
 
 class _Timers:
-    """Which periodic message is due; of several, the one most overdue in periods of its own."""
+    """Chooses the periodic message that is due; of several, the one that is overdue by most of its periods."""
 
     def __init__(self, rates_hz: dict[str, float]) -> None:
         self._periods = {name: NS / rate for name, rate in rates_hz.items()}
@@ -362,8 +363,9 @@ class _Timers:
         self.soonest = -math.inf  # when the next message is due [ns]
 
     def due(self, now_ns: int, factor: float) -> str | None:
+        """Name of a message to send now, None without one. factor: by which all rates are reduced."""
         if not self._next:
-            # Spread, so that they do not come in a bunch for ever; but a station shall not wait long for the rarest.
+            # spread, so that they do not stay bunched, but not so far that a station waits long for the rarest
             count = len(self._periods)
             self._next = {n: now_ns + min(p, _FIRST_NS) * i / count for i, (n, p) in enumerate(self._periods.items())}
         due_name, largest = None, -math.inf

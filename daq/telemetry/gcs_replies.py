@@ -1,7 +1,6 @@
-"""Answers that general ground stations wait for: no missions here, no files, a parameter or two to read, no home to set.
+"""Answers that standard ground stations expect: no missions, no files, one or two read-only parameters.
 
-Without them such a station goes on asking, and tells its user that the aircraft does not respond. What is refused is
-refused in the protocol's own words, at once.
+Without them such a station repeats its requests and reports that the aircraft does not respond. A refusal is the protocol's own.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,13 +12,14 @@ from daq.transport.mavlink_codec import message_types
 
 RATE_PARAMETER = "DOWNLINK_RATE"
 BATTERY_PARAMETER = "BATT_MONITOR"
-"""By this name MAVProxy knows whether to show a battery."""
-_VOLTAGE_ONLY = 3.0
-_REAL32 = 9
+"""MAVProxy shows a battery where this parameter is set."""
+_VOLTAGE_ONLY = 3.0  # ArduPilot: analog voltage without current
+_REAL32 = 9  # MAV_PARAM_TYPE_REAL32
 _DOES_NOT_EXIST, _READ_ONLY = 1, 5  # MAV_PARAM_ERROR
 
 _MISSION_DONE, _MISSION_UNSUPPORTED, _NO_SUCH_ITEM = 0, 3, 13  # MAV_MISSION_RESULT
 
+# MAVLink FTP: offset of the data in a payload, opcodes, error codes
 _FTP_DATA_AT = 12
 _ACK, _NAK = 128, 129
 _CLOSE_SESSION, _CLOSE_ALL, _LIST, _OPEN, _CHECKSUM = 1, 2, 3, 4, 14
@@ -29,7 +29,7 @@ _FTP_REFUSALS = {_LIST: _END, _OPEN: _NOT_FOUND, _CHECKSUM: _NOT_FOUND}
 Fields = Mapping[str, Any]
 Parameters = Mapping[str, float]
 Reply = Callable[[Fields, Mapping[str, int], Parameters], Sequence[Item]]
-"""Answers a request by its fields, who asked, and the parameters."""
+"""Answers to a request from its fields, the fields that address the sender, and the parameters."""
 
 
 def parameters(rate_hz: float, has_voltage: bool) -> Parameters:
@@ -60,7 +60,7 @@ def _set_parameter(fields: Fields, target: Mapping[str, int], values: Parameters
     name = fields["param_id"]
     if name not in values:
         return [_parameter_error(name, -1, _DOES_NOT_EXIST, target)]
-    # What it is says that it was not set, to stations that do not know PARAM_ERROR yet.
+    # stations that do not know PARAM_ERROR see by the unchanged value that it was not set
     return [_parameter(values, name), _parameter_error(name, -1, _READ_ONLY, target)]
 
 
@@ -88,7 +88,7 @@ def _mission_answer(result: int) -> Reply:
 
 
 def _no_file(fields: Fields, target: Mapping[str, int], values: Parameters) -> Sequence[Item]:
-    """There are no files: listings end at once, nothing can be opened, and sessions that are not open are closed."""
+    """FTP without files: a listing ends at once, nothing can be opened, and closing always succeeds."""
     payload = bytes(fields["payload"])
     sequence = int.from_bytes(payload[:2], "little")
     session, opcode = payload[2], payload[3]
@@ -121,13 +121,13 @@ REQUESTS: Mapping[str, Reply] = {
     "COMMAND_INT": _no_command_int,
 }
 
-# Commands that ask to be told something, and the message that does (None: the one in parameter 1).
+# Commands that request a message, and its name (None: the id is in parameter 1).
 _GET_HOME_POSITION, _REQUEST_MESSAGE = 410, 512
 MESSAGE_COMMANDS: Mapping[int, str | None] = {_GET_HOME_POSITION: "HOME_POSITION", _REQUEST_MESSAGE: None}
 
 
-def message_asked_for(command: int, parameter: float) -> str | None:
-    """The name of the message that one of MESSAGE_COMMANDS asks for; None where it is none that this dialect has."""
+def requested_message(command: int, parameter: float) -> str | None:
+    """The name of the message that one of MESSAGE_COMMANDS requests; None for one that the dialect lacks."""
     fixed_name = MESSAGE_COMMANDS[command]
     if fixed_name is not None:
         return fixed_name

@@ -21,12 +21,13 @@ from daq.transport.signing import Signer, load_key
 
 
 def open_port(text: str) -> BytePort:
-    """Open a port by its description, at once or when it comes; PortError says what is wrong with the description."""
+    """Open a port by its description, now or, if its device is missing, as soon as it appears. Raises PortError for a faulty
+    description."""
     return open_lasting(text, wait=True)
 
 
 def signer_for(config: DownlinkConfig, clock: Clock) -> Signer | None:
-    """The signer of a configuration; None without a key. SigningError for a key that cannot be used."""
+    """The signer of a configuration, None without a key. Raises SigningError for a key that cannot be used."""
     if config.key_file is None:
         return None
     state = config.signing_state or config.key_file.with_name(config.key_file.name + ".state")
@@ -35,7 +36,8 @@ def signer_for(config: DownlinkConfig, clock: Clock) -> Signer | None:
 
 @dataclass
 class RadioLink:
-    """The link as the logger's loop uses it: this as its downlink, `uplink` as its uplink. Everything returns at once."""
+    """The aircraft's end of the radio link. The logger uses this object as its downlink and `uplink` for commands; no call
+    blocks."""
 
     downlink: Downlink
     uplink: Uplink
@@ -54,14 +56,14 @@ class RadioLink:
         self.backfill.event(event)
         self.downlink.event(event)
 
-    def text(self, severity: int, words: str, /) -> None:
-        self.downlink.text(severity, words)
+    def text(self, severity: int, text: str, /) -> None:
+        self.downlink.text(severity, text)
 
     def sequencer(self, frame: SequencerFrame) -> None:
         self.downlink.sequencer(frame)
 
     def idle(self, now_ns: int) -> None:
-        """Both directions once, with no logger behind: backfill and downloads after the last scan."""
+        """Serve both directions once after the logger has ended: backfill and downloads."""
         self.uplink.service(now_ns, NoLogger())
         self.downlink.service(now_ns)
 
@@ -70,7 +72,7 @@ class RadioLink:
         self.downlink.logger = logger
 
     def close(self) -> None:
-        """Save what must outlive the process and give the port back."""
+        """Save the signing timestamps and close the port."""
         self.uplink.close()
         self.port.close()
 
@@ -86,10 +88,12 @@ def radio_link(
     turn_ns: int = TURN_NS,
     facts: Callable[[], Mapping[str, str]] = dict,
 ) -> RadioLink:
-    """The link of one logger. recordings: directories whose files can be downloaded. boot: given only in tests.
+    """The link of one logger.
 
-    papers: asked in a thread of its own. turn_ns: how long what arrives may occupy the scan loop at a time [ns].
-    facts: run-time facts of the sensors (`static.nvm`), asked in the scan loop, at a low rate.
+    papers: returns identity and attachments of the recording, None while there is none; called in a thread of its own.
+    recordings: directories whose files can be downloaded. boot: number of this start, 1 to 255; random unless a test sets it.
+    turn_ns: longest time that received messages may take of the scan loop at a time [ns]. facts: returns run-time facts of the
+    sensors (`static.nvm`); called in the scan loop, at a low rate.
     """
     boot = boot or secrets.randbelow(255) + 1
     signer = signer_for(config, clock)

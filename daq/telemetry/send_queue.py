@@ -1,7 +1,7 @@
-"""What waits to be sent, in order of importance, at the pace the radio can carry.
+"""Send queue of the radio link: messages by priority, at the rate the radio can carry.
 
-Frames are numbered and signed only when their turn has come, so a frame that is dropped here leaves no gap in the
-sequence that the ground would take for a loss on the link.
+Frames get their sequence number and signature when they are sent, so that a message dropped here leaves no gap in the sequence,
+which the ground would take for a loss on the link.
 """
 
 from collections import deque
@@ -12,22 +12,22 @@ from daq.transport.mavlink_codec import CHECKSUM_BYTES, HEADER_BYTES, FrameEncod
 from daq.transport.ports import BytePort
 from daq.transport.signing import SIGNATURE_BYTES
 
-_URGENT_ROOM = 32
+_URGENT_ROOM = 32  # messages, as the three below
 _LOW_ROOM = 64
 _ANSWER_ROOM = 16
-_ASKED_ROOM = 8
+_REQUESTED_ROOM = 8
 ANSWER_SHARE = 0.15
-"""Answers may take this share of the budget before scans, and what was asked for this share before bulk: it is what the
-default budget, 1636 bytes/s, leaves beside 1391 bytes/s of signed scans and heartbeats."""
-_BUCKET_S = 0.25
-_LEAST_BUCKET = 300.0
+"""Share of the budget that acknowledgements may take before scans, and requested messages before bulk: what the default budget,
+1636 bytes/s, leaves beside 1391 bytes/s of signed scans and heartbeats."""
+_BUCKET_S = 0.25  # seconds of the budget that may be sent in a burst
+_LEAST_BUCKET = 300.0  # bytes: more than the longest frame (280)
 FRAMING_BYTES = HEADER_BYTES + CHECKSUM_BYTES + SIGNATURE_BYTES
 NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A message to send."""
+    """A message to send. on_sent, on_dropped: called once the port has taken it, or when the queue drops it."""
 
     msg_id: int
     payload: bytes
@@ -42,12 +42,12 @@ def item(name: str, /, **values: object) -> Item:
 
 
 class SendQueue:
-    """Sends through a port that never waits, within a byte budget.
+    """Sends through a port that never blocks, within a byte budget. scan_room: scans that may wait.
 
-    Six classes: urgent (heartbeat, texts, events) regardless of the budget; answers (acknowledgements) within their share
-    of it; scans; low (slow reports); what was asked for, within a share; and bulk (backfill, log download), made on
-    demand when half of the budget's reserve is unused, in turn with more of what was asked for. So nobody who asks
-    can crowd out what the aircraft has to tell by itself.
+    Six classes: urgent (heartbeat, texts, events) regardless of the budget; acknowledgements within a share of it; scans; low
+    (slow reports); requested messages within a share; and bulk (backfill, log download), made on demand when more than half of
+    the bucket is unused, alternating with further requested messages. Requests therefore cannot crowd out the aircraft's own
+    reports. bulk: function that returns the next bulk message, None without one.
     """
 
     def __init__(self, port: BytePort, encoder: FrameEncoder, budget_bytes_per_s: float, scan_room: int) -> None:
@@ -85,7 +85,7 @@ class SendQueue:
         self._urgent.append(message)
 
     def put_scan(self, messages: Sequence[Item]) -> None:
-        """Send the messages of one scan together; the oldest waiting scan is dropped and counted when there is no room."""
+        """Send the messages of one scan together; when too many scans wait, the oldest is dropped and counted."""
         self._scans.append(messages)
         while len(self._scans) > self._scan_room:
             self.scans_dropped += 1
@@ -94,23 +94,23 @@ class SendQueue:
                     message.on_dropped()
 
     def put_low(self, message: Item) -> None:
-        """Send when nothing more important waits."""
+        """Send when neither scans nor anything more important wait."""
         self._low.append(message)
 
-    def put_answer(self, message: Item) -> bool:
-        """Send before scans, as far as the share of answers goes; False when too many wait. Equal ones are sent once."""
+    def put_acknowledgement(self, message: Item) -> bool:
+        """Send before scans, within ANSWER_SHARE; False when too many wait. Equal ones are sent once."""
         return _put(self._answers, message, _ANSWER_ROOM)
 
-    def put_asked(self, message: Item) -> bool:
-        """Send when nothing but bulk waits; False when too many wait. Equal ones are sent once."""
-        return _put(self._requested, message, _ASKED_ROOM)
+    def put_requested(self, message: Item) -> bool:
+        """Send before bulk, within ANSWER_SHARE; False when too many wait. Equal ones are sent once."""
+        return _put(self._requested, message, _REQUESTED_ROOM)
 
     @property
     def has_low(self) -> bool:
         return bool(self._low)
 
     def service(self, now_ns: int) -> None:
-        """Send what time, budget and port allow now."""
+        """Send what budget and port allow now."""
         bucket = max(_LEAST_BUCKET, self._budget * _BUCKET_S)
         if self._last_ns is not None:
             earned = (now_ns - self._last_ns) / NS * self._budget
@@ -129,7 +129,7 @@ class SendQueue:
             self._tokens -= len(self._partial)
 
     def _push(self) -> bool:
-        """Hand the rest of the present frame to the port; whether it is gone."""
+        """Write the rest of the current frame to the port; returns whether the port has taken all of it."""
         if self._partial:
             count = self._port.write(self._partial)
             self.bytes_sent += count
@@ -162,7 +162,7 @@ class SendQueue:
         return self._requested_or_bulk() if self._tokens > bucket / 2 else None
 
     def _requested_or_bulk(self) -> Item | None:
-        """Neither keeps the other waiting: they take turns."""
+        """Requested messages and bulk alternate, so that neither delays the other."""
         bulk_first, self._bulk_next = self._bulk_next, False
         if bulk_first and (message := self.bulk()) is not None:
             return message
@@ -173,7 +173,7 @@ class SendQueue:
 
 
 class _Share:
-    """What a class of messages may still take of its share of the budget [bytes]."""
+    """A token bucket: bytes that a class of messages may still take of ANSWER_SHARE."""
 
     def __init__(self) -> None:
         self.tokens = _LEAST_BUCKET

@@ -1,7 +1,7 @@
-"""Standard MAVLink messages made from raw scans, so that any ground station shows the aircraft.
+"""Standard MAVLink messages from raw scans, so that any ground station can show the aircraft.
 
-They are for display only: nominal scales, no calibration (`daq.telemetry.display`). A message whose values are missing, or for
-which the configuration has no numbers, is not sent.
+They use nominal scales without calibration (`daq.telemetry.display`), for display only. A message whose values are missing, or
+whose scales are not configured, is not sent.
 """
 
 import math
@@ -17,7 +17,7 @@ from daq.telemetry.send_queue import Item, item
 
 FIXED_WING = 1
 NO_AUTOPILOT, GENERIC = 8, 0
-"""MAV_AUTOPILOT_INVALID: nothing here flies the aircraft, and no station shall offer to arm it or change its mode."""
+"""MAV_AUTOPILOT_INVALID: there is no autopilot that a station could arm, or whose mode it could change."""
 ACTIVE, STANDBY = 4, 3
 
 _SENSOR_BITS = {"imu": 1 | 2, "mag": 4, "static": 8, "pitot": 16, "gnss": 32, "attitude": 1 << 21}
@@ -27,21 +27,22 @@ _ALL_BITS = 2**32 - 1
 _UNKNOWN_16 = 65535
 _NAN = math.nan
 _FRESH_S = 3.0
-"""A fix older than this is not shown as the present position: three of a slow receiver's intervals."""
+"""Greatest age of a fix that is sent as the present position: three intervals of a slow receiver."""
 _FIXES = (3, 4)
 """gnss_fix of a position: three-dimensional, or combined with dead reckoning (5 is time only)."""
 _HOME_FIXES = 5
-"""Home is where so many fixes in a row agree, so that one bad first fix does not place it for the whole flight."""
+"""Fixes in a row that must agree to set home, so that one bad first fix does not set it for the whole flight."""
 _HOME_SPREAD_E7, _HOME_SPREAD_MM = 3_000, 30_000
-"""Fixes that agree lie within 0.0003 degrees (33 m) and 30 m of height: a few accuracies of a receiver just started."""
+"""Largest difference of fixes that agree: 0.0003 degrees (33 m) and 30 m of height, a few accuracies of a receiver just
+started."""
 _ALL_FUNCTIONS = 1  # MAV_BATTERY_FUNCTION_ALL
-_CELLS = 10
-_NAMES = 64
-_LARGEST = 3.4e38  # that a float of four bytes holds
+_CELLS = 10  # voltages in a BATTERY_STATUS
+_NAMES = 64  # most named values
+_LARGEST = 3.4e38  # of a 32-bit float
 _MAVLINK_2 = 1 << 13
 _PLAIN_PARAMETERS = 1 << 17  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 _OFFICIAL = 255
-_THROTTLE_IDLE_S, _THROTTLE_SPAN_S = 1.0e-3, 1.0e-3  # pulse width, as servo makers agree on it
+_THROTTLE_IDLE_S, _THROTTLE_SPAN_S = 1.0e-3, 1.0e-3  # pulse width: the usual range of servos
 
 
 def heartbeat(recording: bool) -> Item:
@@ -51,9 +52,9 @@ def heartbeat(recording: bool) -> Item:
 
 
 class StandardMessages:
-    """What the standard messages are made of: the latest scan, the latest fix, home, the wind.
+    """Makes the standard messages from the latest scan and fix, home and the estimated wind.
 
-    recording: asked whether a recording is under way. facts: run-time facts of the sensors, by name.
+    recording: returns whether a recording is under way. facts: returns run-time facts of the sensors, by name.
     """
 
     def __init__(
@@ -67,7 +68,7 @@ class StandardMessages:
         self.fix: Scan | None = None
         """The latest scan with a fix report."""
         self.home: Scan | None = None
-        """The scan of the first fix that several before it agreed with: heights are above it."""
+        """The scan with the last of the first _HOME_FIXES fixes that agree; heights are relative to it."""
         self._candidates: list[Scan] = []
         self._wind = d.WindMean()
         self._config = config
@@ -87,7 +88,7 @@ class StandardMessages:
             "NAMED_VALUE_FLOAT": self._next_named,
             "HIGH_LATENCY2": self._summary,
         }
-        self._named_values: OrderedDict[str, float] = OrderedDict()  # the one to be sent next first
+        self._named_values: OrderedDict[str, float] = OrderedDict()  # in the order of sending
 
     def offer(self, scan: Scan) -> None:
         self.last = scan
@@ -111,10 +112,10 @@ class StandardMessages:
             self.home = scan
 
     def set_named(self, name: str, value: float) -> None:
-        """Show a value that has no message of its own from now on (a derivative estimated on board).
+        """Set a value that is sent by name from now on, such as a derivative estimated on board.
 
-        Named values take turns, so that very many come less often instead of crowding out the others. Names are cut to ten
-        bytes; there is room for 64, later ones are not shown.
+        Named values are sent in turn, so that many of them do not crowd out other messages. Names are cut to ten bytes; beyond
+        _NAMES further ones are ignored.
         """
         if name in self._named_values or len(self._named_values) < _NAMES:
             self._named_values[name] = value if abs(value) <= _LARGEST else _NAN
@@ -131,7 +132,7 @@ class StandardMessages:
         return self._makers.keys()
 
     def make(self, name: str) -> Item | None:
-        """The present message of a name; None where its values are missing, or it is none of these messages."""
+        """Make the present message of this name; None where its values are missing, or for an unknown name."""
         maker = self._makers.get(name)
         return None if maker is None or self.last is None else maker(self.last)
 
@@ -160,9 +161,9 @@ class StandardMessages:
         return None if scan is None else self.display.supply_voltage(scan, self._config.supply_volts_per_count)
 
     def _summary(self, scan: Scan) -> Item:
-        """HIGH_LATENCY2 for stations that pass over heartbeats without an autopilot: MAVProxy then takes us for what it shows.
+        """HIGH_LATENCY2, for stations that ignore heartbeats without an autopilot, such as MAVProxy.
 
-        Its whole numbers have no room for "not known"; what is not known is 0.
+        Its integer fields have no value for "not known"; they are 0 then.
         """
         fix, turn = self._fresh_fix(scan), d.attitude(scan)
         v: Mapping[str, float] = {} if fix is None else fix.values
@@ -293,7 +294,7 @@ def attitude(scan: Scan) -> Item | None:
 
 
 def gps_raw(scan: Scan | None) -> Item | None:
-    """GPS_RAW_INT from the latest scan that had a fix report."""
+    """GPS_RAW_INT from the latest scan with a fix report; None without one."""
     if scan is None:
         return None
     v = scan.values
@@ -318,10 +319,10 @@ def gps_raw(scan: Scan | None) -> Item | None:
 
 
 def sys_status(scan: Scan, recording: bool, volts: float | None) -> Item:
-    """SYS_STATUS from sensor states: an attitude filter, no EKF.
+    """SYS_STATUS from the states of the sensors. volts: the main supply, None where not known.
 
-    Of what is not fitted nothing is wrong, so that its bit says healthy: a station that looks at health alone (MAVProxy
-    at its geofence) would report a breach otherwise. volts: the main supply, None where it is not known.
+    The bit of a sensor that is not fitted is healthy: a station that reads the health bits alone (MAVProxy for its geofence)
+    would report a breach otherwise.
     """
     present = _LOGGING_BIT | (0 if volts is None else _BATTERY_BIT)
     unhealthy = 0 if recording else _LOGGING_BIT
@@ -344,7 +345,7 @@ def sys_status(scan: Scan, recording: bool, volts: float | None) -> Item:
 
 
 def servo_output(scan: Scan) -> Item | None:
-    """SERVO_OUTPUT_RAW: pulse widths as measured at the outputs, in microseconds; 0 where none was."""
+    """SERVO_OUTPUT_RAW: measured pulse widths [us], 0 for those not measured; None without any."""
     scale = (CHANNEL_BY_NAME["pwm_1"].scale or 0.0) * 1e6
     widths = {f"servo{i}_raw": d.measured(scan, f"pwm_{i}") for i in range(1, 7)}
     if all(w is None for w in widths.values()):
@@ -357,7 +358,7 @@ def servo_output(scan: Scan) -> Item | None:
 
 
 def autopilot_version() -> Item:
-    """AUTOPILOT_VERSION: our software's version, and that there is nothing but MAVLink 2 and plain parameters."""
+    """AUTOPILOT_VERSION: version of the software, with MAVLink 2 and parameters by value as the only capabilities."""
     numbers = [int("".join(c for c in part if c.isdigit()) or 0) for part in software_version().split(".")[:3]]
     major, minor, patch = (min(255, n) for n in [*numbers, 0, 0, 0][:3])
     return item(
@@ -368,14 +369,14 @@ def autopilot_version() -> Item:
 
 
 def _is_position(scan: Scan) -> bool:
-    """Whether the receiver vouches for a position (gnssFixOK) of a type that has one."""
+    """Whether the fix is valid (gnssFixOK) and of a type with a position."""
     status = scan.groups.get("gnss")
     return status is not None and status.state is SensorState.OK and scan.values.get("gnss_fix", 0) in _FIXES
 
 
-def _agree(one: Scan, other: Scan) -> bool:
+def _agree(first: Scan, second: Scan) -> bool:
     limits = (("latitude_e7", _HOME_SPREAD_E7), ("longitude_e7", _HOME_SPREAD_E7), ("height_msl_mm", _HOME_SPREAD_MM))
-    return all(abs(one.values.get(name, 0) - other.values.get(name, 0)) <= limit for name, limit in limits)
+    return all(abs(first.values.get(name, 0) - second.values.get(name, 0)) <= limit for name, limit in limits)
 
 
 def _boot_ms(scan: Scan) -> int:

@@ -1,11 +1,10 @@
-"""Commands and requests from the ground: checked, answered once, harmless when repeated.
+"""Commands and requests from the ground: checked, executed once, answered again when repeated.
 
-With a signing key set, only frames with a good signature do anything; others are counted and reported. The one
-exception is RADIO_STATUS, which radios cannot sign and which can only slow the downlink down within limits.
+With a signing key only frames with a valid signature have an effect; others are counted and reported. The one exception is
+RADIO_STATUS, which radios cannot sign and which can only slow the downlink down within limits.
 
-A call takes a few milliseconds, whatever arrives: a limited number of bytes and frames is processed, and the rest waits for the
-next call. Requests of a sender, and commands that use the card, are limited in rate; refused ones are counted and reported at
-intervals.
+A turn takes at most a few milliseconds of the scan loop, whatever arrives: bytes and frames per turn are limited, and the rest
+waits for the next turn. Requests per sender and commands that write to the card are limited too (`request_limits`).
 """
 
 import logging
@@ -36,30 +35,30 @@ from daq.transport.signing import SignatureVerdict, Signer
 _LOG = logging.getLogger("sideslip.uplink")
 
 READ_BYTES = 4096
-"""Bytes read in a turn: ten turns a second take seven times what a radio at 57600 baud brings. Noise made to be hard to
-decode costs 0.25 us a byte on a 2020s x86 core, five times that on a small ARM one: 1 to 5 ms."""
-_PIECE_BYTES = 512  # read at a time; between two pieces the clock is asked
+"""Bytes read in a turn: at ten turns a second seven times what a radio at 57600 baud delivers. Noise that is hard to decode
+costs 0.25 us a byte on a 2020s x86 core and five times that on a small ARM core: 1 to 5 ms a turn."""
+_READ_CHUNK_BYTES = 512  # the clock is read between two chunks
 TURN_NS = 5_000_000
-"""A turn ends after so long, a tenth of the time between two scans at 20 Hz."""
-FRAMES = 128
-"""Frames taken in a turn; each costs some 10 us, twenty times what a ground station sends in a turn."""
-_MEMORY = 256
-_REPEAT_NS = 30 * NS
-_NOTICE, _WARNING = 5, 4
-_PATIENCE_S = 2.0  # for a save of the signing timestamps that is under way when the link is closed
+"""Longest turn: a tenth of the time between two scans at 20 Hz."""
+FRAMES_PER_TURN = 128
+"""Frames processed in a turn: twenty times what a ground station sends in one; each costs some 10 us."""
+_REMEMBERED_COMMANDS = 256  # more than a ground station sends within _REPEAT_NS
+_REPEAT_NS = 30 * NS  # a command sent again within this is answered from memory
+_NOTICE, _WARNING = 5, 4  # severities of STATUSTEXT, as syslog has them
+_CLOSE_TIMEOUT_S = 2.0  # for a save of the signing timestamps that is running when the link is closed
 Fields = Mapping[str, Any]
 
-_HARMLESS = ("HEARTBEAT", "TIMESYNC", "RADIO_STATUS")
+_HARMLESS = ("HEARTBEAT", "TIMESYNC", "RADIO_STATUS")  # counted, but not reported, where they lack a signature
 _BUSY = "too much is under way"
-_ASKING_NOBODY = ("COMMAND_LONG", "PARAM_REQUEST_LIST", "FILE_TRANSFER_PROTOCOL", "LOG_REQUEST_LIST")
-_INTRODUCE_NS = 5 * NS
+_BROADCAST_REQUESTS = ("COMMAND_LONG", "PARAM_REQUEST_LIST", "FILE_TRANSFER_PROTOCOL", "LOG_REQUEST_LIST")
+_INTRODUCE_NS = 5 * NS  # between two summaries for stations that broadcast requests
 _UNLIMITED = ("HEARTBEAT", "RADIO_STATUS")  # not answered, and cheap
 
 
 class Uplink:
-    """Reads a link's port and acts on what the ground may ask.
+    """Reads a link's port and executes commands and requests.
 
-    turn_ns: how long a turn may take. dropped: how many datagrams the port could not take so far.
+    turn_ns: longest turn [ns]. dropped: returns how many datagrams the port has dropped so far.
     """
 
     def __init__(
@@ -82,24 +81,24 @@ class Uplink:
         self._logs = logs
         self._servers = deque(server for server in (backfill, logs) if server is not None)
         self._decoder = FrameDecoder()
-        self._frames: deque[MavlinkFrame] = deque()  # decoded, not taken yet
+        self._frames: deque[MavlinkFrame] = deque()  # decoded, not processed yet
         self._turn_ns = turn_ns
         self._limits = SenderLimits(downlink.config.limits.requests_per_s)
         self._budget = CommandBudget(downlink.config.limits)
         self._refusals = Refusals(downlink.text)
         self._dropped = dropped
         self._dropped_reported = 0
-        self._dropped_asked_ns = 0
+        self._dropped_checked_ns = 0
         self._introduced_ns: int | None = None
         self._command_results: OrderedDict[tuple[Any, ...], tuple[int, int]] = OrderedDict()  # command -> time, result
         self._saver: Future[None] | None = None
-        self._heard_ns: int | None = None  # when a frame of the ground was last taken
+        self._last_frame_ns: int | None = None  # when the last accepted frame of the ground came
         self._worker = Worker("uplink-signing")
         self._manoeuvres = ManoeuvreInbox(downlink.text)
-        downlink.send_queue.bulk = self._next_bulk
+        downlink.send_queue.bulk = self._next_bulk_message
 
-    def _next_bulk(self) -> Item | None:
-        """The next message of one of the servers; they take turns."""
+    def _next_bulk_message(self) -> Item | None:
+        """The next message of backfill or log download, which alternate; None without one."""
         for _ in range(len(self._servers)):
             server = self._servers[0]
             self._servers.rotate(-1)
@@ -108,29 +107,29 @@ class Uplink:
         return None
 
     def service(self, now_ns: int, control: Control) -> None:
-        """Act on what has arrived, as far as this turn goes."""
+        """Process what has arrived, within the limits of a turn, and send what is due."""
         until_ns = self._clock.monotonic_ns() + self._turn_ns
-        for _, frame in zip(range(FRAMES), self._arriving(until_ns), strict=False):
+        for _, frame in zip(range(FRAMES_PER_TURN), self._pending_frames(until_ns), strict=False):
             self._receive(frame, now_ns, control)
             if self._clock.monotonic_ns() >= until_ns:
                 break
-        if now_ns - self._dropped_asked_ns >= REPORT_NS:
-            self._dropped_asked_ns = now_ns
+        if now_ns - self._dropped_checked_ns >= REPORT_NS:
+            self._dropped_checked_ns = now_ns
             self._note_dropped()
         self._refusals.report(now_ns)
         self._answer(self._manoeuvres.service(control))
         if self._signer is not None and self._signer.needs_saving():
             self._save_signing(self._signer)
 
-    def _arriving(self, until_ns: int) -> Iterator[MavlinkFrame]:
-        """Frames that were left from the last turn, then those of what is read in this one."""
+    def _pending_frames(self, until_ns: int) -> Iterator[MavlinkFrame]:
+        """Frames left from the last turn, then those read in this one; ends at READ_BYTES or at `until_ns`."""
         bytes_left = READ_BYTES
         while True:
             while self._frames:
                 yield self._frames.popleft()
             if bytes_left <= 0 or self._clock.monotonic_ns() >= until_ns:
                 return
-            data = self._port.read(min(bytes_left, _PIECE_BYTES))
+            data = self._port.read(min(bytes_left, _READ_CHUNK_BYTES))
             if not data:
                 return
             bytes_left -= len(data)
@@ -143,12 +142,12 @@ class Uplink:
             self._refusals.note(f"{new} datagrams dropped unread: too long, or too many to be read")
 
     def silence_s(self, now_ns: int) -> float | None:
-        """Seconds since a frame of the ground was last taken; None when none ever was. A radio's own report does not count."""
-        return None if self._heard_ns is None else (now_ns - self._heard_ns) * 1e-9
+        """Time since the last accepted frame of the ground [s], None without one; RADIO_STATUS does not count."""
+        return None if self._last_frame_ns is None else (now_ns - self._last_frame_ns) * 1e-9
 
     def close(self) -> None:
         """End the worker threads and save the signing timestamps."""
-        if not self._worker.close(_PATIENCE_S):
+        if not self._worker.close(_CLOSE_TIMEOUT_S):
             _LOG.error("signing timestamps not saved: the card does not answer")
         elif self._signer is not None:
             try:
@@ -160,7 +159,7 @@ class Uplink:
         self._manoeuvres.close()
 
     def _save_signing(self, signer: Signer) -> None:
-        """Save signing timestamps in a thread, for the card may be slow, one save at a time."""
+        """Save the signing timestamps in a thread, for the card may be slow; one save at a time."""
         if self._saver is not None:
             if not self._saver.done():
                 return
@@ -172,14 +171,14 @@ class Uplink:
     def _receive(self, frame: MavlinkFrame, now_ns: int, control: Control) -> None:
         ours = self._downlink.config
         if frame.system == ours.system_id and frame.component in (ours.component_id, ours.data_component_id):
-            return  # our own words come back: an echoing line
+            return  # our own frame: the line echoes
         if self._signer is not None and frame.msg_id != RADIO_STATUS_ID:
             verdict = self._signer.judge(frame.signed_part, (frame.system, frame.component), frame.signature)
             if not verdict.accepted:
-                self._refuse_unproven(frame, verdict)
+                self._refuse_unsigned(frame, verdict)
                 return
         if frame.msg_id != RADIO_STATUS_ID:
-            self._heard_ns = now_ns
+            self._last_frame_ns = now_ns
         fields = frame.fields()
         target = fields.get("target_system", 0)
         if target not in (0, self._downlink.config.system_id):
@@ -188,8 +187,8 @@ class Uplink:
         if frame.name not in _UNLIMITED and not self._limits.allow(sender, now_ns):
             self._refuse(frame, "too many requests")
             return
-        if target == 0 and frame.name in _ASKING_NOBODY:
-            self._introduce(now_ns)
+        if target == 0 and frame.name in _BROADCAST_REQUESTS:
+            self._introduce_self(now_ns)
         if frame.name == "COMMAND_LONG":
             self._command(frame, fields, now_ns, control)
             return
@@ -200,7 +199,7 @@ class Uplink:
             has_voltage = self._downlink.messages.supply_voltage is not None
             parameters = gcs_replies.parameters(self._downlink.config.rate_hz, has_voltage)
             replies = gcs_replies.answers(frame.name, fields, sender, parameters)
-            queued = [self._downlink.send_queue.put_asked(reply) for reply in replies]
+            queued = [self._downlink.send_queue.put_requested(reply) for reply in replies]
             if not all(queued):
                 self._refuse(frame, _BUSY)
             return
@@ -208,7 +207,7 @@ class Uplink:
             self._refuse(frame, _BUSY)
 
     def _manoeuvre(self, frame: MavlinkFrame, fields: Fields, control: Control) -> None:
-        """A fragment of a manoeuvre: what moves the controls comes in frames that a key has proven, or not at all."""
+        """A fragment of a manoeuvre; refused without a key, for a manoeuvre moves the controls."""
         if self._signer is None:
             self._refuse(frame, "this link has no key; set downlink.key_file")
             return
@@ -217,47 +216,46 @@ class Uplink:
             self._refuse(frame, "not a fragment" if answer is None else _BUSY)
 
     def _answer(self, answer: Item | None) -> bool:
-        return answer is None or self._downlink.send_queue.put_asked(answer)
+        return answer is None or self._downlink.send_queue.put_requested(answer)
 
-    def _introduce(self, now_ns: int) -> None:
-        """Say who is here to a station that asks whoever may hear it: it has not taken us for an aircraft.
+    def _introduce_self(self, now_ns: int) -> None:
+        """Send HIGH_LATENCY2 to a station that broadcasts its requests because it has not recognised us as an aircraft.
 
-        MAVProxy is one. It passes over heartbeats that say, as ours does truly, that there is no autopilot; the
-        summary for slow links, HIGH_LATENCY2, it believes.
+        MAVProxy is one: it ignores heartbeats that state no autopilot, as ours does, but accepts HIGH_LATENCY2.
         """
         if self._introduced_ns is None or now_ns - self._introduced_ns >= _INTRODUCE_NS:
             self._introduced_ns = now_ns
             summary = self._downlink.messages.make("HIGH_LATENCY2")
             if summary is not None:
-                self._downlink.send_queue.put_asked(summary)
+                self._downlink.send_queue.put_requested(summary)
 
-    def _refuse_unproven(self, frame: MavlinkFrame, verdict: SignatureVerdict) -> None:
+    def _refuse_unsigned(self, frame: MavlinkFrame, verdict: SignatureVerdict) -> None:
         if frame.name in _HARMLESS and verdict is SignatureVerdict.UNSIGNED:
             self._downlink.rejected_frames += 1
         else:
             self._refuse(frame, verdict.value)
 
-    def _refuse(self, frame: MavlinkFrame, why: str) -> None:
+    def _refuse(self, frame: MavlinkFrame, reason: str) -> None:
         self._downlink.rejected_frames += 1
-        self._refusals.note(f"refused {frame.name} from {frame.system}/{frame.component}: {why}")
+        self._refusals.note(f"refused {frame.name} from {frame.system}/{frame.component}: {reason}")
 
     # ----------------------------------------------------------------------------------------- messages
 
     def _serve(self, name: str, fields: Fields, now_ns: int) -> bool:
-        """Act on a message that is neither command nor manoeuvre; False when too much waits already."""
+        """Process a message that is neither command nor manoeuvre; False when its queue is full."""
         downlink, queue = self._downlink, self._downlink.send_queue
         match name:
             case "RADIO_STATUS":
                 downlink.radio_status(min(100, fields["txbuf"]), now_ns)
             case "TIMESYNC" if fields["tc1"] == 0:
-                return queue.put_answer(item("TIMESYNC", tc1=self._clock.monotonic_ns(), ts1=fields["ts1"]))
+                return queue.put_acknowledgement(item("TIMESYNC", tc1=self._clock.monotonic_ns(), ts1=fields["ts1"]))
             case "SENT_MAP_REQUEST" if fields["boot"] == downlink.boot:
-                return queue.put_asked(downlink.sent_map(fields["first_number"] // BLOCK))
+                return queue.put_requested(downlink.sent_map(fields["first_number"] // BLOCK))
             case "BACKFILL_REQUEST" if self._backfill is not None and fields["boot"] == downlink.boot:
                 return self._backfill.request(fields["first_number"], fields["wanted"], fields["fragments"])
             case "BACKFILL_SUMMARY_REQUEST" if self._backfill is not None and fields["boot"] in (0, downlink.boot):
                 summary = self._backfill.summary(fields["through_number"])
-                return queue.put_asked(summary) and queue.put_asked(downlink.statistics())
+                return queue.put_requested(summary) and queue.put_requested(downlink.statistics())
             case "LOG_REQUEST_LIST" if self._logs is not None:
                 self._logs.request_list(fields["start"], fields["end"])
             case "LOG_REQUEST_DATA" if self._logs is not None:
@@ -274,19 +272,19 @@ class Uplink:
         command = int(fields["command"])
         parameters = tuple(float(fields[f"param{i}"]) for i in range(1, 8))
         if command in gcs_replies.MESSAGE_COMMANDS:
-            self._acknowledge(frame, command, self._send_asked_message(command, parameters[0]))
+            self._acknowledge(frame, command, self._send_requested_message(command, parameters[0]))
             return
         key = (frame.system, frame.component, command, *(p.hex() for p in parameters))
         previous = self._command_results.get(key)
-        # The same request again, its acknowledgement lost: the answer is repeated, the action is not.
+        # The sender repeats a command whose acknowledgement was lost: the result is sent again, the action is not repeated.
         repeated = fields["confirmation"] > 0 or command == c.EVENT_MARK
         if previous is not None and repeated and now_ns - previous[0] < _REPEAT_NS:
             result = previous[1]
         else:
             result = self._execute(frame, command, parameters, now_ns, control)
-            if result != c.TEMPORARILY_REJECTED:  # which may be another answer the next time
+            if result != c.TEMPORARILY_REJECTED:  # the reason may not apply the next time
                 self._command_results[key] = (now_ns, result)
-            if len(self._command_results) > _MEMORY:
+            if len(self._command_results) > _REMEMBERED_COMMANDS:
                 self._command_results.popitem(last=False)
             if result not in (c.ACCEPTED, c.UNSUPPORTED):
                 self._downlink.rejected_commands += 1
@@ -300,19 +298,19 @@ class Uplink:
             target_system=frame.system,
             target_component=frame.component,
         )
-        if not self._downlink.send_queue.put_answer(ack):
+        if not self._downlink.send_queue.put_acknowledgement(ack):
             self._refuse(frame, _BUSY)
 
-    def _send_asked_message(self, command: int, parameter: float) -> int:
-        """Send the message that a command asks for, and say what came of it; nothing of it is a refusal worth a word."""
-        name = gcs_replies.message_asked_for(command, parameter)
+    def _send_requested_message(self, command: int, parameter: float) -> int:
+        """Send the message that a command requests; returns the MAV_RESULT. Refusals are not reported otherwise."""
+        name = gcs_replies.requested_message(command, parameter)
         if name == "AUTOPILOT_VERSION":
             message: Item | None = autopilot_version()
         elif name is None or name not in self._downlink.messages.names:
             return c.UNSUPPORTED
         else:
             message = self._downlink.messages.make(name)
-        if message is None or not self._downlink.send_queue.put_asked(message):
+        if message is None or not self._downlink.send_queue.put_requested(message):
             return c.TEMPORARILY_REJECTED
         return c.ACCEPTED
 
@@ -336,31 +334,31 @@ class Uplink:
                 return c.UNSUPPORTED
 
     def _change_recording(self, command: int, parameters: tuple[float, ...], now_ns: int, control: Control) -> str:
-        """Begin, end or mark the recording; why not, where the budget speaks against it."""
+        """Begin, end or mark the recording. Returns why the budget refuses it, or ""."""
         refusal = ""
         if command == c.EVENT_MARK:
-            refusal = self._budget.against_mark(now_ns)
+            refusal = self._budget.check_mark(now_ns)
             if not refusal:
                 control.mark_event(f"mark {_number_text(parameters[0])}", "ground")
         elif command == c.LOGGING_STOP and control.recording:
-            refusal = self._budget.against_stop(now_ns)
+            refusal = self._budget.check_stop(now_ns)
             if not refusal:
                 control.stop_recording()
         elif command == c.LOGGING_START and not control.recording:
-            refusal = self._budget.against_start()
+            refusal = self._budget.check_start()
             if not refusal and control.start_recording():
-                self._budget.started(now_ns)
+                self._budget.note_start(now_ns)
         return refusal
 
     def _sequence(self, frame: MavlinkFrame, parameters: tuple[float, ...], control: Control) -> int:
-        """Start or stop the sequencer. To start moves the controls: only a frame that a key has proven may."""
+        """Start or stop the sequencer; returns the MAV_RESULT. A start moves the controls, so it needs a link with a key."""
         if parameters[0] not in (0.0, 1.0) or any(parameters[2:]) or not 0.0 <= parameters[1] < 2**24:
             return c.UNSUPPORTED
         start = parameters[0] == 1.0
         if start and self._signer is None:
             self._refusals.note("refused to start the sequencer: this link has no key; set downlink.key_file")
             return c.DENIED
-        refusal = control.ask_sequencer(int(parameters[1]) if start else None)
+        refusal = control.request_sequencer(int(parameters[1]) if start else None)
         if refusal:
             self._downlink.text(_WARNING, f"sequencer does not {'start' if start else 'stop'}: {refusal}")
             return c.TEMPORARILY_REJECTED
@@ -382,7 +380,7 @@ class Uplink:
             return c.UNSUPPORTED
         scans = list(self._downlink.recent)
         display = self._downlink.messages.display
-        evidence = flight_evidence(scans, display.pitot_pascal) or self._budget.against_mark(now_ns)
+        evidence = flight_evidence(scans, display.pitot_pascal) or self._budget.check_mark(now_ns)
         if evidence:
             self._refusals.note(f"pitot not zeroed: {evidence}")
             return c.TEMPORARILY_REJECTED

@@ -1,10 +1,10 @@
-"""MAVLink 2 frames: an encoder, and a decoder that loses exactly the damaged ones.
+"""MAVLink 2 frames: an encoder, and a decoder that loses only damaged frames.
 
-The common Python decoder drops as many bytes as a damaged frame claims to have, and with them the frames behind it.
-This one moves on by a single byte after every failure, so nothing behind a damaged frame is lost. Only MAVLink 2 is
-accepted, with one exception: the MAVLink 1 RADIO_STATUS that SiK radios put into the stream, and only exactly that.
-No byte sequence makes the decoder raise, and none makes it work much: what cannot begin a frame by its first three bytes
-is passed over by a compiled search, and a checksum is computed only where length, flags and message id go together.
+The common Python decoder drops as many bytes as a damaged frame claims to have, and with them the frames behind it. This one
+advances by a single byte after every failure, so that nothing behind a damaged frame is lost. Only MAVLink 2 is accepted, with
+one exception: the MAVLink 1 RADIO_STATUS that SiK radios inject, in exactly their form. No byte sequence makes the decoder
+raise, or take much time: a compiled search skips bytes that cannot begin a frame, and a checksum is computed only where length,
+flags and message id are consistent.
 """
 
 import re
@@ -22,7 +22,7 @@ from daq.transport.signing import SIGNATURE_BYTES, Signer
 MAGIC = 0xFD
 MAGIC_V1 = 0xFE
 FIRST_OWN_ID = 44100
-"""Messages from here on are Sideslip's own (docs/mavlink.md): stock programs do not know them."""
+"""First message id of Sideslip's own messages (docs/mavlink.md), which other programs cannot decode."""
 HEADER_BYTES = 10
 CHECKSUM_BYTES = 2
 MAX_FRAME_BYTES = HEADER_BYTES + 255 + CHECKSUM_BYTES + SIGNATURE_BYTES
@@ -31,12 +31,12 @@ SIGNED = 0x01
 _mcrf4xx = fastcrc.crc16.mcrf4xx
 _HEAD = struct.Struct("<6BHB")  # length, flags, 0, sequence, system, component, message id in two parts
 _SIK_HEADER = bytes([51, 68])
-"""System and component id that SiK radios give to what they inject ('3', 'D')."""
+"""System and component id of messages that SiK radios inject ('3', 'D')."""
 _SIK_PAYLOAD = 9
 _SIK_FRAME = 6 + _SIK_PAYLOAD + CHECKSUM_BYTES
 RADIO_STATUS_ID = 109
 
-# Where a frame may begin, by as much of its head as is there: length not zero and flags known; or RADIO_STATUS of a SiK radio.
+# A possible start of a frame, by what there is of its header: length not zero and known flags, or a SiK radio's RADIO_STATUS.
 _BEGINS = re.compile(
     rb"\xfd(?:\Z|[^\x00](?:\Z|[\x00\x01]))"
     rb"|\xfe(?:\Z|\x09(?:\Z|.(?:\Z|\x33(?:\Z|\x44(?:\Z|\x6d)))))",
@@ -45,7 +45,7 @@ _BEGINS = re.compile(
 
 _BYTES = tuple(bytes([n]) for n in range(256))
 
-_new_tuple: Callable[..., Any] = tuple.__new__  # without the function that names the fields: half of the time
+_new_tuple: Callable[..., Any] = tuple.__new__  # takes half the time of the named tuple's own constructor
 
 Value = int | float | str | bytes | tuple[int | float, ...]
 
@@ -63,10 +63,8 @@ class MessageType:
     crc_extra: int
 
     def pack(self, values: Mapping[str, Any]) -> bytes:
-        """The payload of a message; fields not given are zero.
-
-        Raises ValueError for a field the message does not have or a value that does not fit it: a programming fault.
-        """
+        """Encode the payload of a message; fields not given are zero. Raises ValueError for an unknown field, or a value that
+        does not fit its field."""
         unknown = values.keys() - set(self.fields)
         if unknown:
             raise ValueError(f"{self.name} has no field {', '.join(sorted(unknown))}")
@@ -87,21 +85,21 @@ class MessageType:
             raise ValueError(f"{self.name}: a value does not fit its field ({error})") from error
 
     def unpack(self, payload: bytes) -> dict[str, Value]:
-        """The fields of a payload, whose trailing zeros may be missing."""
+        """Decode the fields of a payload, whose trailing zeros may be missing."""
         numbers = self.codec.unpack(padded(payload, self.codec.size))
         values: dict[str, Value] = {}
-        place = 0
+        index = 0
         for name, count, text in zip(self.fields, self.counts, self.text, strict=True):
             if text:
-                values[name] = numbers[place].split(b"\0", 1)[0].decode("utf-8", "replace")
+                values[name] = numbers[index].split(b"\0", 1)[0].decode("utf-8", "replace")
             else:
-                values[name] = numbers[place] if count == 1 else tuple(numbers[place : place + count])
-            place += count
+                values[name] = numbers[index] if count == 1 else tuple(numbers[index : index + count])
+            index += count
         return values
 
 
 def padded(payload: bytes, size: int) -> bytes:
-    """A payload with the trailing zeros that MAVLink 2 left out; bytes beyond `size` (newer extensions) dropped."""
+    """A payload with the trailing zeros that MAVLink 2 drops, cut to `size` bytes, without newer extensions."""
     return payload[:size] if len(payload) >= size else payload + bytes(size - len(payload))
 
 
@@ -131,13 +129,13 @@ def message_by_name() -> Mapping[str, MessageType]:
 
 @cache
 def _checks() -> Mapping[int, tuple[int, int, bool]]:
-    """CRC_EXTRA, longest payload, and whether it is of our dialect, by message id."""
+    """Message id -> CRC_EXTRA, longest payload, and whether our dialect defines it."""
     ours = {m.msg_id: (m.crc_extra, m.codec.size, True) for m in message_types().values()}
     return {i: (extra, size, False) for i, (extra, size) in sideslip_dialect.FOREIGN_MESSAGES.items()} | ours
 
 
 class MavlinkFrame(NamedTuple):
-    """A frame whose checksum holds; `raw` is every byte of it. A tuple, for there are thousands a second."""
+    """A frame with a valid checksum; raw: all its bytes. A tuple for speed: there are thousands a second."""
 
     raw: bytes
     msg_id: int
@@ -149,7 +147,7 @@ class MavlinkFrame(NamedTuple):
 
     @property
     def signed_part(self) -> bytes:
-        """What the signature is over: magic to checksum."""
+        """The bytes that the signature covers: magic to checksum."""
         return self.raw if self.signature is None else self.raw[:-SIGNATURE_BYTES]
 
     @property
@@ -170,7 +168,7 @@ class MavlinkFrame(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Junk:
-    """Consecutive bytes that are part of no sound frame, and how many broken frames were recognised in them."""
+    """Consecutive bytes outside valid frames, and the number of damaged frames recognised in them."""
 
     raw: bytes
     damaged: int
@@ -178,7 +176,7 @@ class Junk:
 
 @dataclass
 class DecoderCounts:
-    """What a decoder has seen so far; bytes in frames and bytes discarded add up to the bytes received."""
+    """Counters of a decoder; bytes in frames and bytes discarded add up to the bytes received."""
 
     received_bytes: int = 0
     frames: int = 0
@@ -201,7 +199,7 @@ class FrameDecoder:
         return self._scan(data, last=False)
 
     def finish(self) -> list[MavlinkFrame | Junk]:
-        """What remains when nothing more will come: an incomplete frame may still hide complete ones."""
+        """Frames and junk in the rest at the end of the stream: an incomplete frame may hide complete ones."""
         return self._scan(b"", last=True)
 
     def _scan(self, data: bytes, *, last: bool) -> list[MavlinkFrame | Junk]:
@@ -251,7 +249,7 @@ class FrameDecoder:
 
 
 def frame_at(buffer: bytes, at: int) -> MavlinkFrame | None:
-    """The sound frame that begins at a byte, if one does: work and memory of one frame, whatever the bytes."""
+    """The valid frame that begins at a byte, None without one; takes time and memory of one frame, whatever the bytes."""
     if at >= len(buffer):
         return None
     find = {MAGIC: _frame_at, MAGIC_V1: _sik_frame_at}.get(buffer[at])
@@ -260,7 +258,7 @@ def frame_at(buffer: bytes, at: int) -> MavlinkFrame | None:
 
 
 def _frame_at(buffer: bytes, at: int, size: int, last: bool) -> MavlinkFrame | int | None:
-    """The frame that begins at `at`; None when bytes are wanting; else how many broken frames this looks like (0, 1)."""
+    """The frame that begins at `at`; None while bytes are missing; otherwise 1 for a damaged frame, 0 for no frame."""
     if size - at < HEADER_BYTES:
         return 0 if last else None
     length, flags = buffer[at + 1], buffer[at + 2]
@@ -270,12 +268,12 @@ def _frame_at(buffer: bytes, at: int, size: int, last: bool) -> MavlinkFrame | i
         return 0
     body = at + HEADER_BYTES + length
     end = body + CHECKSUM_BYTES + (SIGNATURE_BYTES if flags & SIGNED else 0)
-    looks = 1 if check[2] else 0
+    damaged = 1 if check[2] else 0
     if end > size:
-        return looks if last else None
+        return damaged if last else None
     checksum = _mcrf4xx(buffer[at + 1 : body] + _BYTES[check[0]])
     if checksum != buffer[body] | buffer[body + 1] << 8:
-        return looks
+        return damaged
     signature = buffer[end - SIGNATURE_BYTES : end] if flags & SIGNED else None
     payload = buffer[at + HEADER_BYTES : body]
     fields = buffer[at:end], msg_id, buffer[at + 4], buffer[at + 5], buffer[at + 6], payload, signature
@@ -284,7 +282,7 @@ def _frame_at(buffer: bytes, at: int, size: int, last: bool) -> MavlinkFrame | i
 
 
 def _sik_frame_at(buffer: bytes, at: int, size: int, last: bool) -> MavlinkFrame | int | None:
-    """A MAVLink 1 RADIO_STATUS as SiK radios inject it, payload length, ids and checksum all as they make them."""
+    """A MAVLink 1 RADIO_STATUS with payload length, ids and checksum of a SiK radio; returns as `_frame_at`."""
     head = buffer[at + 1 : at + 6]
     fits = (head[0:1] in (b"", bytes([_SIK_PAYLOAD])), head[2:4] in (b"", _SIK_HEADER[: len(head[2:4])], _SIK_HEADER))
     if not all(fits) or head[4:5] not in (b"", bytes([RADIO_STATUS_ID])):
@@ -299,10 +297,10 @@ def _sik_frame_at(buffer: bytes, at: int, size: int, last: bool) -> MavlinkFrame
 
 
 class FrameEncoder:
-    """Makes frames of one sender: counts the sequence and signs if there is a signer.
+    """Encodes the frames of one sender: numbers them, and signs them if there is a signer.
 
-    private: the component that sends Sideslip's own messages, by a sequence of its own. A stock program cannot read those,
-    so that in one sequence with the others it would count each of them as lost. None: the same component.
+    private: component id of Sideslip's own messages, with a sequence of its own; None: `component`. Other programs cannot decode
+    these messages, and would count each as lost if they shared a sequence with the others.
     """
 
     def __init__(
@@ -315,7 +313,7 @@ class FrameEncoder:
         self._sequences = dict.fromkeys((self.component, self._private), 0)
 
     def message(self, name: str, **values: Any) -> bytes:
-        """A frame of a message by name and fields; fields not given are zero."""
+        """Encode a message by name and fields; fields not given are zero."""
         message_type = message_by_name()[name]
         return self.frame(message_type.msg_id, message_type.pack(values))
 

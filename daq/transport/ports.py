@@ -1,11 +1,10 @@
-"""Byte ports of the link: serial, UDP, TCP and memory, none of which ever blocks.
+"""Byte ports of the link: serial, UDP, TCP and memory, none of which blocks.
 
-`read` returns what has arrived, possibly nothing; `write` takes what fits and says how much that was. A loop that
-scans sensors or draws pictures can therefore use any of them directly. Listeners bind to loopback unless a host is
-named.
+`read` returns what has arrived, possibly nothing; `write` takes what fits and returns how much that was. The scan loop and a user
+interface can therefore use any of them directly. Listeners bind to loopback unless a host is named.
 
-A sender that is faster than the reader cannot overload it: a read returns at most the requested number of bytes, from a bounded
-number of datagrams; the rest waits in the system's buffer, and is lost where that is full.
+A fast sender cannot occupy the reader: a read returns at most the requested bytes, from a bounded number of datagrams. The rest
+waits in the system's buffer, and what exceeds that is lost.
 """
 
 import errno
@@ -20,38 +19,38 @@ from typing import Any, Literal, Protocol
 
 from daq.utilities.errors import UserError
 
-DEFAULT_BAUD = 57600
-MAX_PEERS = 8
+DEFAULT_BAUD = 57600  # of SiK radios
+MAX_PEERS = 8  # of a listening port; of UDP's the latest, of TCP's the first
 _LOOPBACK = "127.0.0.1"
 _READ_BYTES = 65536
 DATAGRAM_BYTES = 2048
 """Longer datagrams are dropped and counted: none of MAVLink needs more than an Ethernet frame's 1472 bytes."""
 DATAGRAMS = 256
-"""Datagrams taken in one read at most: an empty one costs time too, but no bytes of the limit."""
-_RECEIVE_BUFFER = 1 << 20
+"""Most datagrams in one read: empty ones cost time, but count nothing towards the limit of bytes."""
+_RECEIVE_BUFFER = 1 << 20  # bytes
 _SO_MEMINFO, _MEMINFO_DROPS = 55, 8  # Linux, asm-generic/socket.h and linux/sock_diag.h: nine 32-bit counts
 _MEMINFO = struct.Struct("9I")
-_CLIENT_BACKLOG = 1 << 20
+_CLIENT_BACKLOG = 1 << 20  # bytes that a TCP peer may lag behind before it is disconnected
 _CONNECT_S = 3.0
 _WOULD_BLOCK = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _PEER_GONE = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
 
 
 class PortError(UserError):
-    """A port that cannot be opened or a port description that cannot be understood."""
+    """A port that cannot be opened, or an invalid port description."""
 
 
 class BytePort(Protocol):
-    """What the link needs of a port."""
+    """A port of the link; no call blocks."""
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
-        """Bytes that have arrived, at most `limit`; empty when there are none."""
+        """Return at most `limit` bytes that have arrived, none when there are none."""
 
     def write(self, data: bytes) -> int:
-        """Hand over bytes; returns how many were taken, 0 when the port is busy."""
+        """Send bytes; returns how many the port has taken, 0 when it is busy."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
 
 
 PortKind = Literal["serial", "udp", "udpin", "tcp", "tcpin"]
@@ -59,7 +58,7 @@ PortKind = Literal["serial", "udp", "udpin", "tcp", "tcpin"]
 
 @dataclass(frozen=True, slots=True)
 class PortSpec:
-    """A port as it is written in a configuration: `serial:DEVICE[:BAUD]`, `udp|udpin|tcp|tcpin:[HOST:]PORT`."""
+    """A port description: `serial:DEVICE[:BAUD]`, `udp|udpin|tcp|tcpin:[HOST:]PORT`."""
 
     kind: PortKind
     address: str
@@ -67,7 +66,7 @@ class PortSpec:
 
 
 def parse_port(text: str) -> PortSpec:
-    """Understand a port description; PortError says what is wrong with it."""
+    """Parse a port description. Raises PortError with the reason."""
     kind, _, rest = text.partition(":")
     usage = "write serial:DEVICE:BAUD, udp:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT"
     if kind == "serial" and rest:
@@ -83,7 +82,7 @@ def parse_port(text: str) -> PortSpec:
 
 
 def connected(spec: PortSpec) -> "UdpPort | TcpClientPort | TcpServerPort":
-    """A UDP or TCP port; OSError when the address is taken or nobody answers."""
+    """Open a UDP or TCP port. Raises OSError when the address is in use or nobody answers."""
     match spec.kind:
         case "udp":
             return UdpPort(remote=(spec.address, spec.number))
@@ -98,7 +97,7 @@ def connected(spec: PortSpec) -> "UdpPort | TcpClientPort | TcpServerPort":
 
 
 def open_socket_port(spec: PortSpec) -> "UdpPort | TcpClientPort | TcpServerPort":
-    """`connected`, but PortError with advice when it cannot be opened."""
+    """Open a UDP or TCP port as `connected` does. Raises PortError with advice when it cannot be opened."""
     try:
         return connected(spec)
     except OSError as error:
@@ -121,7 +120,7 @@ def _advice(spec: PortSpec, error: OSError) -> str:
 
 
 class UdpPort:
-    """Datagrams: to a fixed remote, or (listening) to everyone heard from, the latest few of them."""
+    """A UDP port that sends to a fixed remote or, listening, to the latest MAX_PEERS senders."""
 
     is_open = True  # a silent peer may send again
 
@@ -141,7 +140,7 @@ class UdpPort:
             raise
         self._fixed = remote is not None
         self._peers: dict[Any, None] = {}
-        self._held: tuple[str, bytes] | None = None  # taken from the system, not given to the reader yet
+        self._unread: tuple[str, bytes] | None = None  # sender and datagram read from the system, beyond the last limit
         self._too_long = 0
 
     @property
@@ -151,27 +150,26 @@ class UdpPort:
 
     @property
     def dropped(self) -> int:
-        """Datagrams that were not taken: too long, or the system's buffer was full."""
+        """Datagrams dropped so far: too long, or the system's buffer was full."""
         with suppress(OSError):  # not Linux
             counts = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
             return self._too_long + int(_MEMINFO.unpack(counts)[_MEMINFO_DROPS])
         return self._too_long
 
     def receive(self, limit: int = _READ_BYTES) -> list[tuple[str, bytes]]:
-        """Datagrams that have arrived, at most `limit` bytes together, with a name of their sender.
+        """Return (sender, datagram) of what has arrived, at most `limit` bytes in all.
 
-        One that does not fit into what is left of the limit comes with the next call; only one longer than the
-        limit itself is given in parts.
+        A datagram beyond the limit comes with the next call; only one longer than the limit itself is split.
         """
         datagrams: list[tuple[str, bytes]] = []
         for _ in range(DATAGRAMS):
-            name, data = self._held or self._next_datagram()
-            self._held = None
+            name, data = self._unread or self._next_datagram()
+            self._unread = None
             if len(data) > limit and not datagrams:
                 data, rest = data[:limit], data[limit:]
-                self._held = (name, rest)
+                self._unread = (name, rest)
             elif len(data) > limit:
-                self._held = (name, data)
+                self._unread = (name, data)
                 break
             if data:
                 datagrams.append((name, data))
@@ -181,7 +179,7 @@ class UdpPort:
         return datagrams
 
     def _next_datagram(self) -> tuple[str, bytes]:
-        """The next datagram and its sender's name; no data for one that is of no use, no name when none has arrived."""
+        """Sender and data of the next datagram; no data for one that is dropped, no sender when none has arrived."""
         try:
             data, peer = self._socket.recvfrom(DATAGRAM_BYTES + 1)
         except OSError as error:
@@ -204,7 +202,7 @@ class UdpPort:
         return b"".join(data for _, data in self.receive(limit))
 
     def write(self, data: bytes) -> int:
-        """Send one datagram to each peer; without a peer it is accepted and lost, as on a radio."""
+        """Send one datagram to each peer; without any it is discarded, as on a radio."""
         if self._fixed:
             return self._send(data, None)
         counts = [self._send(data, peer) for peer in list(self._peers)]
@@ -225,7 +223,7 @@ class UdpPort:
 
 
 class _Stream:
-    """One TCP connection with a bounded backlog of what it has not taken yet."""
+    """One TCP connection with a bounded backlog of data still to be sent."""
 
     def __init__(self, connection: socket.socket, name: str) -> None:
         connection.setblocking(False)
@@ -237,7 +235,7 @@ class _Stream:
 
     def read(self, limit: int) -> bytes:
         if not limit:
-            return b""  # not to be taken for the end of the connection
+            return b""  # recv(0) would look like the end of the connection
         try:
             data = self._connection.recv(limit)
         except OSError as error:
@@ -262,7 +260,7 @@ class _Stream:
             return 0
 
     def push(self, data: bytes) -> None:
-        """Hand over all of `data`; a peer that falls too far behind is disconnected."""
+        """Send all of `data`, now or later; a peer that lags by more than _CLIENT_BACKLOG is disconnected."""
         count = self.write(data)
         self._backlog += data[count:]
         if len(self._backlog) > _CLIENT_BACKLOG:
@@ -274,7 +272,7 @@ class _Stream:
 
 
 class TcpClientPort:
-    """A connection to a listening peer."""
+    """A TCP connection to a listening peer."""
 
     def __init__(self, host: str, number: int) -> None:
         self._stream = _Stream(socket.create_connection((host, number), timeout=_CONNECT_S), f"{host}:{number}")
@@ -294,14 +292,14 @@ class TcpClientPort:
 
 
 class TcpServerPort:
-    """A listener; every connected peer receives all bytes and may send."""
+    """A TCP listener: sends everything to each connected peer and reads from all of them."""
 
-    is_open = True  # a silent peer may send again
+    is_open = True  # another peer may connect
 
     def __init__(self, host: str, number: int) -> None:
         self._listener = socket.create_server((host, number))
         self._listener.setblocking(False)
-        self._streams: list[_Stream] = []  # the first is asked first, and goes to the end
+        self._streams: list[_Stream] = []  # rotated, so that each is read first in turn
 
     @property
     def address(self) -> tuple[str, int]:
@@ -309,11 +307,11 @@ class TcpServerPort:
         return str(name[0]), int(name[1])
 
     def receive(self, limit: int = _READ_BYTES) -> list[tuple[str, bytes]]:
-        """What has arrived, by peer, at most `limit` bytes together; peers take turns at being first."""
+        """Return (peer, bytes) of what has arrived, at most `limit` bytes in all; peers are read first in turn."""
         self._accept()
         pieces: list[tuple[str, bytes]] = []
         for remaining, stream in zip(range(len(self._streams), 0, -1), tuple(self._streams), strict=True):
-            data = stream.read(limit // remaining)  # its fair share of what those before it left
+            data = stream.read(limit // remaining)  # an equal share of what remains
             if data:
                 pieces.append((stream.name, data))
                 limit -= len(data)
@@ -350,10 +348,9 @@ class TcpServerPort:
 
 
 class SerialPort:
-    """An opened serial device (`pyserial` object with timeout 0, or anything with `fileno`).
+    """An open serial device. device: a `pyserial` object with timeout 0, or anything with `fileno`.
 
-    Writing goes to the file descriptor: pyserial's own write with write_timeout=0 spins for as long as the driver's
-    buffer is full.
+    Writes to the file descriptor, because pyserial's write with write_timeout=0 spins while the driver's buffer is full.
     """
 
     def __init__(self, device: Any) -> None:
@@ -366,7 +363,7 @@ class SerialPort:
         """Whether the device, or a pseudo-terminal's other end, is still there."""
         watch = select.poll()
         watch.register(self._descriptor, 0)
-        return not watch.poll(0)  # hang-up and error are told unasked
+        return not watch.poll(0)  # poll reports hang-up and error without being asked to
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         try:
@@ -389,7 +386,7 @@ class SerialPort:
 
 
 def open_serial_port(device: str, baud: int) -> SerialPort:
-    """Open a serial device; OSError or ValueError where it cannot be had."""
+    """Open a serial device. Raises OSError or ValueError where it cannot be opened."""
     import serial
 
     return SerialPort(serial.Serial(device, baud, timeout=0, exclusive=True))
@@ -406,14 +403,14 @@ class MemoryPort:
         data_read = bytearray()
         while self._inbox and len(data_read) < limit:
             data = self._inbox.popleft()
-            room = limit - len(data_read)
-            data_read += data[:room]
-            if len(data) > room:
-                self._inbox.appendleft(data[room:])
+            remaining = limit - len(data_read)
+            data_read += data[:remaining]
+            if len(data) > remaining:
+                self._inbox.appendleft(data[remaining:])
         return bytes(data_read)
 
     def write(self, data: bytes) -> int:
-        self._outbox.append(memoryview(bytes(data)))  # what is left of it is not copied at every read
+        self._outbox.append(memoryview(bytes(data)))  # a memoryview: partial reads do not copy the rest
         return len(data)
 
     def close(self) -> None:
@@ -421,7 +418,7 @@ class MemoryPort:
 
 
 def memory_pair() -> tuple[MemoryPort, MemoryPort]:
-    """Two connected ports: what one writes the other reads."""
-    one_way: deque[memoryview] = deque()
-    right: deque[memoryview] = deque()
-    return MemoryPort(one_way, right), MemoryPort(right, one_way)
+    """Two connected ports: each reads what the other writes."""
+    first: deque[memoryview] = deque()
+    second: deque[memoryview] = deque()
+    return MemoryPort(first, second), MemoryPort(second, first)

@@ -1,7 +1,7 @@
-"""Ports that come back: a TCP peer that restarts, a serial adapter that is unplugged and put in again.
+"""Ports that reconnect: to a TCP peer that restarts, to a serial adapter that is unplugged and plugged in again.
 
-Opening may take long (a host that does not answer, a slow driver), so it happens in a thread of its own; reading and
-writing still never wait. While the port is away both raise OSError with a sentence that can be shown as it is.
+Opening may take long (a host that does not answer, a slow driver), so it runs in a thread of its own; reading and writing never
+block. While the port is away both raise OSError with a sentence for the user.
 """
 
 import errno
@@ -21,10 +21,10 @@ from daq.transport.ports import (
     parse_port,
 )
 
-FIRST_RETRY_NS = 500_000_000
+FIRST_RETRY_NS = 500_000_000  # pause before the first attempt to reopen; it doubles up to the longest
 LONGEST_RETRY_NS = 8_000_000_000
-PATIENCE_S = 1.0
-"""To close a port waits this long for an attempt to open it; a name server may take longer to answer."""
+OPEN_TIMEOUT_S = 1.0
+"""Longest wait for an attempt to open a port, at start and on closing; a name server may take longer to answer."""
 _READ_BYTES = 65536
 _NOBODY_THERE = (
     errno.ECONNREFUSED,
@@ -37,18 +37,18 @@ _NOBODY_THERE = (
 
 
 class ClosingPort(BytePort, Protocol):
-    """A port that knows when its other end, or its device, has gone."""
+    """A port that detects when its other end, or its device, has gone."""
 
     @property
     def is_open(self) -> bool:
-        """Whether it can still be of use."""
+        """Whether its other end, or its device, is still there."""
 
 
 class ReconnectingPort:
     """A port that is opened again, with growing pauses, whenever it is lost.
 
-    open_again: makes a new port or raises OSError or PortError; called in a thread. port: the port as first opened; None
-    when there is nobody there yet, and `why`; attempt: one that is under way.
+    open_again: opens a port, or raises OSError or PortError; called in a thread. port: the opened port, None while there is none.
+    reason: why there is none. attempt: a running attempt to open it. now_ns: the monotonic clock.
     """
 
     def __init__(
@@ -56,14 +56,14 @@ class ReconnectingPort:
         open_again: Callable[[], ClosingPort],
         port: ClosingPort | None,
         *,
-        why: str = "",
+        reason: str = "",
         attempt: "_Attempt | None" = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._open_again = open_again
         self._now_ns = now_ns
         self._port = port
-        self._why = why
+        self._reason = reason
         self._pause_ns = FIRST_RETRY_NS
         self._next_ns = now_ns() + FIRST_RETRY_NS
         self._attempt = attempt
@@ -74,11 +74,11 @@ class ReconnectingPort:
 
     @property
     def why_away(self) -> str:
-        """Why the other end is not there, or empty."""
-        return "" if self.is_open else self._why
+        """Why the port is away, or ""."""
+        return "" if self.is_open else self._reason
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
-        """Bytes that have arrived; OSError while the port is away."""
+        """At most `limit` bytes that have arrived. Raises OSError while the port is away."""
         port = self._usable()
         try:
             data = port.read(limit)
@@ -91,7 +91,7 @@ class ReconnectingPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """Hand over bytes; OSError while the port is away."""
+        """Send bytes; returns how many the port has taken. Raises OSError while the port is away."""
         port = self._usable()
         try:
             count = port.write(data)
@@ -102,7 +102,7 @@ class ReconnectingPort:
         return count
 
     def close(self) -> None:
-        """Give the port back; an attempt to open it that is still under way gives its own back when it is done."""
+        """Close the port; a running attempt to open it closes its own when it ends."""
         if self._attempt is not None:
             self._attempt.abandon()
             self._attempt = None
@@ -127,19 +127,19 @@ class ReconnectingPort:
             self._pause_ns = min(LONGEST_RETRY_NS, 2 * self._pause_ns)
             self._attempt = _Attempt(self._open_again)
 
-    def _port_lost(self, why: str) -> OSError:
+    def _port_lost(self, reason: str) -> OSError:
         if self._port is not None:
             self._port.close()
-        self._port, self._why = None, why
+        self._port, self._reason = None, reason
         self._next_ns = self._now_ns() + self._pause_ns
         return self._away_error()
 
     def _away_error(self) -> OSError:
-        return OSError(errno.ENOTCONN, f"away ({self._why}); it is opened again as soon as it is back")
+        return OSError(errno.ENOTCONN, f"away ({self._reason}); it is opened again as soon as it is back")
 
 
 class _Attempt:
-    """One try to open a port, in a thread."""
+    """One attempt to open a port, in a thread."""
 
     def __init__(self, open_again: Callable[[], ClosingPort]) -> None:
         self.port: ClosingPort | None = None
@@ -151,8 +151,8 @@ class _Attempt:
         self.thread.start()
 
     def abandon(self) -> None:
-        """Nobody wants the port any more: wait a little for it, then leave it to the thread to close it."""
-        self.thread.join(PATIENCE_S)
+        """Close the port if the attempt ends within OPEN_TIMEOUT_S; otherwise its thread closes it later."""
+        self.thread.join(OPEN_TIMEOUT_S)
         with self._lock:
             self._abandoned = True
             if self.port is not None:
@@ -174,10 +174,11 @@ class _Attempt:
 def open_lasting(
     text: str, open_serial: Callable[[str, int], SerialPort] = open_serial_port, *, wait: bool = False
 ) -> BytePort:
-    """Open a port by its description. PortError says what is wrong with the description or the port.
+    """Open a port by its description (`DownlinkConfig.port`). Raises PortError for a faulty description, or a port that cannot
+    be opened.
 
-    A TCP peer that is not there yet is no error: it is tried again. wait: nor is anything else that may come later, as a serial
-    adapter, a network or a name on it: on an aircraft everything starts in some order.
+    A TCP peer that is absent is no error: the port connects later. wait: nor is any other thing that may appear later, such as a
+    serial adapter, a network or a host name, because on an aircraft devices start in any order.
     """
     spec = parse_port(text)
     if spec.kind == "serial":
@@ -185,16 +186,16 @@ def open_lasting(
     else:
         open_again = partial(connected, spec)
     first = _Attempt(open_again)
-    first.thread.join(PATIENCE_S if wait else None)
+    first.thread.join(OPEN_TIMEOUT_S if wait else None)
     port, error = first.port, first.error
     if port is not None:
         return port if spec.kind in ("udp", "udpin", "tcpin") else ReconnectingPort(open_again, port)
     if wait and (error is None or (isinstance(error, OSError) and not _is_final(error))):
-        return ReconnectingPort(open_again, None, why=_cause_text(error), attempt=first if error is None else None)
+        return ReconnectingPort(open_again, None, reason=_cause_text(error), attempt=first if error is None else None)
     if spec.kind == "tcp" and (isinstance(error, TimeoutError) or getattr(error, "errno", None) in _NOBODY_THERE):
-        return ReconnectingPort(open_again, None, why=_cause_text(error))
+        return ReconnectingPort(open_again, None, reason=_cause_text(error))
     if spec.kind != "serial":
-        return open_socket_port(spec)  # says in words why it cannot be had
+        return open_socket_port(spec)  # raises with the reason in words
     raise PortError(f"serial port {spec.address} cannot be opened ({error}); check the name, or who uses it") from error
 
 
@@ -203,5 +204,5 @@ def _cause_text(error: Exception | None) -> str:
 
 
 def _is_final(error: OSError) -> bool:
-    """Whether waiting does not help: another program has the address, or this user may not take it."""
+    """Whether waiting cannot help: another program uses the address, or this user may not use it."""
     return error.errno in (errno.EADDRINUSE, errno.EACCES)

@@ -1,9 +1,9 @@
 """MAVLink 2 message signing for both ends of the link.
 
-A signature is a link id, a 48-bit timestamp (10 microsecond units since 2015-01-01) and the first six bytes of
-SHA-256 over key, frame, link id and timestamp (MAVLink guide, "Message Signing"). Here the hash is verified, in
-constant time, before anything a frame says is believed or stored: a forged frame can neither advance a stream's
-timestamp nor lock the true sender out. Timestamps survive a restart, so recorded frames cannot be replayed later.
+A signature is a link id, a 48-bit timestamp (10 microsecond units since 2015-01-01) and the first six bytes of SHA-256 over key,
+frame, link id and timestamp (MAVLink guide, "Message Signing"). The hash is verified, in constant time, before any content of a
+frame is used or stored, so that a forged frame can neither advance a stream's timestamp nor lock the true sender out. Timestamps
+survive a restart, so that recorded frames cannot be replayed later.
 """
 
 import hashlib
@@ -28,12 +28,12 @@ UNITS_PER_S = 100_000
 EPOCH_UNIX_S = 1_420_070_400
 """2015-01-01 in Unix time."""
 NEW_STREAM_MARGIN = 60 * UNITS_PER_S
-"""A stream never heard of may lag the latest known timestamp by this much (MAVLink guide: one minute)."""
+"""A new stream may lag the latest received timestamp by this much (MAVLink guide: one minute)."""
 RESERVE = 60 * UNITS_PER_S
 """Outgoing timestamps are reserved on disk this far ahead, so that a restart never repeats one."""
-MAX_STREAMS = 256
+MAX_STREAMS = 256  # (system, component, link id) in a state; frames of further ones are refused
 CLOCK_KNOWN = 10 * 365 * 86_400 * UNITS_PER_S
-"""A clock that stands before 2025 was never set: clocks without a battery begin in 1970, or when their system was built."""
+"""A clock before 2025 was never set: clocks without a battery begin in 1970, or when their system was built."""
 
 _STAMP_LIMIT = 2**48 - 1
 _KEY_FILE_BYTES = 4096
@@ -47,7 +47,7 @@ class SigningError(UserError):
 
 
 class SignatureVerdict(Enum):
-    """What the signature of a frame is worth."""
+    """Result of checking the signature of a frame."""
 
     GOOD = "good"
     UNSIGNED = "unsigned"
@@ -60,9 +60,9 @@ class SignatureVerdict(Enum):
 
 
 def load_key(path: str | Path) -> bytes:
-    """The signing key in a file: 32 bytes, or 64 hexadecimal digits.
+    """Read a signing key from a file: 32 bytes, or 64 hexadecimal digits.
 
-    Raises SigningError when the file is absent, no regular file, readable by others than its owner, or not a key.
+    Raises SigningError when the file is missing, no regular file, readable by others than its owner, or no key.
     """
     path = Path(path)
     try:
@@ -93,9 +93,9 @@ def load_key(path: str | Path) -> bytes:
 
 
 def _small_file(path: Path, limit: int) -> tuple[bytes, int]:
-    """The first bytes of a regular file, one more than `limit` at most, and its mode; nothing of what is no such file.
+    """Read at most `limit` + 1 bytes of a regular file, none of another kind; returns them and the mode.
 
-    Opened so that a FIFO nobody writes to is not waited for. Raises OSError.
+    Opens without blocking, even a FIFO without a writer. Raises OSError.
     """
     descriptor = os.open(path, READ_AT_ONCE | getattr(os, "O_NOCTTY", 0))
     mode = os.fstat(descriptor).st_mode
@@ -119,7 +119,8 @@ def signature_hash(key: bytes, frame: bytes, link_id: int, stamp: int) -> bytes:
 
 @dataclass
 class SigningState:
-    """What must outlive the process: the last timestamp sent (reserved) and heard, whole and by stream."""
+    """The state that must survive a restart: the last timestamp sent, or reserved, and the last one received, in all and by
+    stream."""
 
     sent: int = 0
     heard: int = 0
@@ -127,10 +128,9 @@ class SigningState:
 
 
 def load_state(path: Path | None) -> SigningState:
-    """The state saved at `path`; a new one when there is none yet.
+    """Read the state from `path`; a new one when there is no file.
 
-    Raises SigningError when the file is there and is not a signing state: starting afresh would open the door to
-    replays.
+    Raises SigningError when the file is no signing state, because a new state would make replays possible.
     """
     if path is None:
         return SigningState()
@@ -151,7 +151,7 @@ def load_state(path: Path | None) -> SigningState:
 
 
 def _state_of(table: Any) -> SigningState:
-    """A state from what its file holds. Raises ValueError, KeyError or TypeError for anything else."""
+    """The state in the JSON of its file. Raises ValueError, KeyError or TypeError for invalid content."""
     rows = table["streams"]
     if not isinstance(rows, list) or len(rows) > MAX_STREAMS:
         raise ValueError(f"streams is not a list of at most {MAX_STREAMS}")
@@ -171,10 +171,10 @@ def _bounded_integer(value: object, most: int) -> int:
 
 
 def save_state(state: SigningState, path: Path) -> None:
-    """Write the state so that either the old or the new one is on disk at any instant, and a power cut brings no old one back.
+    """Write the state atomically and synced, so that a power cut restores no older one. Raises OSError.
 
-    It is written under a name that nobody can foresee, into a file that must not be there yet: a link planted in a folder
-    that others may write to is not followed. Raises OSError.
+    It is written under an unpredictable name into a file that must not exist yet, so that a link planted in a folder that others
+    may write to is not followed.
     """
     rows = [[*stream, stamp] for stream, stamp in sorted(state.streams.items())]
     make_directories(path.parent)
@@ -184,13 +184,13 @@ def save_state(state: SigningState, path: Path) -> None:
 
 
 class Signer:
-    """Signs what this end sends and judges what it hears, with one key.
+    """Signs sent frames and checks received ones, with one key.
 
-    now: UTC in ns. A clock that stands before the last known timestamp (no battery-backed clock) is not believed:
-    timestamps then go on from the last one by one unit a frame.
+    now: returns UTC [ns]. While the clock is behind the last timestamp (no battery-backed clock), each frame's timestamp is the
+    last one plus one unit.
 
-    A state file that is none is set aside, and `notice` says so in a sentence. Timestamps then begin with the clock:
-    frames recorded more than NEW_STREAM_MARGIN ago still do not count. Raises SigningError where the clock knows nothing.
+    An invalid state file is renamed, and `notice` says so in a sentence. Timestamps then begin with the clock, so that frames
+    recorded more than NEW_STREAM_MARGIN ago are still refused. Raises SigningError where the clock was never set.
     """
 
     def __init__(self, key: bytes, now: Callable[[], int], *, link_id: int = 0, state_path: Path | None = None) -> None:
@@ -230,7 +230,7 @@ class Signer:
         return bytes([link]) + stamp.to_bytes(6, "little") + signature_hash(self._key, frame, link, stamp)
 
     def judge(self, frame: bytes, stream: tuple[int, int], signature: bytes | None) -> SignatureVerdict:
-        """The worth of a received frame (magic to checksum) of `stream` (system, component)."""
+        """Check a received frame (magic to checksum) of `stream` (system, component), and note its timestamp if it is good."""
         if signature is None:
             return SignatureVerdict.UNSIGNED
         link, stamp = signature[0], int.from_bytes(signature[1:7], "little")
@@ -248,11 +248,11 @@ class Signer:
         return SignatureVerdict.GOOD
 
     def needs_saving(self) -> bool:
-        """Whether the state on disk is behind: something new was heard, or the reserve of timestamps runs out."""
+        """Whether the state on disk is out of date: a frame was received, or the reserve of timestamps runs out."""
         return self.state.heard != self._saved_heard or self._last + RESERVE // 2 > self._reserved
 
     def save(self) -> None:
-        """Save the state; a file-system call, so not for a loop that must not wait."""
+        """Save the state; may block on the file system."""
         reserved = max(self._last, stamp_of(self._now())) + RESERVE
         heard_stamp = self.state.heard
         if self._path is not None:

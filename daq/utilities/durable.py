@@ -1,10 +1,9 @@
-"""The one way in which this program writes a file: the old content or the new, under its name, never something between.
+"""Atomic writing of files: under its name a file always has either its old content or its new one.
 
-A file is written under a hidden name beside its own, brought to the medium, and then takes the name: whatever fails in
-between, a full disk, a kill or a power cut, what stood there before stands there still. A file survives a cut once its data
-is synced, and its name once the directory is: a rename alone may come to the medium before the data. What a killed process
-has left is taken away by the next that writes into the folder. Logs that must be on the disk while they grow are the
-exception: `open_log`.
+A file is written under a hidden name beside its own, synced, and then renamed: after a full disk, a kill or a power cut the old
+file is still there. Data are synced before the rename, and the directory after it, because a rename alone may reach the medium
+before the data. The next process that writes into the folder removes what a killed one has left. Logs, which must be readable
+while they grow, are the exception: `open_log`.
 """
 
 import contextlib
@@ -20,53 +19,53 @@ from typing import IO
 
 try:
     import fcntl
-except ImportError:  # Windows: leftovers are told by the process that is gone
+except ImportError:  # Windows: a leftover is recognised by its process number alone
     fcntl = None  # type: ignore[assignment]
 
 ENDING = ".sideslip-new"
-"""Of what is being written; no glob for recordings or tables matches it."""
+"""Suffix of files that are being written; no glob for recordings or tables matches it."""
 NO_TEXT = "backslashreplace"
-"""What becomes of a file name that is no text within one: `\\udcff`, which in JSON stands for the very name."""
-_LONGEST_STEM = 120  # bytes of the final name within the hidden one: 255 are allowed in all
-_ABANDONED_S = 3600.0  # an unlocked file of a process number that lives: the number was given again
+"""Error handler for file names that are not valid text: written as `\\udcff`, which in JSON stands for the same name."""
+_LONGEST_STEM = 120  # bytes of the final name within the hidden one, of 255 in all
+_ABANDONED_S = 3600.0  # an older file without a lock is a leftover even if its process number exists: it was reused
 
 DISK_ERRNOS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EFBIG, errno.ENODEV, errno.ESTALE})
-"""What a disk that is full, read-only, broken or gone says."""
+"""Errors of a disk that is full, read-only, broken or gone."""
 
 
 def lock_file(file: int | IO[str] | IO[bytes]) -> None:
-    """Lock an open file against other processes until it is closed, however this one ends. OSError where one has it already;
-    nothing where the system has no such locks (Windows)."""
+    """Lock an open file against other processes until it is closed, however this one ends. Raises OSError where another process
+    has locked it; does nothing where the system has no such locks (Windows)."""
     if fcntl is not None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def sync_directory(directory: Path) -> None:
-    """Return once the names in a directory are on the medium; OSError when the medium fails."""
+    """Return once the names in a directory are on the medium. Raises OSError when the medium fails."""
     if os.name == "nt":
         return  # Windows writes names through, and opens no directory
     try:
         descriptor = os.open(directory, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
     except PermissionError:
-        return  # files may be made in it but not listed: what is recorded counts for more than that its name is safe
+        return  # a directory that may be written but not read cannot be synced; recording matters more than a safe name
     try:
         os.fsync(descriptor)
     except OSError as error:
-        if error.errno != errno.EINVAL:  # some file systems have no such thing, and nothing more can be done there
+        if error.errno != errno.EINVAL:  # some file systems cannot sync a directory
             raise
     finally:
         os.close(descriptor)
 
 
 def make_directories(directory: Path) -> None:
-    """Make a directory and those above it; each new name is on the medium on return, and none is left when that fails."""
+    """Make a directory and its parents. On return every new name is on the medium; on failure the new ones are removed."""
     missing = [d for d in (directory, *directory.parents) if not d.exists()]
     directory.mkdir(parents=True, exist_ok=True)
     try:
         for new in reversed(missing):
             sync_directory(new.parent)
     except OSError:
-        for new in missing:  # or the next try would take them for safe
+        for new in missing:  # otherwise the next call would assume that they are on the medium
             if not any(new.iterdir()):
                 new.rmdir()
         raise
@@ -74,10 +73,11 @@ def make_directories(directory: Path) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """An empty file beside `path` to write to. What was written there takes the place of `path` at the end.
+    """Yield an empty file beside `path` to write to; it replaces `path` at the end of the block.
 
-    On return it is on the medium, name and all. When the block raises, `path` is as it was and nothing is left beside it;
-    an OSError then names `path`. Its name has no ending that chooses a format: give the format to a writer that asks.
+    On return data and name are on the medium. When the block raises, `path` is unchanged and nothing is left beside it; an
+    OSError then names `path`. The suffix of the yielded name chooses no format: pass the format to a writer that goes by the
+    suffix.
     """
     clear_leftovers(path.parent)
     with _errors_naming(path):
@@ -96,10 +96,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Where to write a file that is to be whole or not at all; pipes and devices (/dev/stdout) take it as it comes.
-
-    A link stays, and the file that it leads to is replaced.
-    """
+    """Yield a path to write to, whose file replaces `path` at the end of the block; a pipe or device (/dev/stdout) is yielded as
+    it is. A symbolic link stays, and its target is replaced."""
     target = _target(path)
     if target is None:
         with _errors_naming(path):
@@ -120,22 +118,22 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextmanager
 def whole_text(path: Path, newline: str | None = "") -> Iterator[IO[str]]:
-    """An open text file, UTF-8, that takes the name `path` at the end, as `whole` says. newline: "" for CSV."""
+    """Yield an open text file, UTF-8, that replaces `path` at the end of the block (see `whole`). newline: "" for CSV."""
     with whole(path) as new, new.open("w", encoding="utf-8", errors=NO_TEXT, newline=newline) as file:
         yield file
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[IO[bytes]]:
-    """An open file of bytes that takes the name `path` at the end, as `whole` says: for libraries that take no name which is no
-    text."""
+    """Yield an open binary file that replaces `path` at the end of the block (see `whole`), for libraries that accept only names
+    that are valid text."""
     with whole(path) as new, new.open("wb") as file:
         yield file
 
 
 @contextmanager
 def replacing_folder(path: Path) -> Iterator[Path]:
-    """A new folder beside `path` to fill, which takes its place at the end; when the block raises, `path` is as it was."""
+    """Yield a new folder beside `path` to fill; it replaces `path` at the end. When the block raises, `path` is unchanged."""
     make_directories(path.parent)
     clear_leftovers(path.parent)
     with _errors_naming(path):
@@ -157,7 +155,7 @@ def replacing_folder(path: Path) -> Iterator[Path]:
 
 
 def try_folder(folder: Path) -> None:
-    """Raise OSError where a folder takes no new entry. Like every hidden file, what a kill leaves of it is cleared later."""
+    """Raise OSError where no file can be made in a folder."""
     clear_leftovers(folder)
     new, descriptor = _hidden(folder / "probe")
     os.close(descriptor)
@@ -170,8 +168,8 @@ class FolderInUseError(Exception):
 
 @contextmanager
 def folder_of_ones_own(folder: Path, name: str) -> Iterator[None]:
-    """Hold a folder, made if need be, against every other process that holds it under this name. The kernel lets go of it
-    however this process ends. Raises FolderInUseError, or OSError where the folder cannot be written."""
+    """Lock a folder, made if missing, against other processes that lock it under this name, until the block or the process ends.
+    Raises FolderInUseError, or OSError where the folder cannot be written."""
     make_directories(folder)
     with open_log(folder / f".{name}.lock") as lock:
         try:
@@ -183,14 +181,14 @@ def folder_of_ones_own(folder: Path, name: str) -> Iterator[None]:
 
 
 def open_log(path: Path, buffering: int = -1) -> IO[bytes]:
-    """A file that grows while it is read, at its end: telemetry, journals, logs. What is written is there at once or later
-    as its owner flushes; a torn last record is its reader's to pass over."""
+    """Open a file for appending that is read while it grows: telemetry, journals, logs. The caller flushes it; readers must
+    expect an incomplete last record."""
     make_directories(path.parent)
     return path.open("a+b", buffering=buffering)
 
 
 def clear_leftovers(directory: Path) -> None:
-    """Remove what processes that are gone have left half-written in a directory; what cannot be removed stays."""
+    """Remove the unfinished files of ended processes from a directory, as far as possible."""
     try:
         leftovers = [entry.name for entry in os.scandir(directory) if entry.name.endswith(ENDING)]
     except OSError:
@@ -201,7 +199,7 @@ def clear_leftovers(directory: Path) -> None:
 
 
 def _target(path: Path) -> Path | None:
-    """The file that is to be replaced; None for what is no ordinary one, or another process's open file (/dev/fd/1)."""
+    """The file to be replaced; None for a pipe or device, or for an open file (/dev/fd/1)."""
     if path.is_symlink():
         if path.absolute().parts[1:2] in (("dev",), ("proc",)):
             return None
@@ -215,12 +213,13 @@ def _hidden_name(path: Path) -> str:
 
 
 def _hidden(path: Path) -> tuple[Path, int]:
-    """A new hidden file beside `path`, as the umask or the old file has its mode, locked as long as the descriptor is open."""
+    """Make a hidden file beside `path` with the mode of the old file, or by the umask; returns its path and a descriptor that
+    holds a lock on it."""
     new = path.with_name(_hidden_name(path))
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
     descriptor = os.open(new, flags, 0o666)
     try:
-        with contextlib.suppress(OSError):  # a file system without locks: the process number tells
+        with contextlib.suppress(OSError):  # a file system without locks: the process number must do
             lock_file(descriptor)
         with contextlib.suppress(FileNotFoundError, PermissionError, AttributeError):
             os.fchmod(descriptor, path.stat().st_mode & 0o777)
@@ -233,35 +232,35 @@ def _hidden(path: Path) -> tuple[Path, int]:
 
 @contextmanager
 def _errors_naming(path: Path) -> Iterator[None]:
-    """An OSError inside names `path`, not nothing or the hidden file, and says in the system's words what it is."""
+    """Make an OSError raised inside name `path` instead of the hidden file, with the system's description."""
     try:
         yield
     except OSError as error:
         if error.filename is None or str(error.filename).endswith(ENDING):
             error.filename, error.filename2 = str(path), None
-        if error.errno in DISK_ERRNOS:  # Arrow and others make a story of it
+        if error.errno in DISK_ERRNOS:  # Arrow and others write a text of their own
             error.strerror = os.strerror(error.errno)
         raise
 
 
 def _clear(file: Path) -> None:
-    """Remove one leftover, unless somebody is still writing it."""
+    """Remove one unfinished file, unless a process is still writing it."""
     number = file.name.removesuffix(ENDING).rpartition(".")[0].rpartition(".")[2]
-    lives = number.isdigit() and _lives(int(number))
-    if lives and (int(number) == os.getpid() or time.time() - file.stat().st_mtime < _ABANDONED_S):
+    running = number.isdigit() and _process_exists(int(number))
+    if running and (int(number) == os.getpid() or time.time() - file.stat().st_mtime < _ABANDONED_S):
         return
     if file.is_dir() and not file.is_symlink():
         shutil.rmtree(file)
         return
     descriptor = os.open(file, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
     try:
-        lock_file(descriptor)  # BlockingIOError: another machine is at it
+        lock_file(descriptor)  # BlockingIOError: a process on another machine is writing it
         file.unlink(missing_ok=True)
     finally:
         os.close(descriptor)
 
 
-def _lives(number: int) -> bool:
+def _process_exists(number: int) -> bool:
     if os.name == "nt":
         return True
     try:

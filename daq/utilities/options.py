@@ -1,4 +1,4 @@
-"""Options that verbs share, each declared once; files and folders that they name are tried before the verb begins."""
+"""Command-line options that verbs share, each declared once. Output files and folders are checked before the verb runs."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -24,17 +24,18 @@ def flights_argument(name: str = "flights", metavar: str = "FLIGHT...") -> Optio
 
 
 def flag_option(*names: str, text: str, default: bool | None = False) -> Option[Any]:
-    """An option without a value; default None tells one that was not given from one that was."""
+    """An option without a value. default: None where the verb must know whether it was given."""
     return click.option(*names, is_flag=True, default=default, help=text)
 
 
 def path_option(*names: str, text: str, tried: Callable[..., Any] | None = None, **more: Any) -> Option[Any]:
-    """A file or folder; tried: what looks before the verb begins whether it can be written; more: of `click.option`."""
+    """A file or folder. tried: callback that checks whether it can be written (`daq.utilities.outputs`); more: arguments of
+    `click.option`."""
     return click.option(*names, type=_PATH, callback=tried, help=text, **more)
 
 
 def json_option(text: str = "Write the answer as JSON.", name: str = "json_path") -> Option[Any]:
-    """`--json PATH`; name: of the verb's argument."""
+    """`--json PATH`. name: the argument of the verb's function."""
     return click.option("--json", name, type=_PATH, callback=tried_file, help=text)
 
 
@@ -44,14 +45,14 @@ def report_option(text: str = "Write an HTML page with tables and figures.") -> 
 
 
 def figure_option(text: str, *more: str) -> Option[Any]:
-    """`--figure PATH` as `figure_path`; more: other names of the option."""
+    """`--figure PATH` as `figure_path`. more: further names of the option."""
     return click.option(*more, "--figure", "figure_path", type=_PATH, callback=tried_picture, help=text)
 
 
 def aircraft_option(
     text: str = "Built-in aircraft or an AIRCRAFT.toml", default: str = "the one the flights carry or name"
 ) -> Option[Any]:
-    """`--aircraft NAME|FILE`; default: what is taken where it is not given, in words."""
+    """`--aircraft NAME|FILE`. default: in words, what is used without the option."""
     return click.option("--aircraft", help=f"{text}  [default: {default}]." if default else f"{text}.")
 
 
@@ -60,7 +61,7 @@ def model_option(
     default: str | None = "lateral",
     kind: click.ParamType | None = None,
 ) -> Option[Any]:
-    """`--model NAME|FILE|CLASS`; kind: where it is not any text."""
+    """`--model NAME|FILE|CLASS`. kind: click type of the value, None for any text."""
     return click.option("--model", type=kind, default=default, show_default=True, help=text)
 
 
@@ -76,7 +77,7 @@ def simulation_option() -> Option[Any]:
 def seed_option(
     text: str = "Of every random draw: same seed, same answer.", default: int | None = 1, least: int | None = None
 ) -> Option[Any]:
-    """`--seed N`; least: the smallest that is taken."""
+    """`--seed N`. least: smallest allowed value, None for no limit."""
     kind = click.INT if least is None else click.IntRange(min=least)
     return click.option("--seed", type=kind, default=default, show_default=True, help=text)
 
@@ -87,13 +88,13 @@ def segments_option(text: str = STRETCHES) -> Option[Any]:
 
 
 def align_option(text: str) -> Option[Any]:
-    """`--align [WAY]`; text: what is laid on what."""
+    """`--align [WAY]`. text: what is aligned with what."""
     ways = ("auto", "correlation", "input", "event", "start")
     text = f"{text}: by likeness, by the first input, by an event that both have, or by their starts."
     return click.option("--align", type=click.Choice(ways), is_flag=False, flag_value="auto", help=text)
 
 
 def histories_option(what: str) -> Option[Any]:
-    """`--histories FOLDER` as `histories_folder`; what: is beside each flight."""
+    """`--histories FOLDER` as `histories_folder`. what: what the model computes beside each flight, as a verb."""
     text = f"Write each flight with what the model {what} beside it, for sideslip view."
     return click.option("--histories", "histories_folder", type=_PATH, callback=tried_folder, help=text)

@@ -1,7 +1,4 @@
-"""Files that verbs are asked to write: looked at before any work is done, and written in one step.
-
-So that no result is lost at the end for a name that cannot be written, and no reader finds half a file.
-"""
+"""Output files of verbs: checked before any work is done, so that no result is lost at the end, and written atomically."""
 
 import json
 import math
@@ -15,7 +12,7 @@ from daq.utilities.durable import make_directories
 from daq.utilities.errors import UserError
 
 PICTURES = (".eps", ".jpeg", ".jpg", ".pdf", ".png", ".ps", ".svg", ".svgz", ".tif", ".tiff", ".webp")
-"""Endings of pictures that figures are written as."""
+"""File suffixes of figures."""
 
 
 class OutputError(UserError):
@@ -23,12 +20,12 @@ class OutputError(UserError):
 
 
 def write_json(data: object, path: Path) -> None:
-    """Write JSON, replacing the file in one step; folders are made. A number that is not finite is written as null."""
+    """Write JSON atomically, making missing folders; numbers that are not finite become null. Raises OutputError."""
     write_text(json.dumps(_finite(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n", path)
 
 
 def write_text(text: str, path: Path) -> None:
-    """Write a text file whole or not at all, synced; folders are made. Raises OutputError where that is not possible."""
+    """Write a text file atomically, making missing folders. Raises OutputError where it cannot be written."""
     try:
         make_directories(path.parent)
         durable.write_text(path, text)
@@ -45,7 +42,7 @@ def _finite(value: Any) -> Any:
 
 
 def check_file(option: str, path: Path | None) -> None:
-    """Raise OutputError naming the option whose file could not be written. None: not asked for."""
+    """Raise OutputError, naming the option, where its file could not be written. path: None where the option is not given."""
     if path is None:
         return
     if path.is_dir():
@@ -71,7 +68,7 @@ def check_folder(option: str, folder: Path | None) -> None:
 
 
 def tried_file(_context: object, parameter: Any, path: Path | None) -> Path | None:
-    """`check_file` as the callback of a command-line option: so it is tried before the verb begins."""
+    """`check_file` as the callback of a command-line option, which runs before the verb; returns the path."""
     check_file(parameter.opts[-1], path)
     return path
 
@@ -83,14 +80,14 @@ def tried_folder(_context: object, parameter: Any, path: Path | None) -> Path | 
 
 
 def tried_picture(context: object, parameter: Any, path: Path | None) -> Path | None:
-    """`tried_file` of a figure, whose ending says what kind of picture it is."""
+    """`tried_file` for a figure, whose suffix must be one of PICTURES."""
     if path is not None and path.suffix.lower() not in PICTURES:
         raise OutputError(f"{parameter.opts[-1]} {path}: no known kind of picture; end the name in .png, .pdf or .svg")
     return tried_file(context, parameter, path)
 
 
 def tried_model(context: object, parameter: Any, path: Path | None) -> Path | None:
-    """`tried_file` of a model or manoeuvre."""
+    """`tried_file` for a model or manoeuvre, whose suffix must be .toml."""
     if path is not None and path.suffix.lower() != ".toml":
         raise OutputError(f"{parameter.opts[-1]} {path}: it is written as TOML; end the name in .toml")
     return tried_file(context, parameter, path)

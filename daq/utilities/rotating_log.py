@@ -1,4 +1,4 @@
-"""A log of lines that cannot fill a disk: a new file is begun where one is long enough, and the oldest go."""
+"""A log that cannot fill a disk: at a limit of length a new file is begun, and the oldest is removed."""
 
 import contextlib
 from pathlib import Path
@@ -8,13 +8,13 @@ from typing import Self
 from daq.utilities.durable import open_log
 
 LARGEST = 8 << 20
-"""Bytes of one file: some 80,000 lines, more than a day of a talkative aircraft."""
+"""Bytes of one file: some 80,000 lines, more than a day of an aircraft with many messages."""
 FILES = 4
-"""That are there at most: the present one, and NAME.1 to NAME.3, the oldest last."""
+"""Most files of a log: the present one and NAME.1 to NAME.3, the oldest."""
 
 
 class RotatingLog:
-    """Append lines. It never raises: `trouble` is what the disk said last, "" while it takes them."""
+    """Appends lines and never raises an error of the disk. trouble: the last error in words, "" after a success."""
 
     def __init__(self, path: Path, largest: int = LARGEST, files: int = FILES) -> None:
         self.path, self.trouble = path, ""
@@ -30,7 +30,7 @@ class RotatingLog:
         self.close()
 
     def write(self, data: bytes) -> None:
-        """Append; what the disk does not take is lost, for it is words."""
+        """Append a line; it is lost when the disk fails, and `trouble` set."""
         try:
             if self._file.tell() + len(data) > self._largest:
                 self._rotate()

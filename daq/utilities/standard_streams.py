@@ -1,7 +1,7 @@
-"""Standard output and error as a convenience: closed, broken, full or slow they never change what a verb does.
+"""Standard output and error that do not disturb a verb when they are closed, broken, full or slow.
 
-`SafeStream` is what a verb prints to: the first failure is remembered and the rest is dropped, so that the work goes on.
-`Speaker` is for what runs for hours: it hands lines to a thread, which waits for a slow reader in its place.
+Verbs print to a `SafeStream`, which keeps the first error and drops all later output, so that the work goes on. Programs that run
+for hours use a `Speaker`, whose thread waits for a slow reader in their place.
 """
 
 import contextlib
@@ -13,13 +13,13 @@ import threading
 from collections.abc import Callable
 from typing import Any, TextIO
 
-_LINES = 1000  # that wait for a slow reader; the oldest go first, and all are in the log
-_LAST_WORDS_S = 1.0  # how long the end of a session waits for its reader
+_LINES = 1000  # queued for a slow reader; beyond that the oldest are dropped, for all are in the log
+_CLOSE_TIMEOUT_S = 1.0  # for the reader at the end of a session
 _LARGEST_LINE = 4096  # bytes: what a pipe takes in one piece
 
 
 def sound_descriptors() -> None:
-    """Put the null device where descriptors 0 to 2 are closed, or the next file opened would be standard output."""
+    """Open the null device on closed descriptors 0 to 2, so that the next opened file does not become standard output."""
     for descriptor, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
             os.fstat(descriptor)
@@ -36,7 +36,7 @@ def sound_descriptors() -> None:
 
 
 class SafeStream:
-    """A stream of text that never raises. trouble: the first error; nothing is written after it."""
+    """A text stream that never raises. trouble: the first error, after which nothing is written."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -64,19 +64,19 @@ class SafeStream:
             self.trouble = OSError(str(error))
 
     def give_up(self) -> None:
-        """After trouble: lead the descriptor to the null device, so that the interpreter's end has nothing to say either."""
+        """After an error, redirect the descriptor to the null device, so that the interpreter's last flush succeeds."""
         if self.trouble is not None:
             with contextlib.suppress(OSError, ValueError):
-                nowhere = os.open(os.devnull, os.O_WRONLY)
-                os.dup2(nowhere, self._stream.fileno())
-                os.close(nowhere)
+                null_device = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(null_device, self._stream.fileno())
+                os.close(null_device)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
 
 class Speaker:
-    """Says lines through a function (`os.write` on a descriptor), without ever waiting and without ever failing."""
+    """Writes lines through a function (`os.write` on a descriptor) in a thread; no call blocks for long, and none raises."""
 
     def __init__(self, write: Callable[[bytes], object]) -> None:
         self._lines: queue.Queue[bytes | None] = queue.Queue(_LINES)
@@ -85,6 +85,7 @@ class Speaker:
         self._thread.start()
 
     def say(self, line: str) -> None:
+        """Queue a line."""
         data = (line + "\n").encode("utf-8", "backslashreplace")
         self._put(data)
 
@@ -105,9 +106,9 @@ class Speaker:
                 for offset in range(0, len(data), _LARGEST_LINE):
                     self._write(data[offset : offset + _LARGEST_LINE])
             except OSError:
-                self._write = None  # closed, full, or its terminal is gone: the log has it all
+                self._write = None  # closed, full, or its terminal is gone; the log has all lines
 
     def close(self) -> None:
-        """Say what waits, as long as somebody listens, and end"""
+        """Write the queued lines, within _CLOSE_TIMEOUT_S, and end the thread."""
         self._put(None)
-        self._thread.join(_LAST_WORDS_S)
+        self._thread.join(_CLOSE_TIMEOUT_S)

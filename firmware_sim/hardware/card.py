@@ -1,7 +1,7 @@
-"""The memory card of the simulated aircraft: a real directory behind the recorder's file interface, with its faults.
+"""The memory card of the simulated aircraft: a real directory behind the recorder's file interface, with faults.
 
-Stalls last simulated time. A full card takes the part of a write that still fits and then refuses, which leaves a torn
-chunk in the file, as a real one does; a card that is gone fails every operation with EIO, open files included.
+Stalls last simulated time. A full card takes part of a write and then fails, which leaves an incomplete chunk in the file as on a
+real one. A card that is gone fails every operation with EIO, also on open files.
 """
 
 import errno
@@ -14,7 +14,7 @@ from firmware_sim.hardware.faults import FILE_KINDS, Fault, FaultSet
 
 
 class SimulatedCard:
-    """A `daq.recorder.storage.Storage` that goes wrong when the scenario says so."""
+    """A `daq.recorder.storage.Storage` that fails at the times of the scenario's faults."""
 
     def __init__(self, faults: FaultSet, clock: Clock, origin_ns: int = 0, inner: Storage | None = None) -> None:
         self._faults = tuple(f for f in faults.faults if f.kind in FILE_KINDS)
@@ -38,11 +38,11 @@ class SimulatedCard:
         self._inner.remove(path)
 
     def full(self) -> bool:
-        """Whether there is no space now."""
+        """Whether the card is full now."""
         return self._active("disk_full") is not None
 
     def touch(self) -> None:
-        """Let an operation through, late (the caller waits) or not at all (OSError EIO)."""
+        """Delay an operation, or make it fail, as the active faults require. Raises OSError (EIO)."""
         for fault in self._faults:
             if not fault.active(self._seconds()):
                 continue

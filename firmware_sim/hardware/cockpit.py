@@ -1,10 +1,10 @@
-"""The pilot's side of a flight with a sequencer: his receiver and switch, the servo driver, the multiplexer, the servos.
+"""The hardware between pilot and servos in a flight with a sequencer: receiver, switch, servo driver, multiplexer.
 
-`Cockpit` stands between the simulated pilot and the servos. Where the multiplexer passes his signals he flies as ever; while
-it passes the servo driver's he keeps his hands still, unless the scenario has him take over.
+While the multiplexer passes the pilot's signals he flies as usual; while it passes the servo driver's he does not move his
+sticks, unless the scenario makes him take over.
 
-A monostable is kept up by edges of the heartbeat. It enables the servo driver (OE) and lets SEL pulses through to the
-multiplexer, which goes by SEL alone: wide pulses choose its second source; lost pulses choose the first.
+The heartbeat retriggers a monostable, which enables the servo driver (OE) and passes SEL pulses to the multiplexer. The
+multiplexer goes by SEL alone: wide pulses select its second source, narrow or lost ones the first.
 """
 
 from bisect import bisect_right
@@ -24,14 +24,15 @@ from firmware_sim.world.truth import PULSE_CENTRE_US, PULSE_PER_RAD_US, THROTTLE
 
 MONOSTABLE_NS = 60_000_000
 SEL_LOST_NS = 35_000_000
-"""The multiplexer takes SEL for lost after so long. With the monostable's time: below 0.1 s."""
+"""Time without pulses after which SEL counts as lost; with the monostable's less than 0.1 s."""
 FRAME_NS = 20_000_000
-THRESHOLD_US = 1700.0
-_KEPT = 4096  # edges; at 50 a second more than anybody looks back
+THRESHOLD_US = 1700.0  # of SEL
+_EDGES = 4096  # edges in memory: 80 s at 50 a second
 
 
 class Monostable:
-    """Retriggerable, with a clear input; also the heartbeat as the software sees it. now_ns: of the clock edges come by."""
+    """A retriggerable monostable with a clear input, and the heartbeat line that drives it. now_ns: returns the time of an edge
+    [ns]."""
 
     def __init__(self, now_ns: Callable[[], int], width_ns: int = MONOSTABLE_NS) -> None:
         self._now = now_ns
@@ -41,19 +42,19 @@ class Monostable:
         self.broken = lambda time_ns: False  # whether the line is cut at a time [ns]
 
     def beat(self) -> None:
-        """A rising edge."""
+        """Take a rising edge."""
         now_ns = self._now()
         if not self.broken(now_ns):
             self._edges.append(now_ns)
-            del self._edges[:-_KEPT]
+            del self._edges[:-_EDGES]
 
     def release(self) -> None:
-        """The clear input."""
+        """Take a pulse of the clear input."""
         self._clears.append(self._now())
-        del self._clears[:-_KEPT]
+        del self._clears[:-_EDGES]
 
     def up(self, time_ns: int) -> bool:
-        """Whether its output is up at a time [ns]."""
+        """Whether its output is high at a time [ns]."""
         last = bisect_right(self._edges, time_ns) - 1
         if last < 0 or time_ns - self._edges[last] >= self._width_ns:
             return False
@@ -62,12 +63,13 @@ class Monostable:
 
     @property
     def last_edge_ns(self) -> int | None:
-        """When the last edge came; None before the first."""
+        """Time of the last edge [ns]; None before the first."""
         return self._edges[-1] if self._edges else None
 
 
 class Multiplexer:
-    """switch_us: width of the receiver's switch channel at a time [ns], 0 without pulses. gate: lets SEL pulses through."""
+    """switch_us: time [ns] -> width of the receiver's switch channel [us], 0 without pulses. gate: time [ns] -> whether SEL
+    pulses pass."""
 
     def __init__(
         self, switch_us: Callable[[int], float], gate: Callable[[int], bool], sel_lost_ns: int = SEL_LOST_NS
@@ -90,17 +92,17 @@ SWITCH_US: Mapping[str, float] = {"off": 1000.0, "arm": 1500.0, "go": 2000.0}
 OUTPUTS = {"left": 0, "right": 1, "rudder": 2}
 """Channels of the servo driver, and inputs of the pilot's capture co-processor, of the three servos."""
 LOOPBACK_CHANNEL = 3
-_FRAMES_KEPT = 1000
+_FRAMES_REMEMBERED = 1000
 
 
 class CockpitTable(SimulatorTable):
     """Scenario table `[sequencer]`. Times are seconds from the start of the recording.
 
-    switch: when the pilot moves his switch where. take_over_s: he moves his sticks in spite of the switch. receiver_lost_s:
-    his receiver goes silent. heartbeat_lost_s: the heartbeat's wire breaks. oscillator_error: of the servo driver, relative.
-    autopilot: what stands between receiver and servos in place of driver and multiplexer; with it parameters: its own, beside
-    `autopilots.arduplane.PARAMETERS`; modes: when it changes to which (0 MANUAL, 5 FBWA); line_lost_s: its line breaks;
-    throttle_s: when the pilot moves his throttle.
+    switch: times and positions of the pilot's switch. take_over_s: the pilot moves his sticks whatever the switch.
+    receiver_lost_s: the receiver goes silent. heartbeat_lost_s: the heartbeat's wire breaks. oscillator_error: of the servo
+    driver, relative. autopilot: replaces driver and multiplexer; with it parameters: in addition to
+    `autopilots.arduplane.PARAMETERS`; modes: times and modes (0 MANUAL, 5 FBWA); line_lost_s: its line breaks; throttle_s: the
+    pilot moves his throttle.
     """
 
     switch: tuple[tuple[float, Literal["off", "arm", "go"]], ...] = ((0.0, "off"), (3.0, "arm"), (6.0, "go"))
@@ -131,15 +133,15 @@ def switch_for(scenario: Scenario, manoeuvre_s: float) -> list[tuple[float, str]
 
 
 class Transmitter(Wiring):
-    """The pilot's switch and sticks as his receiver has them. takeoff_s: recording time of airborne zero."""
+    """The pilot's switch and sticks at the receiver. takeoff_s: recording time at which the simulated flight begins [s]."""
 
     def __init__(self, table: CockpitTable, takeoff_s: float) -> None:
         self.table, self.takeoff_s = table, takeoff_s
         self._frames: list[int] = []  # when the receiver's pulses changed [ns]
-        self._wanted: list[Commands] = []
+        self._commands: list[Commands] = []
 
     def silent(self, time_ns: int) -> bool:
-        """Whether the receiver is."""
+        """Whether the receiver is silent at a time [ns]."""
         lost_s = self.table.receiver_lost_s
         return lost_s is not None and time_ns >= lost_s * 1e9
 
@@ -152,31 +154,31 @@ class Transmitter(Wiring):
             position = next_position if time_ns >= start_s * 1e9 else position
         return SWITCH_US[position]
 
-    def note(self, time_ns: int, wanted: Commands) -> None:
-        """From now on the sticks are so."""
+    def note(self, time_ns: int, commands: Commands) -> None:
+        """Set the sticks from `time_ns` on."""
         self._frames.append(time_ns)
-        self._wanted.append(wanted)
-        if len(self._frames) > 2 * _FRAMES_KEPT:
-            del self._frames[:_FRAMES_KEPT], self._wanted[:_FRAMES_KEPT]
+        self._commands.append(commands)
+        if len(self._frames) > 2 * _FRAMES_REMEMBERED:
+            del self._frames[:_FRAMES_REMEMBERED], self._commands[:_FRAMES_REMEMBERED]
 
     def sticks(self, time_ns: int) -> Commands | None:
-        """What the pilot wishes; None before he has touched them, and while the receiver is silent."""
+        """The pilot's commands at a time [ns]; None before the first, and while the receiver is silent."""
         if self.silent(time_ns) or not self._frames:
             return None
-        return self._wanted[max(bisect_right(self._frames, time_ns) - 1, 0)]
+        return self._commands[max(bisect_right(self._frames, time_ns) - 1, 0)]
 
     def time_ns(self, airborne_s: float) -> int:
-        """Recording time of an instant of free flight [ns]."""
+        """Recording time [ns] of a time of the simulated flight [s]."""
         return round((airborne_s + self.takeoff_s) * 1e9)
 
     def takes_over(self, time_ns: int) -> bool:
-        """Whether the pilot moves his sticks in spite of the switch."""
+        """Whether the pilot moves his sticks whatever the switch."""
         take_over_s = self.table.take_over_s
         return take_over_s is not None and time_ns >= take_over_s * 1e9
 
 
 class Cockpit(Transmitter):
-    """Receiver, switch, servo driver, monostable, multiplexer and servos. takeoff_s: recording time of airborne zero."""
+    """Receiver, switch, servo driver, monostable and multiplexer. takeoff_s: as of `Transmitter`."""
 
     def __init__(self, table: CockpitTable, monostable: Monostable, takeoff_s: float) -> None:
         super().__init__(table, takeoff_s)
@@ -189,7 +191,7 @@ class Cockpit(Transmitter):
             monostable.broken = lambda time_ns: time_ns >= lost_ns
 
     def receiver(self, time_ns: int) -> tuple[float, ...]:
-        """What the pilot's capture co-processor sees: six widths [s] and five levels."""
+        """Inputs of the pilot's capture co-processor: six widths [s] and five levels."""
         loopback = self.chip.width_us(LOOPBACK_CHANNEL, time_ns) * 1e-6
         quiet = (0.0,) * 5
         sticks = self.sticks(time_ns)
@@ -198,38 +200,38 @@ class Cockpit(Transmitter):
         return (*(w * 1e-6 for w in _pulses(sticks)), self.switch_us(time_ns) * 1e-6, loopback, *quiet)
 
     def behind(self, time_ns: int, pulses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Servo pulses behind the multiplexer [s], those of the pilot's wish given; 0 where the driver puts out none."""
+        """Servo pulses behind the multiplexer [s], 0 where the driver sends none. pulses: those of the pilot's commands [s]."""
         if self.multiplexer.selects_second(time_ns):
             pulses = pulses.copy()
             for channel in OUTPUTS.values():
                 pulses[channel] = self.chip.width_us(channel, time_ns) * 1e-6
         return pulses
 
-    # ---------------------------------------------------------------------------------------- for the world
+    # ---------------------------------------------------------------------------------------- Wiring
 
     def hands_still(self, airborne_s: float) -> bool:
-        """Whether the pilot leaves his sticks where they are."""
+        """Whether the pilot does not move his sticks."""
         time_ns = self.time_ns(airborne_s)
         return not self.takes_over(time_ns) and self.multiplexer.selects_second(time_ns)
 
-    def route(self, airborne_s: float, wanted: Commands) -> Commands:
-        """What the servos get: the pilot's wish, or the servo driver's pulses; without pulses a servo stays where it is."""
+    def route(self, airborne_s: float, commands: Commands) -> Commands:
+        """Commands that reach the servos: the pilot's, or the servo driver's; without pulses a servo holds its position."""
         time_ns = self.time_ns(airborne_s)
-        self.note(time_ns, wanted)
+        self.note(time_ns, commands)
         if not self.multiplexer.selects_second(time_ns):
-            self._last = wanted
-            return wanted
-        last = self._last or wanted
+            self._last = commands
+            return commands
+        last = self._last or commands
         left, right, rudder = (self._angle(channel, time_ns, getattr(last, name)) for name, channel in OUTPUTS.items())
-        self._last = Commands(left, right, rudder, wanted.throttle)
+        self._last = Commands(left, right, rudder, commands.throttle)
         return self._last
 
-    def _angle(self, channel: int, time_ns: int, held: float) -> float:
+    def _angle(self, channel: int, time_ns: int, last_angle: float) -> float:
         width = self.chip.width_us(channel, time_ns)
-        return (width - PULSE_CENTRE_US) / PULSE_PER_RAD_US if width > 0.0 else held
+        return (width - PULSE_CENTRE_US) / PULSE_PER_RAD_US if width > 0.0 else last_angle
 
 
-def _pulses(wanted: Commands) -> tuple[float, ...]:
+def _pulses(commands: Commands) -> tuple[float, ...]:
     idle, span = THROTTLE_PULSE_US
-    surfaces = (wanted.left, wanted.right, wanted.rudder)
-    return (*(PULSE_CENTRE_US + PULSE_PER_RAD_US * angle for angle in surfaces), idle + span * wanted.throttle)
+    surfaces = (commands.left, commands.right, commands.rudder)
+    return (*(PULSE_CENTRE_US + PULSE_PER_RAD_US * angle for angle in surfaces), idle + span * commands.throttle)

@@ -1,9 +1,9 @@
-"""A pair of telemetry radios: two byte ports, and between them a link that is slow, late and lossy.
+"""A pair of telemetry radios: two byte ports with a slow, delayed and lossy link between them.
 
-Bytes written at one end are taken at the speed of its serial line, packed frame by frame as a SiK radio in MAVLink mode
-packs them, sent at the speed of the air, and come out at the other end later, or damaged, or not at all. Like a SiK radio it
-tells each side about the link (RADIO_STATUS) once a second after it has seen a HEARTBEAT. All times are simulated; all
-chances come from one seeded stream. What happened to every packet is counted.
+Bytes written at one end pass its serial line, are packed frame by frame as by a SiK radio in MAVLink mode, are sent at the rate
+of the air, and arrive at the other end late, damaged, or not at all. Like a SiK radio it reports the link to each side
+(RADIO_STATUS) once a second after a HEARTBEAT. All times are simulated; each direction has one seeded random generator. The fate
+of every packet is counted.
 """
 
 import math
@@ -26,13 +26,14 @@ MAGIC_V1, MAGIC_V2, SIGNED_FLAG = 0xFE, 0xFD, 0x01
 HEARTBEAT_ID, RADIO_STATUS_ID, RADIO_STATUS_CRC = 0, 109, 185
 RADIO_SYSTEM, RADIO_COMPONENT = ord("3"), ord("D")
 LONGEST_FRAME = 280
-PIECE = 64  # bytes of a packet made of bytes that are no MAVLink frame
-TTY_BYTES = 4096  # what the operating system holds for the serial line
-FLUSH_NS = 50_000_000  # an unfinished frame is sent on after this
+PIECE = 64  # longest packet of bytes that are no MAVLink frame
+TTY_BYTES = 4096  # the operating system's buffer for the serial line
+FLUSH_NS = 50_000_000  # an incomplete frame is sent after this
 
 
 class RadioModel(SimulatorTable):
-    """Scenario table `[radio]`. drop, duplicate: shares of packets. Rates are per byte or bit on the air."""
+    """Scenario table `[radio]`. drop, duplicate: shares of packets. bit_error_rate, byte_drop_rate: per bit and byte on the
+    air."""
 
     drop: Share = 0.0
     duplicate: Share = 0.0
@@ -58,18 +59,18 @@ class RadioModel(SimulatorTable):
 
 @dataclass(slots=True)
 class PacketCounts:
-    """What became of the packets of one direction: sent = lost + delivered (whole or damaged); duplicates are extra."""
+    """Packets of one direction: sent = lost + delivered; damaged ones are among those delivered, duplicates are extra."""
 
     sent: int = 0
     lost: int = 0
     damaged: int = 0
     delivered: int = 0
     duplicated: int = 0
-    refused_bytes: int = 0  # the radio's buffer was full
+    refused_bytes: int = 0  # that found the radio's buffer full
 
 
 class RadioPort:
-    """One end of the link, as the program there sees its serial port: reads and writes never wait."""
+    """One end of the link, a serial port for the program there; reads and writes never block."""
 
     def __init__(self, link: "SimulatedRadioLink", side: int) -> None:
         self._link = link
@@ -87,11 +88,11 @@ class RadioPort:
         return self._link.read_side(self._side, limit)
 
     def write(self, data: bytes) -> int:
-        """Send bytes; returns how many the serial line's buffer had room for."""
+        """Send bytes; returns how many the serial line's buffer has taken."""
         return self._link.write_side(self._side, bytes(data))
 
     def flush(self) -> None:
-        """Nothing waits on this side of the radio."""
+        """Do nothing: written bytes are with the radio already."""
 
     def close(self) -> None:
         """Close the port."""
@@ -101,8 +102,8 @@ class RadioPort:
 class SimulatedRadioLink:
     """Both radios and the air between them; `air` is the aircraft's port, `ground` the ground station's.
 
-    monotonic_ns: simulated time. lost: whether nothing gets through at a time (an outage of the scenario).
-    Ports may be used from different threads.
+    monotonic_ns: returns simulated time [ns]. lost: time [ns] -> whether nothing gets through (an outage of the scenario). Ports
+    may be used from different threads.
     """
 
     def __init__(
@@ -117,7 +118,9 @@ class SimulatedRadioLink:
         self.ground = RadioPort(self, 1)
         self._now = monotonic_ns
         self._lock = threading.Lock()
-        self._ways = tuple(_Way(model, np.random.default_rng([seed, 0x5AD10, side]), lost) for side in (0, 1))
+        self._directions = tuple(
+            _Direction(model, np.random.default_rng([seed, 0x5AD10, side]), lost) for side in (0, 1)
+        )
         self._heartbeat_ns: int | None = None
         self._status_ns = 0
         self._sequence = 0
@@ -125,47 +128,47 @@ class SimulatedRadioLink:
     @property
     def down(self) -> PacketCounts:
         """Counts of the direction from the aircraft to the ground."""
-        return self._ways[0].counts
+        return self._directions[0].counts
 
     @property
     def up(self) -> PacketCounts:
         """Counts of the direction from the ground to the aircraft."""
-        return self._ways[1].counts
+        return self._directions[1].counts
 
     def write_side(self, side: int, data: bytes) -> int:
-        """Bytes from the program at one side; returns how many were taken."""
+        """Write bytes at one side; returns how many were taken."""
         with self._lock:
             now_ns = self._now()
-            way = self._ways[side]
-            room = way.room(now_ns)
-            for packet in way.accept(data[:room], now_ns):
+            direction = self._directions[side]
+            capacity = direction.capacity(now_ns)
+            for packet in direction.accept(data[:capacity], now_ns):
                 if _message_id(packet) == HEARTBEAT_ID:
                     self._heartbeat_ns = now_ns
-            return min(room, len(data))
+            return min(capacity, len(data))
 
     def waiting(self, side: int) -> int:
         """Bytes that a side can read now."""
         with self._lock:
             self._arrive()
-            return len(self._ways[1 - side].inbox)
+            return len(self._directions[1 - side].inbox)
 
     def read_side(self, side: int, size: int) -> bytes:
         """Read bytes at one side."""
         with self._lock:
             self._arrive()
-            inbox = self._ways[1 - side].inbox
+            inbox = self._directions[1 - side].inbox
             data = bytes(inbox[:size])
             del inbox[:size]
             return data
 
     def _arrive(self) -> None:
         now_ns = self._now()
-        for way in self._ways:
-            way.arrive(now_ns)
+        for direction in self._directions:
+            direction.arrive(now_ns)
         self._report(now_ns)
 
     def _report(self, now: int) -> None:
-        """Put a RADIO_STATUS into both inboxes, whole frames apart from what arrives over the air."""
+        """Put a RADIO_STATUS into both inboxes, between the packets that arrive over the air."""
         period = round(self.model.status_period_s * 1e9)
         if not period or self._heartbeat_ns is None or now - self._status_ns < period:
             return
@@ -173,14 +176,14 @@ class SimulatedRadioLink:
             return
         self._status_ns = now
         for side in (0, 1):
-            free = self._ways[side].free_percent(now)
-            frame = radio_status(self.model, free, self._ways[1 - side].counts.damaged, self._sequence)
-            self._ways[1 - side].inject(frame)
+            free = self._directions[side].free_percent(now)
+            frame = radio_status(self.model, free, self._directions[1 - side].counts.damaged, self._sequence)
+            self._directions[1 - side].inject(frame)
         self._sequence = (self._sequence + 1) & 0xFF
 
 
-class _Way:
-    """One direction: from the serial line of one radio to the serial line of the other."""
+class _Direction:
+    """One direction, from the serial line of one radio to that of the other."""
 
     def __init__(self, model: RadioModel, rng: np.random.Generator, lost: Callable[[int], bool]) -> None:
         self.counts = PacketCounts()
@@ -188,7 +191,7 @@ class _Way:
         self._model = model
         self._rng = rng
         self._outage = lost
-        self._pending = bytearray()  # an unfinished frame
+        self._pending = bytearray()  # an incomplete frame
         self._pending_ns = 0
         self._line_until = 0  # the serial line is busy until then
         self._sent_until = 0  # the air is busy until then
@@ -196,13 +199,13 @@ class _Way:
         self._under_way: deque[tuple[int, bytes]] = deque()
         self._burst = (0, 0)
 
-    def room(self, now: int) -> int:
-        """Bytes that the serial line's buffer takes now."""
+    def capacity(self, now: int) -> int:
+        """Free bytes of the serial line's buffer."""
         queued = max(0, self._line_until - now) * 1e-9 * self._model.serial_baud / 10.0
         return max(0, TTY_BYTES - math.ceil(queued))
 
     def accept(self, data: bytes, now: int) -> list[bytes]:
-        """Take bytes from the serial line and send what makes whole packets; returns these."""
+        """Take bytes from the serial line and send the complete packets; returns these."""
         if not self._pending:
             self._pending_ns = now
         self._line_until = max(self._line_until, now) + round(len(data) * 10e9 / self._model.serial_baud)
@@ -213,7 +216,7 @@ class _Way:
         return packets
 
     def arrive(self, now: int) -> None:
-        """Move into the inbox what has come out of the air by now."""
+        """Move what has arrived by now into the inbox."""
         if self._pending and now - self._pending_ns > FLUSH_NS:
             for packet in _packets(self._pending, flush=True):
                 self._send(packet, now)
@@ -221,7 +224,7 @@ class _Way:
             self.inbox += self._under_way.popleft()[1]
 
     def inject(self, frame: bytes) -> None:
-        """Put a frame of the radio's own between the packets of the inbox."""
+        """Append a frame of the radio itself to the inbox."""
         self.inbox += frame
 
     def free_percent(self, now: int) -> int:
@@ -231,7 +234,7 @@ class _Way:
 
     def _send(self, packet: bytes, now: int) -> None:
         m = self._model
-        ready = max(self._line_until, now)  # the packet has come in over the serial line
+        ready = max(self._line_until, now)  # when the packet has passed the serial line
         backlog = max(0, self._sent_until - ready) * 1e-9 * m.air_bytes_per_s
         if backlog + len(packet) > m.buffer_bytes:
             self.counts.refused_bytes += len(packet)
@@ -286,7 +289,7 @@ class _Way:
 
 
 def _packets(pending: bytearray, *, flush: bool) -> list[bytes]:
-    """Whole MAVLink frames, and pieces of anything else, taken off the front of `pending`."""
+    """Remove complete MAVLink frames, and pieces of anything else, from the front of `pending`, and return them."""
     packets = []
     while pending:
         length = _frame_length(pending)
@@ -305,7 +308,7 @@ def _packets(pending: bytearray, *, flush: bool) -> list[bytes]:
 
 
 def _frame_length(data: bytearray) -> int | None:
-    """Length of the MAVLink frame that starts here, more than there is when its head is still missing; None: no frame."""
+    """Length of the MAVLink frame at the start of `data`, LONGEST_FRAME while its header is incomplete; None without a frame."""
     if data[0] == MAGIC_V1:
         return data[1] + 8 if len(data) > 1 else LONGEST_FRAME
     if data[0] == MAGIC_V2:
@@ -324,7 +327,8 @@ def _message_id(packet: bytes) -> int | None:
 
 
 def radio_status(model: RadioModel, free_percent: int, errors: int, sequence: int) -> bytes:
-    """A RADIO_STATUS frame as the radio writes it: MAVLink common.xml message 109, unsigned."""
+    """An unsigned RADIO_STATUS frame (MAVLink common.xml, message 109). free_percent: of the radio's buffer; errors: damaged
+    packets so far."""
     payload = struct.pack(
         "<HHBBBBB", min(errors, 65535), 0, model.rssi, model.rssi, free_percent, model.noise, model.noise
     )

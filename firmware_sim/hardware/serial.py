@@ -1,8 +1,8 @@
-"""Serial ports of the simulated aircraft: the `pyserial` calls, in memory or over a real pseudo-terminal.
+"""Serial ports of the simulated aircraft: the calls of `pyserial`, in memory or over a real pseudo-terminal.
 
-Behind a port is a `Talker`: something that has bytes ready as time goes by and takes bytes sent to it. In memory, bytes
-are there when simulated time says so; over a pseudo-terminal they are pushed as the clock advances, and whoever opened the
-other side (pyserial, a ground station) reads them as from a wire.
+The device behind a port is a `Talker`, which sends bytes as time passes and takes bytes. In memory, bytes are available by
+simulated time; over a pseudo-terminal they are pushed as the clock advances, and a program that has opened the other side
+(pyserial, a ground station) reads them as from a wire.
 """
 
 import errno
@@ -13,7 +13,7 @@ import tty
 from collections.abc import Callable
 from typing import Protocol
 
-BUFFER_BYTES = 4095  # what a Linux tty keeps for a reader that does not come
+BUFFER_BYTES = 4095  # a Linux tty's buffer
 
 
 class Talker(Protocol):
@@ -23,15 +23,15 @@ class Talker(Protocol):
         """Bytes that have arrived since the last call."""
         ...
 
-    def hear(self, data: bytes, now_ns: int) -> None:
-        """Take bytes sent to the device."""
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Process bytes sent to the device."""
         ...
 
 
 class SimulatedSerial:
-    """An open serial port in memory, called as `serial.Serial` with timeout=0 is.
+    """An open serial port in memory, with the calls of `serial.Serial` and timeout=0.
 
-    overrun: bytes lost because nobody read them in time, as in the tty's buffer.
+    overrun: bytes lost because the buffer was full, as in a tty.
     """
 
     def __init__(self, talker: Talker, monotonic_ns: Callable[[], int], port: str = "simulated") -> None:
@@ -50,7 +50,7 @@ class SimulatedSerial:
         return len(self._buffer)
 
     def read(self, size: int = 1) -> bytes:
-        """At most `size` bytes; never waits."""
+        """Return at most `size` bytes without blocking."""
         self._pump()
         data = bytes(self._buffer[:size])
         del self._buffer[:size]
@@ -59,11 +59,11 @@ class SimulatedSerial:
     def write(self, data: bytes) -> int:
         """Send bytes to the device."""
         self._check_open()
-        self._talker.hear(bytes(data), self._now())
+        self._talker.receive(bytes(data), self._now())
         return len(data)
 
     def flush(self) -> None:
-        """Nothing waits to be sent."""
+        """Do nothing: written bytes are with the device already."""
 
     def close(self) -> None:
         """Close the port."""
@@ -83,9 +83,9 @@ class SimulatedSerial:
 
 
 class PseudoTerminal:
-    """A real pseudo-terminal with a Talker behind it; `path` is what a program opens as its serial port.
+    """A real pseudo-terminal with a Talker behind it; a program opens `path` as its serial port.
 
-    Call `pump(now_ns)` whenever time has moved on, for instance from `SimulatedClock.on_advance`.
+    Call `pump(now_ns)` after every advance of time, for instance from `SimulatedClock.on_advance`.
     """
 
     def __init__(self, talker: Talker) -> None:
@@ -101,7 +101,7 @@ class PseudoTerminal:
         self._closed = False
 
     def pump(self, now_ns: int) -> None:
-        """Move bytes both ways up to this instant."""
+        """Transfer the bytes of both directions up to this time [ns]."""
         if self._closed:
             return
         data = self._talker.bytes_until(now_ns)
@@ -111,7 +111,7 @@ class PseudoTerminal:
             received = os.read(self._master, 4096)
             if not received:
                 break
-            self._talker.hear(received, now_ns)
+            self._talker.receive(received, now_ns)
 
     def close(self) -> None:
         """Close both sides; a reader of `path` then sees the end of the line."""

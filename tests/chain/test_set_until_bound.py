@@ -92,7 +92,7 @@ def test_a_set_ends_or_goes_on_by_what_is_known(
     )
     with prepare_flight(scenario, tmp_path / "out", calibration=calibration) as flight:
         companion = CompanionInStep(calibration)
-        flight.assembly.logger.listen(companion)  # type: ignore[arg-type]  # in the place of the process
+        flight.assembly.logger.attach_companion(companion)  # type: ignore[arg-type]  # in the place of the process
         assert flight.assembly.actuation is not None
         flight.assembly.actuation.known = companion.known
         files = flight.run()

@@ -171,7 +171,7 @@ class Bench:
         if not data:
             self._drop(line)
         elif line.name == "gps":
-            self.aircraft.gnss.hear(data, self._clock.monotonic_ns())
+            self.aircraft.gnss.receive(data, self._clock.monotonic_ns())
         elif line.name == "radio" and len(self.heard) < _KEPT:
             self.heard += data
 

@@ -96,7 +96,7 @@ class Receiver:
     def __init__(self) -> None:
         self._receiver, self._answers, self._next_ns = UbloxReceiver(), b"", 0
 
-    def hear(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
         self._answers += self._receiver.command(data)
 
     def bytes_until(self, now_ns: int) -> bytes:
@@ -114,7 +114,7 @@ class Radio:
     def __init__(self) -> None:
         self.heard = 0
 
-    def hear(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
         self.heard += len(data)
 
     def bytes_until(self, now_ns: int) -> bytes:

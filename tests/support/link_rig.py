@@ -8,7 +8,7 @@ import numpy as np
 
 from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS, GROUP_NAMES, Rate
-from daq.contract.manoeuvre import Weigh
+from daq.contract.manoeuvre import ManoeuvreCheck
 from daq.contract.recordings.messages import EventMessage
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import GroupStatus, Scan, SensorState
@@ -86,11 +86,11 @@ class FakeLogger:
         self.marks.append((text, origin))
         return EventMessage(0, 0, len(self.marks), origin, text)
 
-    def ask_sequencer(self, digest: int | None) -> str:
+    def request_sequencer(self, digest: int | None) -> str:
         self.asked.append(digest)
         return self.answer
 
-    weigh: Weigh | None = None
+    check_manoeuvre: ManoeuvreCheck | None = None
 
     def statistics(self) -> None:
         return None

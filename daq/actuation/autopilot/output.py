@@ -110,7 +110,7 @@ class ArduPilotOutput:
         self._releases = 0
         self._asked_in = State.IDLE
 
-    def look(self, scan: Scan, now_ns: int) -> OutputObservation:
+    def observe(self, scan: Scan, now_ns: int) -> OutputObservation:
         """RC_CHANNELS, and what is wrong with the autopilot."""
         self.link.poll(now_ns)
         channels = self.link.channels
@@ -135,13 +135,13 @@ class ArduPilotOutput:
             return False
         return sampled_ns - self._overridden_ns <= round(self._config.longest_override_s * 1e9) + LINGERS_NS
 
-    def put(self, frame: SequencerCommand, now_ns: int) -> tuple[float, ...] | None:
+    def apply(self, command: SequencerCommand, now_ns: int) -> tuple[float, ...] | None:
         """Override, or release for some frames after the last override."""
-        if frame.state is State.IDLE and self._asked_in is not State.IDLE:
+        if command.state is State.IDLE and self._asked_in is not State.IDLE:
             self.link.request_parameters_anew()  # somebody may change parameters between two manoeuvres
-        self._asked_in = frame.state
-        if frame.state.beats and frame.pulses is not None:
-            return self._override(frame.pulses, now_ns)
+        self._asked_in = command.state
+        if command.state.beats and command.pulses is not None:
+            return self._override(command.pulses, now_ns)
         if self._releases and not self.proof.silent:
             self._releases -= 1
             self._release()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 from daq.actuation.autopilot.link import AutopilotPort
 from daq.actuation.autopilot.output import ArduPilotOutput, unmet, wrong_parameter
-from daq.actuation.autopilot.proof import PROBE_US, REFUSED_S
+from daq.actuation.autopilot.proof import PROBE_US, REFUSAL_S
 from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
 from daq.actuation.output import OutputObservation
 from daq.actuation.servos import TrialFinding, try_manoeuvre
@@ -55,7 +55,7 @@ class AutopilotTrial:
     def _frame(self) -> OutputObservation:
         start = self._clock.monotonic_ns()
         scan = self._take_scan()
-        glimpse = self._output.look(scan, self._clock.monotonic_ns())
+        glimpse = self._output.observe(scan, self._clock.monotonic_ns())
         self._clock.sleep_until(start + PERIOD_NS)
         return glimpse
 
@@ -81,7 +81,7 @@ class AutopilotTrial:
         sticks = self._frame().pilot or ()
         probe = {o.channel: round(w) + PROBE_US for o, w in zip(outputs, sticks, strict=True)}
         accepted = False
-        end_ns = self._clock.monotonic_ns() + round(REFUSED_S * 1e9)
+        end_ns = self._clock.monotonic_ns() + round(REFUSAL_S * 1e9)
         while self._clock.monotonic_ns() < end_ns:
             self._output.link.override(probe)
             channels = dict(zip(probe, self._frame().readback, strict=True))

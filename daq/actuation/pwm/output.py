@@ -1,6 +1,6 @@
-"""Through a servo driver of our own behind a multiplexer that the pilot switches: written first, beaten after.
+"""Output through a servo driver (PCA9685) behind a multiplexer that the pilot switches.
 
-A frame that could not be written ends the heartbeat there and then.
+Each frame writes the pulses first and beats the heartbeat after; a frame that cannot be written releases the heartbeat.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,12 +18,13 @@ from daq.sensors.base import NO_VALUES, SensorError
 from daq.sensors.bus import I2cBus
 from daq.sensors.capture import Capture, CaptureConfig
 
-US_PER_COUNT = 0.1
+US_PER_COUNT = 0.1  # of the co-processor that measures pulses
 
 
 @dataclass(frozen=True, slots=True)
 class PilotSignals:
-    """sticks: pulse width of each output's input [us], None unless all are there. loopback_us: of the chip's spare output."""
+    """sticks: pulse width of the pilot's signal for each output [us], None unless all are measured. loopback_us: pulse width
+    measured on the servo driver's spare output, None where not measured."""
 
     sticks: tuple[float, ...] | None = None
     switch: Switch = Switch.UNKNOWN
@@ -31,12 +32,15 @@ class PilotSignals:
 
 
 class PilotInputs:
-    """inputs: which of the six belongs to each output. stale_ns: how old a reading may be when the bus fails."""
+    """The pilot's pulses, as a second co-processor measures them.
+
+    inputs: number of the input, 1 to 6, for each output. stale_ns: greatest age of a reading while the bus fails.
+    """
 
     def __init__(
         self, config: PilotConfig, inputs: Sequence[int], bus: I2cBus, now_ns: Callable[[], int], stale_ns: int
     ) -> None:
-        # None of the inputs has to be alive for a reading: a receiver that is off, or a chip that is, shows by its channel.
+        # pwm_inputs 0: a reading is valid without any live input; a receiver or servo driver that is off lacks its channel
         capture = CaptureConfig(address=config.address, timeout_ms=config.timeout_ms, pwm_inputs=0)
         self._driver = Capture(capture, bus, now_ns)
         self.part = ChipState(self._driver.initialise)
@@ -47,7 +51,7 @@ class PilotInputs:
         self._values_ns = -stale_ns
 
     def poll(self, now_ns: int) -> PilotSignals:
-        """The signals now; nothing is seen when the last good reading is too old."""
+        """The signals now; all of them None when the last good reading is too old."""
         if self.part.attend(now_ns):
             self._read(now_ns)
         if now_ns - self._values_ns > self._stale_ns:
@@ -77,43 +81,42 @@ class PilotInputs:
         return None if count is None else count * US_PER_COUNT
 
 
-LOOPBACK_US = 1500.0
-
-
+LOOPBACK_NOMINAL_US = 1500.0
 SETTLE_S = 0.1
-"""After waking, the chip's first pulses are not looked at: it starts within a cycle, the co-processor keeps 50 ms."""
-SAMPLES = 25
+"""Loopback pulses are ignored for so long after the start: the chip needs a cycle, the co-processor reports for 50 ms."""
+LOOPBACK_PULSES = 25
 """Loopback pulses averaged: half a second; jitter of 10 us then leaves 0.2 % of a 1500 us pulse."""
-MEASURE_S = 1.5
-"""So long they may take to come."""
+LOOPBACK_TIMEOUT_S = 1.5
+"""Longest time for LOOPBACK_PULSES to arrive."""
 
 
 class FrequencyProof(OutputTrial):
-    """A servo driver whose oscillator is measured on a spare output; meanwhile it repeats the pilot's signals.
+    """Trial of a servo driver: its oscillator is measured on a spare output while the others repeat the pilot's signals.
 
-    loopback_us, frequency_hz: width put out there, and the frequency, if the oscillator is as configured. error: allowed.
+    loopback_us, frequency_hz: pulse width and output frequency expected there with the configured oscillator. error: greatest
+    relative error of the frequency.
     """
 
     fault = Reason.CHIP
-    unlike = "multiplexer or wiring"
+    not_followed_hint = "multiplexer or wiring"  # printed after "servo pulses are not those put out"
 
     def __init__(self, loopback_us: float, frequency_hz: float, error: float) -> None:
         self._loopback_us, self._frequency_hz, self._error = loopback_us, frequency_hz, error
         self._measured: list[float] = []
 
     def begin(self) -> None:
-        """Forget what was measured."""
+        """Restart the measurement."""
         self._measured, self.scale = [], 1.0
 
-    def check(self, seen: FrameObservation, elapsed_s: float) -> OutputTrialResult | None:
-        """Average the loopback pulses."""
+    def check(self, frame: FrameObservation, elapsed_s: float) -> OutputTrialResult | None:
+        """Collect loopback pulses, and judge the frequency by their mean."""
         if elapsed_s < SETTLE_S:
             return None
-        if seen.output.loopback_us is not None:
-            self._measured.append(seen.output.loopback_us)
-        if len(self._measured) >= SAMPLES:
+        if frame.output.loopback_us is not None:
+            self._measured.append(frame.output.loopback_us)
+        if len(self._measured) >= LOOPBACK_PULSES:
             return self._frequency()
-        return OutputTrialResult(Reason.FREQUENCY, "no pulses come back") if elapsed_s > MEASURE_S else None
+        return OutputTrialResult(Reason.FREQUENCY, "no pulses come back") if elapsed_s > LOOPBACK_TIMEOUT_S else None
 
     def _frequency(self) -> OutputTrialResult:
         scale = fmean(self._measured) / self._loopback_us
@@ -123,27 +126,27 @@ class FrequencyProof(OutputTrial):
         self.scale = scale
         return OutputTrialResult(detail=detail)
 
-    def pulses(self, seen: FrameObservation) -> tuple[float, ...] | None:
+    def pulses(self, frame: FrameObservation) -> tuple[float, ...] | None:
         """The pilot's signals."""
-        return seen.output.pilot
+        return frame.output.pilot
 
 
 class ServoDriver:
-    """The chip with the outputs of a configuration and the loopback, as one block of channels."""
+    """The servo driver of a configuration: outputs and loopback in one block of neighbouring channels."""
 
     def __init__(self, config: SequencerConfig, bus: I2cBus) -> None:
-        self._places = [o.channel for o in config.output.values()]
+        self._servo_channels = [o.channel for o in config.output.values()]
         self._loopback = config.chip.loopback_channel
-        channels = [*self._places, self._loopback]
+        channels = [*self._servo_channels, self._loopback]
         self._first, self._count = min(channels), max(channels) - min(channels) + 1
         self.chip = Pca9685(config.chip, bus, self._first, self._count)
         self.part = ChipState(self.chip.initialise)
         step = self.chip.step_us
-        self.loopback_us = round(LOOPBACK_US / step) * step
-        """What the loopback pulse is, given the oscillator is as configured [us]."""
+        self.loopback_us = round(LOOPBACK_NOMINAL_US / step) * step
+        """Width of the loopback pulse with the configured oscillator, in whole steps of the chip [us]."""
 
     def fault(self, now_ns: int, *, running: bool) -> str:
-        """Why the chip cannot be used; while `running` it is asked whether it still runs as set."""
+        """Why the chip cannot be used, empty when it can; while `running`, its mode is read back."""
         if self.part.attend(now_ns) and running:
             try:
                 if not self.chip.awake():
@@ -153,14 +156,14 @@ class ServoDriver:
         return self.part.fault
 
     def write(self, pulses: Sequence[float] | None, scale: float, now_ns: int) -> bool:
-        """Put pulses out [us], or none on the servos' channels; False when the chip does not take them.
+        """Write the pulses [us] of the servos, None for no pulses, and the loopback's; False when the bus fails.
 
-        scale: true width over the width asked for, as measured.
+        scale: true pulse width over the commanded one, as measured.
         """
         widths: list[float | None] = [None] * self._count
-        widths[self._loopback - self._first] = LOOPBACK_US
-        for place, pulse in zip(self._places, pulses or (), strict=False):
-            widths[place - self._first] = pulse / scale
+        widths[self._loopback - self._first] = LOOPBACK_NOMINAL_US
+        for channel, pulse in zip(self._servo_channels, pulses or (), strict=False):
+            widths[channel - self._first] = pulse / scale
         try:
             self.chip.write(widths)
         except OSError as error:
@@ -170,7 +173,7 @@ class ServoDriver:
 
 
 class PwmOutput:
-    """Driver, pilot's signals and heartbeat of one aircraft."""
+    """Servo driver, measurement of the pilot's signals and heartbeat of one aircraft."""
 
     def __init__(self, config: SequencerConfig, bus: I2cBus, heartbeat: HeartbeatLine, clock: Clock) -> None:
         self._outputs = tuple(config.output.values())
@@ -186,10 +189,10 @@ class PwmOutput:
         self.proof = FrequencyProof(
             self._driver.loopback_us, self._driver.chip.frequency_hz, config.limits.frequency_error
         )
-        self._held = False  # the last frame beat
+        self._beating = False  # the last frame beat the heartbeat
 
-    def look(self, scan: Scan, now_ns: int) -> OutputObservation:
-        """The pilot's co-processor, the driver, and the pulses behind the multiplexer as the scan has them."""
+    def observe(self, scan: Scan, now_ns: int) -> OutputObservation:
+        """The pilot's signals, the driver's state, and from the scan the pulses behind the multiplexer."""
         pilot = self._pilot.poll(now_ns)
         status = scan.groups.get("capture")
         readable = status is not None and status.state is SensorState.OK
@@ -198,30 +201,30 @@ class PwmOutput:
             switch=pilot.switch,
             pilot=pilot.sticks,
             loopback_us=pilot.loopback_us,
-            fault=self._driver.fault(now_ns, running=self._held),
+            fault=self._driver.fault(now_ns, running=self._beating),
             readback=tuple(None if c is None else c * US_PER_COUNT for c in counts),
         )
 
-    def put(self, frame: SequencerCommand, now_ns: int) -> tuple[float, ...] | None:
-        """Write, then beat; whatever fails on the way lets go."""
-        if not frame.state.beats:
+    def apply(self, command: SequencerCommand, now_ns: int) -> tuple[float, ...] | None:
+        """Write the pulses, then beat the heartbeat; a failure of either releases the servos to the pilot."""
+        if not command.state.beats:
             self.close(now_ns)
             return None
-        if self._driver.write(frame.pulses, self.proof.scale, now_ns):
+        if self._driver.write(command.pulses, self.proof.scale, now_ns):
             try:
                 self._heartbeat.beat()
-                self._held = True
-                return frame.pulses or ()
+                self._beating = True
+                return command.pulses or ()
             except OSError as error:
                 self._driver.part.fail(error, now_ns)
         self.close(now_ns)
         return None
 
     def close(self, now_ns: int) -> None:
-        """Let go, if the last frame has not."""
-        if not self._held:
+        """Release the heartbeat, if the last frame beat it, and stop the pulses."""
+        if not self._beating:
             return
-        self._held = False
+        self._beating = False
         try:
             self._heartbeat.release()
         except OSError as error:  # the monostable ends by itself; until the line works nothing is armed

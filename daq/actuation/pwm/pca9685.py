@@ -18,7 +18,7 @@ RETRY_NS = SECOND
 
 
 class ChipState:
-    """Whether the chip can be used, and why not. initialise: its set-up, yielding waits as drivers do."""
+    """Set-up and faults of the chip. initialise: its set-up, which yields waits [ns] as drivers do."""
 
     def __init__(self, initialise: Callable[[], Generator[Wait, None, None]]) -> None:
         self.fault = "not set up yet"
@@ -28,11 +28,11 @@ class ChipState:
 
     @property
     def up(self) -> bool:
-        """Set up, and not failed since."""
+        """Whether the chip is set up and has not failed since."""
         return not self.fault
 
     def attend(self, now_ns: int) -> bool:
-        """Take a step of the set-up if one is due; whether the chip can be used."""
+        """Run a step of the set-up if one is due; returns whether the chip can be used."""
         if self.up or now_ns < self._next_ns:
             return self.up
         self._setup = self._setup or self._initialise()
@@ -45,7 +45,7 @@ class ChipState:
         return self.up
 
     def fail(self, error: Exception, now_ns: int) -> None:
-        """Note that it failed; it is set up again after a pause, so that whoever asks meanwhile sees the fault."""
+        """Note a failure; the set-up is repeated after RETRY_NS, and until then `fault` holds the reason."""
         self._setup, self._next_ns = None, now_ns + RETRY_NS
         text = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
         self.fault = text or type(error).__name__
@@ -67,8 +67,7 @@ def prescale(oscillator_hz: float, frequency_hz: float) -> int:
 class Pca9685:
     """Neighbouring channels of one chip, all written in one transfer.
 
-    channels: their number, from the lowest of `first` on. frequency_hz: what the chip's oscillator and PRE_SCALE make, as far
-    as the configuration knows the oscillator.
+    first: lowest channel. channels: how many. frequency_hz: of the pulses, with PRE_SCALE and the configured oscillator.
     """
 
     def __init__(self, config: ChipConfig, bus: I2cBus, first: int, channels: int) -> None:
@@ -106,11 +105,11 @@ class Pca9685:
             )
 
     def awake(self) -> bool:
-        """Whether the chip still runs as set: after a dip of its supply it sleeps. One short transfer."""
+        """Whether MODE1 is as set; after a dip of its supply the chip sleeps. One short transfer."""
         return self._bus.read_byte_data(self._address, MODE1) == AUTO_INCREMENT
 
     def write(self, widths_us: Sequence[float | None]) -> None:
-        """Pulse widths of all channels [us], None for no pulse; they act together, at the end of the cycle under way."""
+        """Write the pulse widths of all channels [us], None for no pulse; they act together, after the current cycle."""
         if len(widths_us) != self._channels:
             raise ValueError(f"{len(widths_us)} widths for {self._channels} channels")
         data: list[int] = []

@@ -1,7 +1,8 @@
-"""The sequencer's hardware tried out before a flight: driver, pilot's signals, heartbeat and multiplexer, the switch at off.
+"""Trial of the sequencer's hardware before a flight, with the switch at off: servo driver, pilot's signals, heartbeat and
+multiplexer.
 
-While the trial runs, the driver puts out nothing on the servos' channels, so that a multiplexer which wrongly listens to
-it shows as servo pulses that are not the pilot's.
+Meanwhile the driver sends no pulses to the servos, so that a multiplexer which wrongly selects it shows by servo pulses that are
+not the pilot's.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,16 +18,17 @@ from daq.contract.sequencing import Switch
 from daq.sensors.base import MS
 from daq.sensors.bus import I2cBus
 
-FRAMES = 40
-"""0.8 s at 50 Hz; the second half of them is looked at."""
-FADE_MS = 250
-"""By then the heartbeat is over (100 ms), the last pulses are forgotten (50 ms), and the same once more."""
-SAME_US = 25.0
-"""The pilot's pulses in front of and behind the multiplexer: two captures with 10 us of jitter each, and rounding."""
+TRIAL_FRAMES = 40
+"""0.8 s at 50 Hz; only the second half is judged."""
+HEARTBEAT_END_MS = 250
+"""Wait for the monostable to end (100 ms) and the co-processor to drop the last pulses (50 ms), with 100 ms to spare."""
+PASS_THROUGH_US = 25.0
+"""Largest difference of the pilot's pulses before and behind the multiplexer: two captures with 10 us of jitter each, and
+rounding."""
 
 
 class ServoDriverTrial:
-    """take_scan: one scan of the aircraft's sensors, now."""
+    """take_scan: samples the aircraft's sensors once, now."""
 
     def __init__(
         self,
@@ -42,10 +44,10 @@ class ServoDriverTrial:
         self._pilot = PilotInputs(config.pilot, inputs, bus, clock.monotonic_ns, 100 * MS)
 
     def findings(self) -> Iterator[TrialFinding]:
-        """Everything, in order; what depends on a thing that fails is left out. The heartbeat is released at the end."""
+        """All findings, in order, without those that depend on a failed one. Releases the heartbeat at the end."""
         yield try_manoeuvre(self._config)
         try:
-            beating = [self._frame(beat=True) for _ in range(FRAMES)][FRAMES // 2 :]
+            beating = [self._frame(beat=True) for _ in range(TRIAL_FRAMES)][TRIAL_FRAMES // 2 :]
         except OSError as error:
             yield TrialFinding("heartbeat", False, f"line cannot be written ({error.strerror or error})")
             return
@@ -74,7 +76,7 @@ class ServoDriverTrial:
         try:
             self._heartbeat.release()
         except OSError:
-            return  # said already; the monostable ends by itself
+            return  # reported by `findings` already; the monostable ends by itself
 
     def _chip(self) -> TrialFinding:
         if not self._driver.part.up:
@@ -117,7 +119,7 @@ class ServoDriverTrial:
             if not pairs:
                 return TrialFinding("multiplexer", False, f"no pulses of {name} behind it, though the switch is at off")
             largest_error = max(largest_error, abs(fmean(a for a, _ in pairs) - fmean(b for _, b in pairs)))
-        if largest_error > SAME_US:
+        if largest_error > PASS_THROUGH_US:
             return TrialFinding(
                 "multiplexer",
                 False,
@@ -126,8 +128,8 @@ class ServoDriverTrial:
         return TrialFinding("multiplexer", True, f"passes the pilot's signals, within {largest_error:.0f} us")
 
     def _gate(self) -> TrialFinding:
-        """With the heartbeat over, the driver's outputs must be dead."""
-        end_ns = self._clock.monotonic_ns() + FADE_MS * MS
+        """Without a heartbeat the driver's outputs must be off."""
+        end_ns = self._clock.monotonic_ns() + HEARTBEAT_END_MS * MS
         signals, _ = self._frame(beat=False)
         while self._clock.monotonic_ns() < end_ns:
             signals, _ = self._frame(beat=False)

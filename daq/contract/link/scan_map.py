@@ -1,4 +1,4 @@
-"""Sets of scan numbers, as compact as a flight's accounting needs them and bounded against forged numbers."""
+"""Compact sets of scan numbers, bounded in size against forged numbers."""
 
 from collections.abc import Iterator
 
@@ -7,18 +7,18 @@ BLOCK = 512
 BLOCK_BYTES = BLOCK // 8
 _FULL = (1 << BLOCK) - 1
 MAX_BLOCKS = 65536
-"""19 days at 20 Hz; numbers beyond that many different blocks are refused."""
+"""Most blocks of a set: 19 days at 20 Hz; numbers that would need more are refused."""
 
 
 class ScanMap:
-    """A set of scan numbers, kept as one bit each in blocks of 512."""
+    """A set of scan numbers, one bit each in blocks of BLOCK."""
 
     def __init__(self) -> None:
         self._blocks: dict[int, int] = {}
         self._count = 0
 
     def add(self, number: int) -> bool:
-        """Put a number in; False when it was in already or there is no room for another block."""
+        """Add a number; False when it is a member already, or would need a block beyond MAX_BLOCKS."""
         block, bit = number // BLOCK, 1 << number % BLOCK
         word = self._blocks.get(block, 0)
         if word & bit or (not word and len(self._blocks) >= MAX_BLOCKS):
@@ -38,7 +38,7 @@ class ScanMap:
             yield from range(first, last + 1)
 
     def count_within(self, first: int, last: int) -> int:
-        """How many members are in an inclusive range; work goes by the blocks there are."""
+        """Number of members from `first` to `last`, both included; takes time by the number of blocks."""
         count = 0
         for block, word in self._blocks.items():
             low, high = max(0, first - block * BLOCK), min(BLOCK - 1, last - block * BLOCK)
@@ -47,7 +47,7 @@ class ScanMap:
         return count
 
     def blocks(self) -> list[int]:
-        """Numbers of the blocks that have a member, ascending."""
+        """Indices of the blocks with members, ascending."""
         return sorted(self._blocks)
 
     def word(self, block: int) -> int:
@@ -70,14 +70,14 @@ class ScanMap:
         return self.word(block).to_bytes(BLOCK_BYTES, "little")
 
     def minus(self, other: "ScanMap") -> "ScanMap":
-        """Members that `other` does not have."""
+        """Members that are not in `other`."""
         difference = ScanMap()
         for block, word in self._blocks.items():
             difference.set_word(block, word & ~other.word(block))
         return difference
 
     def both(self, other: "ScanMap") -> "ScanMap":
-        """Members that `other` has too."""
+        """Members that are in `other` too."""
         intersection = ScanMap()
         for block, word in self._blocks.items():
             intersection.set_word(block, word & other.word(block))

@@ -1,9 +1,8 @@
-"""Does a recording hold every scan it should?
+"""Verification of a recording: whether it holds every scan that it should.
 
-Accounting: scan numbers run from the first to the last slot the logger used. Each number is present, or the logger
-itself said that it is absent (dropped, lost, or missed), or it lies in a damaged stretch or after the last flush.
-`slots = scans + sum of missing` always holds; a missing number that nobody accounts for makes the verdict "not ok".
-Several sessions in one file are accounted for one by one.
+Scan numbers run from the first to the last slot that the logger used. Each is present, or counted as absent by the logger
+(dropped, lost or missed), or in a damaged stretch or after the last flush. `slots = scans + sum of missing` always holds; a
+missing number without an explanation makes the recording not ok. Several sessions in one file are verified one by one.
 """
 
 import json
@@ -18,21 +17,19 @@ from daq.contract.recordings.salvage import Damage
 from daq.contract.recordings.segments import RecordingWalk, read_segments
 from daq.utilities.ranges import Range, count, ranges, shown, subtract
 
-LOST_TO_DAMAGE = "lost_to_damage"
-
-
+LOST_TO_DAMAGE = "lost_to_damage"  # detail of a recovered recording: ranges of scan numbers that were not saved
 COUNTS = ("scans", "written", "dropped", "lost", "missed", "slots")
 
 
 @dataclass(frozen=True)
 class Verification:
-    """What `verify` found. Ranges are inclusive (first, last) scan numbers.
+    """The result of `verify`. Ranges are inclusive (first, last) scan numbers.
 
-    scans: present and proven. written, dropped, lost, missed: as the logger counted them, or as they follow from the
-    numbers where its last count is older than the last scan. missing: absent numbers. unexplained: the part of
-    `missing` that the logger did not report as absent itself. given_up: segments that the logger left after a write
-    error and continued in another file; their torn ends are no damage of the recording. sessions: of a file that holds
-    several, what was found of each by name; the numbers are then sums, and the ranges those of one session after the other.
+    scans: intact ones. slots: from the first to the last number. written, dropped, lost, missed: as the logger counted them, or
+    as they follow from the numbers where its last count is older than the last scan. missing: absent numbers. unexplained: those
+    of `missing` that the logger did not count as absent. closed: every file was closed in order. given_up: files that the logger
+    left after a write error to continue in another; their incomplete ends are no damage of the recording. sessions: name and
+    result of each session in a file with several; counts are then sums, and ranges those of one session after the other.
     """
 
     ok: bool
@@ -69,15 +66,12 @@ class Verification:
 
 
 def verify(path: str | Path) -> Verification:
-    """Check a recording, file or directory: every byte, every scan, every number.
-
-    Raises RecordingError when there is no recording to check.
-    """
+    """Verify a recording, file or directory. Raises RecordingError when there is none."""
     return verify_segments(Path(path), read_segments(path))
 
 
 def verify_segments(path: Path, segments: list[RecordingWalk]) -> Verification:
-    """`verify` of segments that have been walked through already."""
+    """`verify` for segments that have been read already."""
     groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(segments).values())
     verifications = [_verify_group(path, g) for g in groups]
     return verifications[0][1] if len(verifications) == 1 else _summed(verifications)
@@ -91,7 +85,7 @@ def _verify_group(path: Path, segments: list[RecordingWalk]) -> tuple[str, Verif
 
 
 def _summed(verifications: Sequence[tuple[str, Verification]]) -> Verification:
-    """The sessions of one file: sums, and each for itself."""
+    """The result for a file with several sessions: the sums, and each session."""
     parts = [v for _, v in verifications]
     texts = "; ".join(f"session {name}: {v.text}" for name, v in verifications)
     ranges_and_files = ("missing", "unexplained", "damages", "given_up")
@@ -107,7 +101,7 @@ def _summed(verifications: Sequence[tuple[str, Verification]]) -> Verification:
 
 
 def verify_recording(recording: Recording) -> Verification:
-    """Check a recording that has been walked through."""
+    """`verify` for one session that has been read already."""
     numbers = recording.numbers
     statistics = recording.last_statistics
     first, end = _span(numbers, statistics, {s.info.segment for s in recording.segments if s.info})
@@ -116,9 +110,9 @@ def verify_recording(recording: Recording) -> Verification:
     unexplained = subtract(unreported, _lost_before(recording.info.details.get(LOST_TO_DAMAGE, "[]")))
     given_up, damages = recording.given_up, recording.damages
     role = recording.info.role
-    # a session's directory may end with a file closed in order after which the logger had begun, or meant, another
-    goes_on = recording.path.is_dir() and role == "onboard" and statistics is not None and not statistics.final
-    closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments) and not goes_on
+    # the last file of a session's directory may be closed in order though the logger had begun another, which is missing
+    file_missing = recording.path.is_dir() and role == "onboard" and statistics is not None and not statistics.final
+    closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments) and not file_missing
     gaps_expected = role == "received"
     ok = closed and not damages and bool(numbers) and (gaps_expected or not unexplained)
     dropped, lost, missed = _counts(statistics, count(missing) - count(unreported))
@@ -143,7 +137,7 @@ def verify_recording(recording: Recording) -> Verification:
 
 
 def _lost_before(text: str) -> list[Range]:
-    """Numbers that an earlier recovery could not save, as its recording states them; none where it states nothing usable."""
+    """Numbers that an earlier recovery could not save, from the detail LOST_TO_DAMAGE; none where that is unreadable."""
     try:
         ranges_text = json.loads(text)
         return [(int(first), int(last)) for first, last in ranges_text]
@@ -152,13 +146,13 @@ def _lost_before(text: str) -> list[Range]:
 
 
 def _span(numbers: Sequence[int], statistics: Statistics | None, segments: Collection[int]) -> Range:
-    """First slot and the slot after the last that the recording should cover. segments: numbers of those that are here."""
+    """First slot, and the one after the last, that the recording should cover. segments: numbers of its files."""
     first, end = (numbers[0], numbers[-1] + 1) if numbers else (0, 0)
     if statistics is None:
         return first, end
     if (
         segments and min(segments) == 0 and max(segments) == len(segments) - 1
-    ):  # all up to the one with the last statistics
+    ):  # no file is missing up to the one with the last statistics
         first = min(first, statistics.first_number) if numbers else statistics.first_number
     if statistics.final or not numbers:
         end = max(end, statistics.next_number)
@@ -166,12 +160,12 @@ def _span(numbers: Sequence[int], statistics: Statistics | None, segments: Colle
 
 
 def _counts(statistics: Statistics | None, absent: int) -> tuple[int, int, int]:
-    """(dropped, lost, missed) of the `absent` slots that the logger reported as such."""
+    """How many of the `absent` slots that the logger reported were dropped, lost and missed."""
     if statistics is None:
         return 0, 0, 0
     if absent == statistics.dropped + statistics.lost + statistics.missed:
         return statistics.dropped, statistics.lost, statistics.missed
-    # One segment of several: the session's absent slots lie partly elsewhere, and their kind is not told slot by slot.
+    # one file of several: other absent slots of the session are elsewhere, and the statistics do not give the kind of each slot
     return absent, 0, 0
 
 
@@ -190,8 +184,8 @@ def _sentence(recording: Recording, v: Verification) -> str:
             parts.append(f"{count(v.unexplained)} missing without account: {shown(v.unexplained)}")
     if v.damages:
         path, first_damage = v.damages[0]
-        rest = f" and {len(v.damages) - 1} more" if len(v.damages) > 1 else ""
-        parts.append(f"damaged at byte {first_damage.at_byte} of {path.name} ({first_damage.what}){rest}")
+        further = f" and {len(v.damages) - 1} more" if len(v.damages) > 1 else ""
+        parts.append(f"damaged at byte {first_damage.at_byte} of {path.name} ({first_damage.what}){further}")
     if not v.closed:
         parts.append(
             "not closed in order: at most the time since the last flush is lost, after a power cut since the last sync"
@@ -205,7 +199,7 @@ def _sentence(recording: Recording, v: Verification) -> str:
 
 
 def _verify_foreign(segments: Sequence[RecordingWalk]) -> Verification:
-    """A calibrated flight or another MCAP file: bytes and structure only."""
+    """Verify bytes and structure of an MCAP file that is no raw recording, such as a calibrated flight."""
     damages = tuple((s.path, d) for s in segments for d in s.damages)
     closed = all(s.closed for s in segments)
     samples = sum(n for s in segments for n in s.foreign.values())

@@ -63,7 +63,7 @@ class FlightRows:
 
 def flight_rows(segment: RecordingWalk) -> FlightRows:
     """The flight in a file that has been walked through. Raises FlightRowsError when its schema or rows are none of a flight."""
-    rows = segment.kept.get(FLIGHT_TOPIC, ())
+    rows = segment.auxiliary.get(FLIGHT_TOPIC, ())
     numbers = _columns(segment)
     if not table_fits(len(rows), len(numbers), segment.size):
         raise FlightRowsError(

@@ -1,7 +1,7 @@
 """Read raw recordings: one file, or a directory with all segments of a session.
 
-`read_recording` wants sound data and says where it is not; with `salvage=True` it returns all that is surely right,
-together with the list of damages. Sessions are never mixed.
+`read_recording` raises an error for a damaged recording, with the place; with `salvage=True` it returns the intact content and
+the damages. Sessions are never mixed.
 """
 
 from collections.abc import Iterable, Iterator
@@ -32,7 +32,7 @@ from daq.utilities.plain_words import visible
 
 @dataclass(frozen=True)
 class Recording:
-    """A session: entries of all segments in order of time, each message once."""
+    """A session: entries of all its segments in order of time, each message once."""
 
     path: Path
     info: RecordingInfo
@@ -45,7 +45,7 @@ class Recording:
 
     @cached_property
     def numbers(self) -> list[int]:
-        """Numbers of the scans present, rising."""
+        """Numbers of the scans, ascending."""
         return sorted(e.sequence for e in self.entries if e.topic == SCAN_TOPIC)
 
     @property
@@ -75,9 +75,9 @@ class Recording:
 
     @property
     def given_up(self) -> tuple[RecordingWalk, ...]:
-        """Segments that the logger itself says it left after a write error, writing what was in doubt to the next file.
+        """Segments that the logger left after a write error, by its own statistics.
 
-        Their torn ends are accounted for: no damage of the recording.
+        It wrote unconfirmed messages again in the next file, so that their incomplete ends are no damage of the recording.
         """
         statistics = self.last_statistics
         if statistics is None:
@@ -87,7 +87,7 @@ class Recording:
 
     @property
     def damages(self) -> tuple[tuple[Path, Damage], ...]:
-        """Damages of all segments but those given up, and the file of each."""
+        """File and damage, for all segments but those in `given_up`."""
         given_up = {id(s) for s in self.given_up}
         return tuple((s.path, d) for s in self.segments if id(s) not in given_up for d in s.damages)
 
@@ -102,15 +102,15 @@ class Recording:
 
 def _last_statistics(entries: Iterable[RecordedMessage]) -> Statistics | None:
     reports = [e for e in entries if e.topic == STATISTICS_TOPIC]
-    last = max(reversed(reports), key=lambda e: e.log_time_ns, default=None)  # of the same instant the last written
+    last = max(reversed(reports), key=lambda e: e.log_time_ns, default=None)  # of equal times the last written
     return decode(STATISTICS_TOPIC, last.data) if last else None
 
 
 def by_session(segments: Iterable[RecordingWalk]) -> dict[str, list[RecordingWalk]]:
-    """Segments by session, in order of appearance.
+    """Session -> its segments, in order of appearance.
 
-    A part that has lost its identity tells its session by its accounting, or is counted to the only session whose scan
-    numbers and times it continues without contradiction; else it stands for itself.
+    A segment without an identity belongs to the session that its statistics name, or else to the only session that its scan
+    numbers and times continue consistently; otherwise it is a session of its own.
     """
     sessions: dict[str, list[RecordingWalk]] = {}
     unidentified: list[RecordingWalk] = []
@@ -121,9 +121,9 @@ def by_session(segments: Iterable[RecordingWalk]) -> dict[str, list[RecordingWal
         else:
             sessions.setdefault(session, []).append(segment)
     for segment in unidentified:
-        homes = [k for k, group in sessions.items() if _continues(group, segment)]
-        own_name = f"{visible(segment.path.stem)}@{segment.at_byte}" if segment.at_byte else visible(segment.path.stem)
-        sessions.setdefault(homes[0] if len(homes) == 1 else own_name, []).append(segment)
+        candidates = [k for k, group in sessions.items() if _continues(group, segment)]
+        new_name = f"{visible(segment.path.stem)}@{segment.at_byte}" if segment.at_byte else visible(segment.path.stem)
+        sessions.setdefault(candidates[0] if len(candidates) == 1 else new_name, []).append(segment)
     return sessions
 
 
@@ -135,7 +135,7 @@ def _session_of(segment: RecordingWalk) -> str | None:
 
 
 def _continues(group: list[RecordingWalk], segment: RecordingWalk) -> bool:
-    """Whether the scans of all these segments can be one session: a number stands for one scan, and time rises with it."""
+    """Whether the scans of all these segments can belong to one session: each number to one scan, and time rising with it."""
     scans: dict[int, RecordedMessage] = {}
     for entry in (e for s in (*group, segment) for e in s.entries if e.topic == SCAN_TOPIC):
         if scans.setdefault(entry.sequence, entry).data != entry.data:
@@ -145,7 +145,7 @@ def _continues(group: list[RecordingWalk], segment: RecordingWalk) -> bool:
 
 
 def read_recordings(path: str | Path) -> list[Recording]:
-    """The recording of each session in a file, sound or not, in order of appearance; of a directory, the only one.
+    """Read the recording of each session in a file, intact or not, in order of appearance; of a directory, the only one.
 
     Raises RecordingError when there is none, or the files of a directory belong to different sessions.
     """
@@ -171,7 +171,7 @@ def _several(path: Path, segments: list[RecordingWalk]) -> str:
 
 
 def join(path: Path, segments: list[RecordingWalk]) -> Recording:
-    """One recording of all segments; a message that two segments hold (rewritten after an error) appears once.
+    """Join segments into one recording; a message in two segments (written again after an error) appears once.
 
     Raises RecordingError when the segments belong to different sessions or hold no raw recording.
     """
@@ -204,23 +204,22 @@ def _why_not_raw(segments: list[RecordingWalk]) -> str:
 
 
 def unique(entries: Iterable[RecordedMessage]) -> tuple[RecordedMessage, ...]:
-    """Entries in order of time, scans with a number seen before and repeated messages left out."""
+    """Entries in order of time, without scans of a repeated number and repeated messages."""
     keys: set[tuple[str, int] | tuple[str, bytes]] = set()
-    kept_entries = []
+    unique_entries = []
     for entry in sorted(entries, key=lambda e: e.log_time_ns):
         key = (entry.topic, entry.sequence) if entry.topic == SCAN_TOPIC else (entry.topic, entry.data)
         if key not in keys:
             keys.add(key)
-            kept_entries.append(entry)
-    return tuple(kept_entries)
+            unique_entries.append(entry)
+    return tuple(unique_entries)
 
 
 def read_recording(path: str | Path, *, salvage: bool = False) -> Recording:
     """Read a raw recording, a file or a directory of segments.
 
-    Raises RecordingError for anything that is no raw recording, for a file with several sessions in it and, unless
-    `salvage`, for a damaged one, saying where. A
-    file that the logger gave up and continued in the next one does not count as damaged.
+    Raises RecordingError for anything that is no raw recording, for a file with several sessions in it and, unless `salvage`,
+    for a damaged one, with the place. A file in `given_up` does not count as damaged.
     """
     path = Path(path)
     recordings = read_recordings(path)
@@ -230,7 +229,7 @@ def read_recording(path: str | Path, *, salvage: bool = False) -> Recording:
 
 
 def sound(recording: Recording) -> Recording:
-    """The recording, unless it is damaged: then RecordingError with the first damage and what to do."""
+    """Return the recording unless it is damaged. Raises RecordingError with the first damage and the remedy."""
     for damaged, first in recording.damages:
         raise RecordingError(
             f"{damaged}: damaged at byte {first.at_byte} ({first.what}); "

@@ -1,9 +1,9 @@
-"""Reads an MCAP file, intact or damaged, and returns everything in it that is proven correct.
+"""Reading of an MCAP file, intact or damaged, that yields all content which is certainly unaltered.
 
-Usual readers stop at the first damage, or return altered values. `Walk` accepts a record only if its checksum or structure proves
-it. It reports every damaged stretch, searches it for messages with an intact seal, and continues at the next proven record. A
-file may contain several recordings in sequence (`cat a b`, the image of a rescue tool): each begins with `Began`. Record layout:
-MCAP specification, https://mcap.dev/spec.
+Standard readers stop at the first damage or return altered values. `Walk` accepts a record only when its checksum or structure
+proves it, reports every damaged stretch, searches it for messages with a valid seal, and continues at the next record that can be
+trusted. A file may hold several recordings one behind the other (`cat a b`, the image of a rescue tool): each but the first
+begins with `Began`. Record layout: MCAP specification, https://mcap.dev/spec.
 
 Time and memory are proportional to the size of the file, whatever its bytes (`daq.contract.recordings.expand.Effort`).
 """
@@ -46,22 +46,22 @@ from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, LOG_TIME_N
 from daq.contract.seal import seal_holds
 
 MAX_DAMAGES = 1000
-"""Damaged places that are reported one by one. After the last of them the rest of the file is searched as one stretch, in which
-complete messages and compressed chunks are still found."""
+"""Damages reported one by one. Behind the last of them the rest of the file is searched as one stretch, in which intact messages
+and compressed chunks are still found."""
 MAX_PARTS = 1000
-"""Recordings in one file that are separated; a session has a segment about each minute, a card some hundred files."""
+"""Recordings in one file that are separated; a session has a segment every two minutes, a card some hundred files."""
 _PROVEN = (CHUNK, ATTACHMENT, MESSAGE, METADATA)
-_BATCH = 1 << 20  # damaged bytes searched at once: a search has a cost of its own, a file may have many short stretches
+_BATCH = 1 << 20  # damaged bytes searched together: a search has a fixed cost, and a file may have many short stretches
 _RECORD = struct.Struct("<BQ")  # code and length of a record
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log and publish time
-_HEAD_SPAN = 64  # bytes of a record's head and of the fields that show whether a record may begin there
-_SEPARATOR = bytes(8)  # between two stretches that are searched together
+_HEAD_SPAN = 64  # bytes by which a possible record is recognised: its head and first fields
+_SEPARATOR = bytes(8)  # between two stretches searched together
 _NAMES = {CHUNK: "chunk", METADATA: "metadata", ATTACHMENT: "attachment", DATA_END: "end of data"}
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """A stretch of the file that was altered or lost."""
+    """An altered or missing stretch of the file: offset, length [bytes], and the kind in words."""
 
     at_byte: int
     length: int
@@ -77,7 +77,7 @@ class Closed:
 
 @dataclass(frozen=True, slots=True)
 class Began:
-    """Another recording begins in the same file; what follows belongs to it."""
+    """The start of another recording in the same file; the items that follow belong to it."""
 
     at_byte: int
 
@@ -87,7 +87,7 @@ Item = RecordedMessage | Attachment | Metadata | Damage | Closed | Began
 
 @dataclass(slots=True)
 class _SalvagedPart:
-    """What is known of the recording at hand, one of several in a file."""
+    """State of the current recording, one of possibly several in a file."""
 
     at: int  # its first byte
     topics: dict[int, str] = field(default_factory=dict)
@@ -100,7 +100,7 @@ class _SalvagedPart:
 
 
 class Walk:
-    """One pass over the bytes of a file: iterate it. `schemas` and `channel_schema` hold what the recording at hand declared."""
+    """One pass over the bytes of a file, by iteration. `schemas` and `channel_schema` are those of the current recording."""
 
     def __init__(self, data: bytes) -> None:
         self._data = memoryview(data)
@@ -111,35 +111,35 @@ class Walk:
         self._parts = 0
         self._unsearched: list[bytes] = []
         self._unsearched_bytes = 0
-        self._unproven: McapRecord | None = None  # the record before, where nothing but its own lengths vouches for it
-        self._content: tuple[int, bytes | memoryview] = (-1, b"")  # of the chunk expanded last
+        self._unproven: McapRecord | None = None  # the last record, if only its own lengths prove it
+        self._content: tuple[int, bytes | memoryview] = (-1, b"")  # offset and content of the chunk expanded last
 
     @property
     def schemas(self) -> dict[int, tuple[str, bytes]]:
-        """Name and definition of each schema declared in the recording at hand, by its number."""
+        """Schema number -> name and definition, as declared in the current recording."""
         return self._part.schemas
 
     @property
     def channel_schema(self) -> dict[str, int]:
-        """Number of the schema of each topic declared in the recording at hand."""
+        """Topic -> number of its schema, as declared in the current recording."""
         return self._part.channel_schema
 
     def __iter__(self) -> Iterator[Item]:
         offset = len(MAGIC) if self._ends(0) else 0
-        lost_head = offset == 0
+        header_missing = offset == 0
         try:
             while offset < len(self._raw):
                 if begins(self._raw, offset):
                     yield from self._begin(offset)
                     offset += len(MAGIC)
-                elif lost_head or self._part.closed or self._given_up:
-                    lost_head = False
+                elif header_missing or self._part.closed or self._given_up:
+                    header_missing = False
                     start, offset = offset, len(self._raw) if self._given_up else self._next_trusted(offset)
                     yield from self._stray(start, offset)
                 else:
                     items, offset = self._step(offset)
                     yield from items
-            yield from self._searched()
+            yield from self._search()
         except Exhausted:
             yield self._damage(
                 offset, len(self._raw) - offset, "more records than a file of its size can hold: the rest left out"
@@ -150,7 +150,7 @@ class Walk:
     # ------------------------------------------------------------------------------------------ records
 
     def _step(self, at: int) -> tuple[list[Item], int]:
-        """What stands at a byte, and where to go on."""
+        """The items of the record at a byte, and the offset of the next."""
         try:
             record = self._record(at)
             items = self._chunk(record) if record.opcode == CHUNK else list(self._items(record))
@@ -163,13 +163,15 @@ class Walk:
         return items, end
 
     def _stray(self, at: int, end: int) -> Iterator[Item]:
-        """Bytes where a file should begin, up to the next record that can be trusted, and with it a part of its own."""
+        """Handle bytes where a file should begin, up to the next trusted record, which starts a part of its own."""
         if not at:
-            yield from self._lost(0, end, "the file does not begin like an MCAP file", shown=min(end, len(MAGIC)))
+            yield from self._damaged_stretch(
+                0, end, "the file does not begin like an MCAP file", shown=min(end, len(MAGIC))
+            )
             return
         yield from self._begin(at)
         reason = f"{MAX_DAMAGES} damaged places before it" if self._given_up else "bytes behind the end mark"
-        yield from self._lost(at, end, reason)
+        yield from self._damaged_stretch(at, end, reason)
 
     @property
     def _given_up(self) -> bool:
@@ -208,7 +210,7 @@ class Walk:
                     yield self._damage(record.at, 0, "the end of the data is not marked")
 
     def _chunk(self, record: McapRecord) -> list[Item]:
-        """Its messages. A long flight has hundreds of thousands: hence one loop without generators."""
+        """The messages of a chunk; a long flight has hundreds of thousands, hence one loop without generators."""
         content = memoryview(self._expanded(record))
         head, count, message = _RECORD.unpack_from, self._effort.record, self._message
         messages: list[Item] = []
@@ -307,8 +309,8 @@ class Walk:
     # ------------------------------------------------------------------------------------------ several recordings
 
     def _begin(self, at: int) -> Iterator[Item]:
-        """Another recording begins, unless it is the first of the file."""
-        yield from self._searched()
+        """Start another recording, unless it is the first of the file."""
+        yield from self._search()
         if at:
             if not self._part.closed:
                 yield self._damage(at, 0, "cut off or never closed: another recording begins here")
@@ -325,46 +327,47 @@ class Walk:
         self._damages += 1
         return Damage(at, length, what)
 
-    def _lost(
+    def _damaged_stretch(
         self, at: int, end: int, what: str, *, shown: int | None = None, search_from: int | None = None
     ) -> Iterator[Item]:
-        """A damaged stretch, to be searched for messages."""
+        """Report a damaged stretch, and queue it for the search. shown: length to report, if other than the stretch's;
+        search_from: start of the search, if before the stretch."""
         yield self._damage(at, end - at if shown is None else shown, what)
         region = self._raw[at if search_from is None else search_from : end]
         self._unsearched.append(region)
         self._unsearched_bytes += len(region)
         if self._unsearched_bytes >= _BATCH:
-            yield from self._searched()
+            yield from self._search()
 
-    def _searched(self) -> Iterator[RecordedMessage]:
-        """Messages in the damaged stretches that wait."""
+    def _search(self) -> Iterator[RecordedMessage]:
+        """Search the queued stretches, and yield the messages in them."""
         region = _SEPARATOR.join(self._unsearched)
         self._unsearched, self._unsearched_bytes = [], 0
         yield from salvage_region(region, self._effort)
 
     def _recover(self, at: int, error: Bad) -> tuple[list[Item], int]:
-        """A record that is not what was written: a chunk under a wrong code, or a stretch to be searched."""
+        """Handle an altered record: a chunk under a wrong code, or a stretch to be searched. Returns as `_step`."""
         name = _NAMES.get(self._raw[at], "record")
         if self._raw[at] != CHUNK:
             try:
-                record = self._record_whatever_code(at)
+                record = self._record_as_chunk(at)
                 entries = list(self._chunk(record))
             except Bad:
                 pass
             else:
                 return [self._damage(at, 1, f"{name}: {error}; it is a chunk, and whole"), *entries], record.end
         previous, self._unproven = self._unproven, None
-        inner_start = self._swallowed(previous, at) if previous else None
+        inner_start = self._record_within(previous, at) if previous else None
         if previous and inner_start is not None:
-            return list(self._lost(previous.at, inner_start, "record: it runs over others")), inner_start
+            return list(self._damaged_stretch(previous.at, inner_start, "record: it runs over others")), inner_start
         resume = self._resume(at)
-        begin = previous.at if previous else at  # what it took for its own may be the beginning of a message
-        return list(self._lost(at, resume, f"{name}: {error}", search_from=begin)), resume
+        begin = previous.at if previous else at  # its content may be the start of a message
+        return list(self._damaged_stretch(at, resume, f"{name}: {error}", search_from=begin)), resume
 
-    def _swallowed(self, before: McapRecord, at: int) -> int | None:
-        """A record that can be trusted within the one before the bad one, whose own lengths alone vouch for it; None without.
+    def _record_within(self, before: McapRecord, at: int) -> int | None:
+        """Offset of a trusted record within the unproven one before the bad one; None without.
 
-        A record cut off in its middle with others behind it (`cat torn whole`) takes their first bytes for its own.
+        The length of a record that is cut off in its middle (`cat torn whole`) covers the first bytes of the next file.
         """
         try:
             self._effort.check(len(before.body))
@@ -375,7 +378,7 @@ class Walk:
             candidate = next_candidate(self._raw, candidate + 1, at + _HEAD_SPAN)
         return candidate if candidate < at else None
 
-    def _record_whatever_code(self, at: int) -> McapRecord:
+    def _record_as_chunk(self, at: int) -> McapRecord:
         if at + RECORD_HEAD > len(self._raw):
             raise Bad("cut off")
         body = self._data[at + RECORD_HEAD : at + RECORD_HEAD + struct.unpack_from("<Q", self._raw, at + 1)[0]]
@@ -384,7 +387,7 @@ class Walk:
         return McapRecord(at, CHUNK, body)
 
     def _resume(self, at: int) -> int:
-        """Start of the next record to be trusted after a bad one."""
+        """Offset of the next trusted record after a bad one."""
         if at + RECORD_HEAD <= len(self._raw):
             stated_end = at + RECORD_HEAD + int.from_bytes(self._raw[at + 1 : at + RECORD_HEAD], "little")
             if stated_end < len(self._raw) and self._trusted(stated_end):
@@ -398,7 +401,7 @@ class Walk:
         return candidate
 
     def _trusted(self, at: int) -> bool:
-        """Whether checks prove that a record begins here; kinds too short to prove anything are not trusted."""
+        """Whether checksum or structure prove that a record begins here; kinds too short for a proof are not trusted."""
         if begins(self._raw, at):
             return True
         try:

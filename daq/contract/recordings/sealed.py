@@ -1,4 +1,4 @@
-"""Stretches of bytes whose seal holds, wherever they begin and end, in time that goes with the bytes alone.
+"""Search for stretches of bytes with a valid seal, wherever they begin and end, in time proportional to the bytes.
 
 A message is proven by its seal: the CRC-32 over the name of its schema and its content equals the four bytes behind the
 tag. Trying every beginning with every end costs the square of the length. CRC-32 is linear, so the state of the checksum
@@ -21,17 +21,17 @@ from numpy.typing import NDArray
 from daq.contract.seal import SEAL_SIZE, SEAL_TAG, seal_start
 
 REACH = 1 << 12
-"""Longest content found by its seal alone [bytes]. A scan of all channels has 400; longer messages have record heads."""
+"""Longest content found by its seal alone [bytes]: a scan of all channels has 400; longer messages are found by record heads."""
 SHORTEST = 10
-"""Shortest content, seal included: the tag of a field and the seal alone are six, and every message of ours has a time."""
+"""Shortest content with its seal [bytes]: a field's tag and the seal are six, and every message of ours has a time."""
 
 _WINDOW = 1 << 14
 _BUCKETS = 1 << 18
 _HALF = np.uint64(32)
 _PLACE = np.uint64(0xFFFFFFFF)
 _FIRST_TAGS = (0x08, 0x0A, 0x10, 0x18)
-"""Tags a message of ours can begin with: field 1, a number or a timestamp; field 2 or 3 where those before are 0, which
-are left out."""
+"""First bytes of our messages: tag of field 1, a number or a timestamp, or of field 2 or 3 where earlier fields are 0 and
+therefore omitted."""
 _MAY_BEGIN = np.isin(np.arange(256), _FIRST_TAGS)
 
 Keys = NDArray[np.uint32]
@@ -45,7 +45,7 @@ def _byte_table() -> Keys:
 
 @cache
 def _powers() -> Keys:
-    """(window, 256): what a byte at a position of the window adds to the state at the window's end."""
+    """(window, 256): contribution of a byte at a position of the window to the state at the window's end."""
     table = _byte_table()
     powers = np.empty((_WINDOW, 256), np.uint32)
     powers[-1] = table
@@ -57,7 +57,7 @@ def _powers() -> Keys:
 
 @cache
 def _start_keys(schema: str) -> Keys:
-    """(window - 3,): the start of a schema's seal, put in at a position of the window and brought to its end."""
+    """(window - 3,): contribution of the initial state of a schema's seal, at a position of the window, to its end."""
     state = (seal_start(schema) ^ 0xFFFFFFFF).to_bytes(4, "little")
     powers = _powers()
     keys = np.zeros(_WINDOW - 3, np.uint32)
@@ -67,9 +67,9 @@ def _start_keys(schema: str) -> Keys:
 
 
 def sealed_stretches(data: bytes, schemas: Mapping[str, str]) -> Iterator[Found]:
-    """(begin, end, key) of every stretch that is sealed as one of `schemas` (key -> schema name), none overlapping.
+    """Yield (begin, end, key) of each stretch that is sealed as one of `schemas` (key -> schema name), without overlaps.
 
-    end: behind the seal. From each beginning the nearest end is taken; after a find the search goes on behind it.
+    end: behind the seal, the nearest one for each beginning; the search continues behind it.
     """
     last_end = 0
     for window_start in range(0, max(len(data) - SHORTEST + 1, 0), _WINDOW - REACH):
@@ -112,10 +112,10 @@ def _in_window(window: bytes, schemas: Mapping[str, str], begin_at: int) -> Iter
 def _pairs(
     prefix: Keys, starts: NDArray[np.int64], tails: NDArray[np.int64], ends: Keys, schemas: Mapping[str, str]
 ) -> Iterator[Found]:
-    """Beginnings with the nearest end of the same key, all schemas."""
+    """Yield each beginning with the nearest end that has the same key, for all schemas."""
     present = np.zeros(_BUCKETS, bool)
     present[ends & (_BUCKETS - 1)] = True
-    # key and place in one number: the first one not below (key, nearest place allowed) is the end that is looked for
+    # key and position in one number: the first one not below (key, nearest allowed position) is the matching end
     places = np.sort(ends.astype(np.uint64) << _HALF | tails.astype(np.uint64))
     for name, schema in schemas.items():
         keys = prefix[starts] ^ _start_keys(schema)[starts]

@@ -1,9 +1,9 @@
-"""One file of a recording, walked through: a segment for each recording in it, one as a rule.
+"""Reading the files of a recording: a segment for each recording in a file, usually one.
 
-A file may hold several recordings, one behind the other, and scans of two sessions may stand under one head: bytes of another
-file pasted into a recording, or left behind the place where a file was cut off. A number stands for one scan of a session, and
-its time rises with it; where both do not hold, there are two. Scans of one session lie on a line: a number more is a period
-more on the aircraft's clock. Another session, of another start of the computer or of the logger, lies on another line.
+A file may hold several recordings one behind the other, and scans of two sessions may follow one header: bytes of another file
+pasted into a recording, or left behind the place where a file was cut off. Within a session a number belongs to one scan, and
+time rises with it; where that is violated there are two sessions. Scans of one session lie on a line, time = number * period +
+constant, on the aircraft's clock; a session of another start of computer or logger lies on another line.
 """
 
 import json
@@ -33,40 +33,42 @@ from daq.utilities.input_files import read_bytes
 
 FLIGHT_TOPIC, FLIGHT_METADATA = "/flight", "sideslip.flight"
 LINK_TOPIC = "/link"
-_KEPT = (FLIGHT_TOPIC, LINK_TOPIC)
-"""Topics that are none of a raw recording's, yet ours: calibrated flights, and the link's quality in received recordings."""
+_AUXILIARY_TOPICS = (FLIGHT_TOPIC, LINK_TOPIC)
+"""Our topics besides those of a raw recording: calibrated flights, and link quality in received recordings."""
 NEAR_NS = 2_000_000_000
-"""How far from its session's line a scan may lie: slots are missed one by one, and no logger starts anew in two seconds."""
-MOST = 64
-"""Sessions told apart within one part of a file: a card has some hundred files, and not all of them in one."""
+"""Largest distance of a scan from its session's line: slots are missed one by one, and no logger restarts within two seconds."""
+MOST_SESSIONS = 64
+"""Most sessions that are separated within one part of a file: a card has some hundred files, and not all of them in one."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingWalk:
-    """One file, walked through: what is right in it, and where it is damaged."""
+    """One recording within a file: its intact messages and its damages."""
 
     path: Path
-    size: int
-    info: RecordingInfo | None  # None: the file does not say what it is
+    size: int  # bytes
+    info: RecordingInfo | None  # None where the identity is missing or damaged
     entries: tuple[RecordedMessage, ...]
-    foreign: Mapping[str, int]  # topics that are not ours -> messages
+    foreign: Mapping[str, int]  # topic of other programs, or of _AUXILIARY_TOPICS -> number of messages
     damages: tuple[Damage, ...]
     closed: bool
     metadata: tuple[Metadata, ...] = ()
-    at_byte: int = 0  # where in the file it begins: not 0 for a second recording in one file
-    kept: Mapping[str, tuple[bytes, ...]] = field(
+    at_byte: int = 0  # offset in the file, not 0 for a second recording in it
+    auxiliary: Mapping[str, tuple[bytes, ...]] = field(
         default_factory=dict
     )  # messages of flights and of link quality by topic
-    schemas: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)  # name and definition by topic, for `kept`
+    schemas: Mapping[str, tuple[str, bytes]] = field(
+        default_factory=dict
+    )  # name and definition by topic, for `auxiliary`
 
     @property
     def empty(self) -> bool:
-        """Whether nothing but damage is in it."""
+        """Whether it holds nothing but damage."""
         return not (self.entries or self.metadata or self.foreign or self.info)
 
     @property
     def number(self) -> int | None:
-        """Its number in the session: as it says itself or, where nothing of it is left, as its name does."""
+        """The file's number in the session, from the identity or else from the file name."""
         if self.info is not None:
             return self.info.segment
         ending = self.path.stem.rpartition("_")[2]
@@ -79,9 +81,9 @@ class RecordingWalk:
 
 
 def read_parts(path: Path) -> list[RecordingWalk]:
-    """Walk through one file: a segment for each recording in it, one as a rule.
+    """Read one file: a segment for each recording in it, usually one.
 
-    Raises RecordingError when the file cannot be opened or is not an MCAP file at all.
+    Raises RecordingError when the file cannot be opened, or is no MCAP file and holds nothing of ours.
     """
     data = read_bytes(path, "recording", RecordingError)
     if not data:
@@ -98,7 +100,7 @@ def read_parts(path: Path) -> list[RecordingWalk]:
     segments: list[RecordingWalk] = []
     for part, end in zip(parts, [*(p.at_byte for p in parts[1:]), len(data)], strict=True):
         segment = part.segment(end - part.at_byte)
-        if segment.empty and segments:  # stray bytes behind a recording: a damage of it
+        if segment.empty and segments:  # stray bytes behind a recording count as its damage
             stray = tuple(d for d in segment.damages if d.length)
             segments[-1] = replace(
                 segments[-1], size=segments[-1].size + segment.size, damages=(*segments[-1].damages, *stray)
@@ -116,12 +118,12 @@ def read_parts(path: Path) -> list[RecordingWalk]:
 
 
 def _by_line(segment: RecordingWalk) -> list[RecordingWalk]:
-    """A segment as it is, or taken apart where scans of another session stand among its own: those have lost their head."""
-    main_entries, *foreign_entries = sessions_apart(segment.entries) or [()]
+    """The segment, split where it holds scans of other sessions; the segments of these have no header and no identity."""
+    main_entries, *foreign_entries = split_sessions(segment.entries) or [()]
     if not foreign_entries:
         return [segment]
     damage_byte = next((d.at_byte for d in segment.damages if d.at_byte > segment.at_byte), segment.at_byte)
-    headless = replace(segment, info=None, metadata=(), size=0, kept={}, foreign={}, closed=False)
+    headless = replace(segment, info=None, metadata=(), size=0, auxiliary={}, foreign={}, closed=False)
     parts = [replace(segment, entries=main_entries)]
     for n, entries in enumerate(foreign_entries, start=1):
         scans = sum(e.topic == SCAN_TOPIC for e in entries)
@@ -131,13 +133,13 @@ def _by_line(segment: RecordingWalk) -> list[RecordingWalk]:
 
 
 def _schemas(walk: Walk) -> dict[str, tuple[str, bytes]]:
-    ids = ((topic, walk.channel_schema.get(topic)) for topic in _KEPT)
+    ids = ((topic, walk.channel_schema.get(topic)) for topic in _AUXILIARY_TOPICS)
     return {topic: walk.schemas[i] for topic, i in ids if i is not None and i in walk.schemas}
 
 
 @dataclass
 class _OpenPart:
-    """A recording while it is being read."""
+    """A recording that is being read."""
 
     path: Path
     at_byte: int
@@ -146,7 +148,7 @@ class _OpenPart:
     attachments: dict[str, bytes] = field(default_factory=dict)
     metadata: list[Metadata] = field(default_factory=list)
     foreign: dict[str, int] = field(default_factory=dict)
-    kept: dict[str, list[bytes]] = field(default_factory=dict)
+    auxiliary: dict[str, list[bytes]] = field(default_factory=dict)
     schemas: dict[str, tuple[str, bytes]] = field(default_factory=dict)
     closed: bool = False
 
@@ -158,14 +160,13 @@ class _OpenPart:
                     self.entries.append(on_monotonic_clock(item))
                     return
                 self.foreign[topic] = self.foreign.get(topic, 0) + 1
-                if topic in _KEPT:
-                    self.kept.setdefault(topic, []).append(item.data)
+                if topic in _AUXILIARY_TOPICS:
+                    self.auxiliary.setdefault(topic, []).append(item.data)
             case Attachment():
                 self.attachments.setdefault(item.name, item.data)
             case Metadata():
-                if (
-                    item.name.startswith("sideslip.") or not self.metadata
-                ):  # another program may have any number of them
+                # other programs may write any number of them: only the first counts, as a sign of a recording
+                if item.name.startswith("sideslip.") or not self.metadata:
                     self.metadata.append(item)
             case Damage():
                 self.damages.append(item)
@@ -185,13 +186,13 @@ class _OpenPart:
             self.closed,
             metadata=tuple(metadata),
             at_byte=self.at_byte,
-            kept={k: tuple(v) for k, v in self.kept.items()},
+            auxiliary={k: tuple(v) for k, v in self.auxiliary.items()},
             schemas=self.schemas,
         )
 
 
 def _identity(metadata: Iterable[Metadata], attachments: Mapping[str, bytes]) -> RecordingInfo | None:
-    """Identity from the metadata, or from its copy among the attachments when the metadata is damaged."""
+    """The identity from the metadata or, when that is damaged, from its copy among the attachments."""
     fields: Mapping[str, str] | None = next((i.fields for i in metadata if i.name == INFO_NAME), None)
     if fields is None and INFO_ATTACHMENT in attachments:
         fields = _copy_of_identity(attachments[INFO_ATTACHMENT])
@@ -200,7 +201,7 @@ def _identity(metadata: Iterable[Metadata], attachments: Mapping[str, bytes]) ->
     try:
         info = info_from_metadata(fields)
     except (KeyError, ValueError):
-        return None  # a digest that holds over fields that are none of ours: another program's, or a forger's
+        return None  # valid digest over fields of another program, or forged ones
     details = {k: v for i in metadata if i.name == DETAIL_NAME for k, v in i.fields.items() if k != "sha256"}
     own_attachments = {k: v for k, v in attachments.items() if k not in (INFO_ATTACHMENT, CHANNELS_ATTACHMENT)}
     return replace(info, details={**info.details, **details}, attachments=own_attachments)
@@ -229,10 +230,10 @@ def segment_paths(path: Path) -> list[Path]:
 
 
 def read_segments(path: str | Path) -> list[RecordingWalk]:
-    """Walk through a file or all files of a directory, sound or not; a file gives a segment for each recording in it.
+    """Read a file or all files of a directory, intact or not; a file gives a segment for each recording in it.
 
-    A file of a directory that holds nothing at all is one whole damage: a power cut leaves the name of a file that was
-    just begun, empty or full of zeros, and the files before it are none the worse.
+    In a directory a file that holds nothing of ours becomes one damage, because a power cut may leave the last file empty or full
+    of zeros.
     """
     path = Path(path)
     read = _parts_or_blank if path.is_dir() else read_parts
@@ -250,24 +251,26 @@ def _parts_or_blank(path: Path) -> list[RecordingWalk]:
         return [RecordingWalk(path, size, None, (), {}, (Damage(0, size, damage_text),), False)]
 
 
-# ----------------------------------------------------------------------------------------- sessions in one another
+# ----------------------------------------------------------------------------------------- mixed sessions
 
 
-def sessions_apart(entries: Sequence[RecordedMessage]) -> list[tuple[RecordedMessage, ...]]:
-    """Entries in order of the file, taken apart by session, the one that comes first in the file first; in one piece where
-    nothing contradicts that they are of one session. What is no scan goes with the scan before it."""
+def split_sessions(entries: Sequence[RecordedMessage]) -> list[tuple[RecordedMessage, ...]]:
+    """Split entries, in order of the file, by session, in the order of their first scans; one group where all scans are
+    consistent with one session. Other entries go with the scan before them."""
     scans = [e for e in entries if e.topic == SCAN_TOPIC]
     if not _contradict(scans):
         return [tuple(entries)]
     period = _period(scans)
-    lines: list[float] = []  # of each session, where its line was met last: time less number times period
+    lines: list[float] = []  # latest intercept of each session's line: time - number * period [ns]
     groups: list[list[RecordedMessage]] = []
     current = 0
     for entry in entries:
         if entry.topic == SCAN_TOPIC:
             intercept = entry.log_time_ns - entry.sequence * period
             nearby = [i for i, line in enumerate(lines) if abs(intercept - line) <= NEAR_NS]
-            current = min(nearby, key=lambda i: abs(intercept - lines[i])) if nearby else min(len(lines), MOST - 1)
+            current = (
+                min(nearby, key=lambda i: abs(intercept - lines[i])) if nearby else min(len(lines), MOST_SESSIONS - 1)
+            )
             if current == len(lines):
                 lines.append(intercept)
                 groups.append([])
@@ -280,7 +283,7 @@ def sessions_apart(entries: Sequence[RecordedMessage]) -> list[tuple[RecordedMes
 
 
 def _contradict(scans: Sequence[RecordedMessage]) -> bool:
-    """Whether a number stands for two scans, or time does not rise with it."""
+    """Whether a number belongs to two different scans, or time does not rise with the number."""
     by_number: dict[int, RecordedMessage] = {}
     if any(by_number.setdefault(e.sequence, e).data != e.data for e in scans):
         return True
@@ -288,6 +291,6 @@ def _contradict(scans: Sequence[RecordedMessage]) -> bool:
 
 
 def _period(scans: Sequence[RecordedMessage]) -> float:
-    """Time from one number to the next [ns], as most neighbours in the file have it."""
+    """Time from one number to the next [ns]: the median over neighbours in the file."""
     steps = [b.log_time_ns - a.log_time_ns for a, b in pairwise(scans) if b.sequence == a.sequence + 1]
     return float(median(steps)) if steps else 0.0

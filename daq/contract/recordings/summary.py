@@ -23,7 +23,7 @@ def info_mcap(path: str | Path) -> dict[str, Any]:
     if raw:
         groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(raw).values())
         return _summed([_raw_info(path, join(path, g)) for g in groups])
-    flights = [s for s in segments if FLIGHT_TOPIC in s.kept]
+    flights = [s for s in segments if FLIGHT_TOPIC in s.auxiliary]
     if flights:
         return _summed([_flight_info(path, s) for s in flights])
     if any(m.name == FLIGHT_METADATA for s in segments for m in s.metadata):

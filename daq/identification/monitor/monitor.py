@@ -14,17 +14,17 @@ from daq.identification.monitor.motions import inputs_of
 from daq.identification.monitor.predictors import FlightsScan, Innovation, PredictorBank
 from daq.identification.monitor.threshold import BEGIN_S, Calibration, strongest, whitened
 
-LEADING = 0.8  # of the largest score: effects that are named beside the first
-MOST_NAMED = 4
-QUIET_S = 10.0  # s of watched flight below the threshold after which an alarm is over, and another may be told
-SURER = 1.25  # times the score an alarm has, at which what it may be is told anew
-NAMED_WITHIN_S = 15.0  # of flight after it was noticed; what comes later may be something else
+LEADING = 0.8  # least share of the largest score of an effect that is named besides the first
+MOST_NAMED = 4  # effects of an alarm
+QUIET_S = 10.0  # s of flight below the threshold after which an alarm ends
+SURER = 1.25  # ratio of scores from which an alarm's effects are replaced by those of a later one
+NAMED_WITHIN_S = 15.0  # s after the alarm in which that may happen; later evidence may be of another change
 
 
 @dataclass(frozen=True)
 class Name:
-    """An effect that may be there: its size now, in its unit, and its score: standard deviations beyond what the model may be
-    wrong by, whose square is twice what it gains in logarithms of likelihood."""
+    """A possible effect: its present size in its unit, and its score, the size in standard deviations beyond the model's prior
+    error; half the square of the score is the gain in log likelihood."""
 
     effect: str
     title: str
@@ -35,11 +35,11 @@ class Name:
 
 @dataclass(frozen=True)
 class Alarm:
-    """The model no longer describes the aircraft. time: when it was noticed; since: when it began, by the window [s].
+    """The model no longer describes the aircraft. time: of the alarm [s]; since: estimated onset [s].
 
-    equation: where (CY, Cl, Cn, kinematics, actuator, sensor); channels: whose prediction errors show it; leading: what it
-    may be, most likely first, empty where only the size of the errors tells; named: when that was known [s], None while it is
-    empty, for errors often grow before they tell what of. score, threshold: in the same units.
+    equation: the one concerned (CY, Cl, Cn, kinematics, actuator, sensor); channels: those with the evidence; leading: possible
+    effects, most likely first, empty where only the energy of the errors has risen, which often happens before the effect can be
+    named; named: when they were named [s], None while there are none. score, threshold: in the same units.
     """
 
     time: float
@@ -53,7 +53,7 @@ class Alarm:
 
     @property
     def text(self) -> str:
-        """For a person, but for the time at which it was noticed."""
+        """The alarm in words, without its time."""
         place = f"the model no longer holds in {self.equation} (shown by {', '.join(self.channels)})"
         strength = f"since about {self.since:.1f} s; score {self.score:.1f}, threshold {self.threshold:.1f}"
         if not self.leading:
@@ -65,7 +65,8 @@ class Alarm:
 
 @dataclass(frozen=True)
 class MonitorState:
-    """The monitor now. watched: seconds of manoeuvring so far; score: the largest of both in units of its threshold."""
+    """State of the monitor. time [s]; watched: manoeuvring flight so far [s]; score: the larger of both statistics, in units of
+    its threshold."""
 
     time: float
     watched: float
@@ -74,8 +75,8 @@ class MonitorState:
 
 
 class GapMonitor:
-    """Takes samples of manoeuvring flight in order of time (`stretches` says which). `alarms`: all so far, in order; the last is
-    told anew, with the time at which it was noticed, while what it may be becomes clearer."""
+    """Monitors samples of manoeuvring flight in order of time (`stretches` selects them). alarms: all so far, in order; the
+    effects of the last one are updated while they become clearer, its time is not."""
 
     def __init__(
         self,
@@ -95,12 +96,12 @@ class GapMonitor:
         self._last = -math.inf
         self._in_stretch = 0.0
         self._quiet = math.inf
-        self._standing: Alarm | None = None
+        self._active: Alarm | None = None
         self.watched = 0.0
         self.alarms: list[Alarm] = []
 
     def add(self, sample: Sample) -> MonitorState | None:
-        """One sample; what is known every half second, None in between."""
+        """Add a sample. Returns the state every half second, None in between."""
         if not self._plane.regression.credible(sample) or sample.time <= self._last:
             return None
         gap = sample.time - self._last
@@ -131,21 +132,25 @@ class GapMonitor:
         if level < 1.0:
             self._quiet += 0.5
             if self._quiet >= QUIET_S:
-                self._standing = None
-            return MonitorState(time, self.watched, level, self._standing)
+                self._active = None
+            return MonitorState(time, self.watched, level, self._active)
         self._quiet = 0.0
         alarm = self._alarm(time, by_window, score.z[0, -1], energy)
-        if self._standing is None:
+        if self._active is None:
             self.alarms.append(alarm)
         elif _clearer(alarm, self.alarms[-1]):
-            self.alarms[-1] = _told_anew(self.alarms[-1], alarm)
-        self._standing = alarm
+            self.alarms[-1] = _updated(self.alarms[-1], alarm)
+        self._active = alarm
         return MonitorState(time, self.watched, level, alarm)
 
     def _alarm(self, time: float, by_window: np.ndarray, gains: np.ndarray, energy: np.ndarray) -> Alarm:
-        """by_window: (windows, effects); gains: (effects,) of the longest, not standardised. Any window notices. Names come from
-        the longest, for in two seconds a vane that has slipped looks like one that lags, and in the order of their likelihood,
-        which is that of the scores as they are: in units of what is usual, those that are usually small would stand before."""
+        """by_window: (windows, effects) standardised scores; gains: (effects,) scores of the longest window, not standardised;
+        energy: (channels,).
+
+        Any window can raise the alarm. Effects are named by the longest, for over two seconds a slipped vane looks like one that
+        lags. They are ordered by likelihood, that is by the scores that are not standardised: standardised ones would prefer
+        effects whose scores are usually small.
+        """
         c = self._calibration
         level = float(np.abs(by_window).max())
         nameable = bool(np.abs(by_window[-1]).max() >= c.named)
@@ -177,17 +182,17 @@ class GapMonitor:
         return Name(effect.name, effect.title, size * effect.step, effect.unit, abs(score))
 
 
-def _clearer(now: Alarm, told: Alarm) -> bool:
-    """Whether a standing alarm knows more by now of what it may be."""
-    if not now.leading or now.time > told.time + NAMED_WITHIN_S:
+def _clearer(now: Alarm, reported: Alarm) -> bool:
+    """Whether the present alarm names the effects of the reported one better."""
+    if not now.leading or now.time > reported.time + NAMED_WITHIN_S:
         return False
-    return not told.leading or now.score > SURER * told.score
+    return not reported.leading or now.score > SURER * reported.score
 
 
-def _told_anew(told: Alarm, now: Alarm) -> Alarm:
-    same_effect = bool(told.leading) and told.leading[0].effect == now.leading[0].effect
-    onset = min(now.since, told.time)  # the errors that were noticed had begun
-    return replace(now, time=told.time, since=onset, named=told.named if same_effect else now.named)
+def _updated(reported: Alarm, now: Alarm) -> Alarm:
+    same_effect = bool(reported.leading) and reported.leading[0].effect == now.leading[0].effect
+    onset = min(now.since, reported.time)  # the onset cannot be after the alarm
+    return replace(now, time=reported.time, since=onset, named=reported.named if same_effect else now.named)
 
 
 def _scan_of(s: Sample, plane: MonitoredPlane, airframe: Airframe) -> FlightsScan:
@@ -199,14 +204,14 @@ def _scan_of(s: Sample, plane: MonitoredPlane, airframe: Airframe) -> FlightsSca
 
 
 class GapMonitors:
-    """Monitors of the planes of one aircraft beside one another, as one: its alarms in order of time, and the largest score."""
+    """The monitors of several planes of one aircraft as one: alarms in order of time, and the largest score."""
 
     def __init__(self, monitors: Sequence[GapMonitor]) -> None:
         self._monitors = tuple(monitors)
         self._levels = [0.0] * len(self._monitors)
 
     def add(self, sample: Sample) -> MonitorState | None:
-        """One sample, as `GapMonitor.add`."""
+        """Add a sample, as `GapMonitor.add`."""
         latest = None
         for k, monitor in enumerate(self._monitors):
             state = monitor.add(sample)
@@ -217,10 +222,10 @@ class GapMonitors:
 
     @property
     def watched(self) -> float:
-        """Seconds of manoeuvring that any of them has watched."""
+        """Longest manoeuvring flight of any of them so far [s]."""
         return max(monitor.watched for monitor in self._monitors)
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
-        """All so far."""
+        """All alarms so far, in order of time."""
         return tuple(sorted((a for monitor in self._monitors for a in monitor.alarms), key=lambda a: a.time))

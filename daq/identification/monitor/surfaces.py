@@ -1,12 +1,13 @@
-"""Surfaces of many flights between scans, and how far a prediction over such an interval can be trusted.
+"""Motion of the surfaces between scans, for many flights at once, and the reliability of a prediction over such an interval.
 
-As `daq.identification.surfaces`, arrays instead of floats: where the servo's lag is known, the instant of an edge follows from
-the scans about it. Drawn on straight lines an edge between scans a tenth of a second apart is wrong by more than any effect
-that is looked for.
+As `daq.identification.surfaces`, with arrays instead of floats: where the servo's lag is known, the time of an edge follows from
+the scans around it. Linear interpolation of an edge between scans a tenth of a second apart has a larger error than any effect
+that is monitored.
 
-Intervals are of a kind by how long they are, whether surfaces moved in them, and whether it is known how. Where a surface moved
-in a long one and nobody knows how, the prediction says nothing of the model, and its error would stay in the predictor for a
-second: such an interval is blind, and so are the two after it, whose innovations whitening compares with its own.
+The kind of an interval is given by its length, by whether surfaces moved in it, and by whether that motion is known. Where a
+surface moved in a long interval in an unknown way, the prediction says nothing about the model, and its error stays in the
+predictor for a second. Such an interval is blind, and so are the two after it, whose innovations whitening combines with its
+own.
 """
 
 import math
@@ -20,16 +21,17 @@ from daq.identification.surfaces import EDGE, LONG, SLACK, SURE
 
 Array = NDArray[np.float64]
 
-LATE = 0.85  # of `u`: an edge in the last 6 ms is left to the next interval; hands that move slowly look like it
-FAR = math.radians(1.5)  # that a surface goes in one interval: what is not known of how is worth more than noise
-TINY = 1e-12  # of `u`: the fastest servo has long arrived
+LATE = 0.85  # largest `u`: an edge in the last 6 ms counts to the next interval; slow hand movements look like it
+FAR = math.radians(1.5)  # travel in one interval from which the uncertainty of the motion exceeds the noise
+TINY = 1e-12  # least `u`: the fastest servo has settled long before
 LEVELS, GUESSED = 5, 3
-"""Levels of an interval: 0 at rest, 1 and 2 on a way that is known (up to `FAR`, further), 3 and 4 on one that is not."""
+"""Levels of an interval: 0 at rest; 1 and 2 known motion, up to `FAR` and beyond; 3 and 4 (GUESSED and above) unknown motion."""
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceEdges:
-    """(flights,) each: a servo that runs to `before` until `at` seconds into the interval, then to `after`; where it does."""
+    """Edges, (flights,) each: where `runs`, the servo moves towards `before` until `at` [s] after the start of the interval, then
+    towards `after`, with time constant `lag` [s]."""
 
     runs: NDArray[np.bool_]
     before: Array
@@ -40,8 +42,8 @@ class SurfaceEdges:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceBetween:
-    """One surface over one interval of `h` seconds, (flights,) each: a monotone cubic between the samples first and last with
-    slopes rise and fall [1/s], or an edge. level: how well that is known."""
+    """One surface over an interval of `h` [s], (flights,) each: a monotone cubic from `first` to `last` with end slopes `rise`
+    and `fall` [1/s], or an edge. level: how well that is known (`LEVELS`)."""
 
     h: float
     first: Array
@@ -52,7 +54,7 @@ class SurfaceBetween:
     edge: SurfaceEdges | None
 
     def at(self, part: Array | float) -> Array:
-        """Where `part` of the interval has passed."""
+        """Deflection after the fraction `part` of the interval."""
         remainder = 1.0 - part
         cubic = remainder * remainder * ((1.0 + 2.0 * part) * self.first + part * self.h * self.rise) + part * part * (
             (1.0 + 2.0 * remainder) * self.last - remainder * self.h * self.fall
@@ -68,19 +70,19 @@ class SurfaceBetween:
 
 
 class SurfacesBetween:
-    """One surface, interval by interval. lag: of its servo [s], None where not known."""
+    """The motion of one surface, interval by interval. lag: of its servo [s], None where not known."""
 
     def __init__(self, lag: float | None) -> None:
         self._lag = lag
-        self._target: Array | None = None  # that the servo runs to; NaN where that is not known
+        self._target: Array | None = None  # command that the servo moves to; NaN where not known
 
     def restart(self) -> None:
-        """Scans are missing: where the servo runs to is not known."""
+        """Begin after missing scans: the servo's command is not known."""
         self._target = None
 
     def middle(self, t: tuple[float, float, float, float], y: tuple[Array, Array, Array, Array]) -> SurfaceBetween:
-        """Over the interval between the middle two of four scans at times t [s]; of the first, time and values may be those of
-        the second where there is none."""
+        """The motion between the middle two of four scans at times t [s] with deflections y; without a first scan, pass the
+        second twice."""
         h, first, last = t[2] - t[1], y[1], y[2]
         rise = _slope(t[1] - t[0], h, *y[:3])
         fall = _slope(h, t[3] - t[2], *y[1:])
@@ -97,13 +99,14 @@ class SurfacesBetween:
     def _edge(
         self, lag: float, h: float, following: float, first: Array, last: Array, then: Array
     ) -> tuple[SurfaceEdges, NDArray[np.bool_], NDArray[np.bool_]]:
-        """The edge in the interval, or what is left of an earlier one; where the servo turned in it; where it is known when."""
+        """The edges in the interval, or the rest of earlier ones; where the servo's command changed in it; where the time of that
+        is known."""
         fade, next_fade = math.exp(-h / lag), math.exp(-following / lag)
         target = first if self._target is None else np.where(np.isnan(self._target), first, self._target)
         goal = (last - first * fade) / (1.0 - fade)
         next_target = (then - last * next_fade) / (1.0 - next_fade)
         servo_turned = np.abs(last - target - (first - target) * fade) > EDGE
-        # what ran to a goal and then goes elsewhere did not run there: it turned on the way here
+        # a servo that would reach another goal afterwards had its command changed within this interval
         next_goal_differs = (np.abs(next_target - goal) * (1.0 - next_fade) > EDGE) & (np.abs(last - first) > EDGE)
         turned_earlier = (
             ~servo_turned & next_goal_differs & _possible(_since(first, first, last, next_target, fade), fade)
@@ -124,7 +127,7 @@ class SurfacesBetween:
 
 
 def _since(target: Array, first: Array, last: Array, after: Array, fade: float) -> Array:
-    """u = exp(-(time since the edge)/lag) of a servo that ran to `target` before it and to `after` then, as in `servo`."""
+    """u = exp(-(time since the edge) / lag) of a servo that moved to `target` before the edge and to `after` behind it."""
     jump = np.where(np.abs(after - target) < EDGE, EDGE, target - after)
     return np.asarray((last - after - (first - target) * fade) / jump)
 
@@ -155,12 +158,13 @@ Kinds = NDArray[np.intp]
 
 
 def guessed(surfaces: Sequence[SurfaceBetween]) -> NDArray[np.bool_]:
-    """(flights,) where a surface moved and it is not known when."""
+    """(flights,) where a surface moved in an unknown way."""
     return np.any([s.level >= GUESSED for s in surfaces], axis=0)
 
 
 def kind_of(seconds: float, surfaces: Sequence[SurfaceBetween], before: Sequence[SurfaceBetween] | None) -> Kinds:
-    """(flights,) kind of an interval, and of the one before: what that got wrong is there for a while. surfaces: two at most."""
+    """(flights,) kind of an interval of `seconds`, which depends on the one before too, whose error persists for a while.
+    surfaces: two at most."""
     length = int(np.searchsorted(LENGTHS, seconds))
     level = sum(s.level * LEVELS**k for k, s in enumerate(surfaces))
     kind = length + (len(LENGTHS) + 1) * level

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from daq.identification.airframe import Airframe
 from daq.identification.monitor import FALSE_ALARMS
 from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, MonitoredPlane
-from daq.identification.monitor.evidence import EffectScores, MonitorEvidence, Run, Whitening, fitted
+from daq.identification.monitor.evidence import EffectScores, MonitorEvidence, Run, Whitening, fit_whitening
 from daq.identification.monitor.nulls import NullConditions, fly
 from daq.identification.monitor.predictors import FlightsScan, Innovation, PredictorBank
 
@@ -68,7 +68,9 @@ def calibrated(
     batches_of_scans = [
         fly(airframe, values, effects, conditions, rng, AT_ONCE, FLIGHT_S, plane=plane) for _ in range(batches)
     ]
-    whitening = fitted(_innovations(PredictorBank(airframe, values, (), plane), scans) for scans in batches_of_scans)
+    whitening = fit_whitening(
+        _innovations(PredictorBank(airframe, values, (), plane), scans) for scans in batches_of_scans
+    )
     bank = partial(PredictorBank, airframe, values, effects, plane)
     histories = [_histories(bank(), effects, whitening, scans) for scans in batches_of_scans]
     times = min(len(z) for z, _ in histories)  # scans that a link loses are others in each batch

@@ -1,16 +1,16 @@
-"""An ArduPlane with elevons and rudder on a serial line: its loop, sticks to servos, failsafe, streams and commands.
+"""An ArduPlane with elevons and rudder on a serial line: its loop, mixing, failsafe, streams and commands.
 
-The order within a loop is that of ArduPlane's scheduler: servos are set from what was read before, then the receiver is read,
-ten times a second the switches, then messages are taken and sent. A message so reaches the servos in the second loop
-after the one that takes it. Modelled by ArduPlane 4.5 (radio.cpp, mode_manual.cpp, system.cpp; RC_Channel as in `rc_input`):
+The order within a loop is that of ArduPlane's scheduler: servos are set from earlier readings, then the receiver is read, ten
+times a second the switches, and then messages are processed and sent. A message therefore reaches the servos two loops after the
+one that processes it. After ArduPlane 4.5 (radio.cpp, mode_manual.cpp, system.cpp; RC_Channel as in `rc_input`):
 
-* In MANUAL (0) sticks go straight to the surfaces. In any other mode they are a wish to a controller; here a third of them is a
-  stand-in for that. HEARTBEAT comes once a second and whenever the mode changes.
-* Overrides count as a receiver that is alive (Plane::read_radio): while they come, its loss is not noticed. Without either for
-  1 s roll, pitch and yaw are taken for trim, after 1.5 s the mode becomes CIRCLE (1).
-* RC_CHANNELS_OVERRIDE is taken from the system id in MAV_GCS_SYSID (SYSID_MYGCS before 4.7) alone; DO_SET_SERVO on an output
-  with a function fails (AP_ServoRelayEvents::do_set_servo); SET_MESSAGE_INTERVAL sets a stream,
-  in whole milliseconds of which 0.8 are a loop at least (cap_message_interval), else it is DENIED and a STATUSTEXT says why.
+* In MANUAL (0) sticks move the surfaces directly. In other modes they are commands to a controller, for which a third of the
+  deflection stands in here. HEARTBEAT is sent once a second and whenever the mode changes.
+* Overrides count as a working receiver (Plane::read_radio), so that its loss is not detected while they come. Without either,
+  roll, pitch and yaw go to trim after 1 s, and the mode becomes CIRCLE (1) after 1.5 s.
+* RC_CHANNELS_OVERRIDE is accepted only from the system id in MAV_GCS_SYSID (SYSID_MYGCS before 4.7). DO_SET_SERVO fails on an
+  output with a function (AP_ServoRelayEvents::do_set_servo). SET_MESSAGE_INTERVAL sets a stream's interval in whole milliseconds;
+  where 0.8 of it is shorter than a loop (cap_message_interval) it is DENIED with a STATUSTEXT.
 """
 
 from collections.abc import Callable, Mapping
@@ -32,15 +32,15 @@ from firmware_sim.hardware.autopilots.frames import (
 from firmware_sim.hardware.autopilots.looped import LEAST_US, MS, TRAVEL_US, TRIM_US, LoopedAutopilot
 from firmware_sim.hardware.autopilots.rc_input import CHANNELS, RcInput
 
-RECEIVER_NS, RECEIVER_PHASE_NS = 22 * MS, 3 * MS
+RECEIVER_NS, RECEIVER_PHASE_NS = 22 * MS, 3 * MS  # period of the receiver's frames, and delay of the first
 SILENT_NS, SHORT_FAILSAFE_NS = 1000 * MS, 1500 * MS
 THROTTLE_FAILSAFE_US = 950
-MANUAL, CIRCLE = 0, 1
-STAND_IN = 1.0 / 3.0
+MANUAL, CIRCLE = 0, 1  # custom modes
+STAND_IN = 1.0 / 3.0  # gain of the sticks in modes with a controller
 OUTPUTS = 4
 _SET_SERVO, _SET_MESSAGE_INTERVAL = 183, 511
 _ACCEPTED, _DENIED, _UNSUPPORTED, _FAILED = 0, 2, 3, 4
-_REAL32 = 9  # MAV_PARAM_TYPE
+_REAL32 = 9  # MAV_PARAM_TYPE_REAL32
 
 PARAMETERS: Mapping[str, float] = {
     "RC_OVERRIDE_TIME": 0.1,
@@ -54,11 +54,12 @@ PARAMETERS: Mapping[str, float] = {
     "MIXING_GAIN": 1.0,
     "SCHED_LOOP_RATE": 100.0,
 }
-"""Set up as docs/sequencer.md asks for it."""
+"""The parameters that docs/sequencer.md asks for."""
 
 
 class ArduPlane(LoopedAutopilot):
-    """A Talker. receiver: the pilot's eight channels at a time [us], None while it is silent. parameters: beside PARAMETERS."""
+    """A `Talker`. receiver: time [ns] -> the pilot's eight channels [us], None while it is silent. parameters: in addition to
+    PARAMETERS, or instead."""
 
     def __init__(
         self,
@@ -73,13 +74,13 @@ class ArduPlane(LoopedAutopilot):
         self.mode = MANUAL
         self._receiver = receiver
         self._last_frame = (origin_ns - RECEIVER_PHASE_NS) // RECEIVER_NS
-        self._valid_ns = origin_ns  # when the receiver was last taken for alive
-        self._streams: dict[int, tuple[int, int]] = {}  # message: interval, when it is due [ns]
+        self._valid_ns = origin_ns  # when the receiver last counted as working
+        self._streams: dict[int, tuple[int, int]] = {}  # message number -> interval and next time [ns]
 
-    # ---------------------------------------------------------------------------------------- for the servos and the pilot
+    # ---------------------------------------------------------------------------------------- mode
 
     def set_mode(self, mode: int, now_ns: int) -> None:
-        """As by switch, command or failsafe."""
+        """Change the mode, as a switch, a command or the failsafe does."""
         if mode != self.mode:
             self.mode = mode
             self._send_heartbeat(now_ns)
@@ -87,12 +88,12 @@ class ArduPlane(LoopedAutopilot):
     # ---------------------------------------------------------------------------------------- a loop
 
     def loop(self, now_ns: int) -> None:
-        """One turn."""
+        """Run the loop once."""
         self._set_servos(now_ns)
         self._read_radio(now_ns)
         if self.loops % (self._loop_hz // 10) == 0:
-            self.rc.read_switch(now_ns)
-        for message in self.heard(now_ns):
+            self.rc.look_at_switch(now_ns)
+        for message in self.received(now_ns):
             self._handle_message(message, now_ns)
         if self.loops % self._loop_hz == 0:
             self._send_heartbeat(now_ns)
@@ -103,11 +104,11 @@ class ArduPlane(LoopedAutopilot):
 
     def _set_servos(self, now_ns: int) -> None:
         roll, pitch, throttle, yaw = self.rc.widths[:4]
-        share = self.parameters["MIXING_GAIN"] * (1.0 if self.mode == MANUAL else STAND_IN)
-        aileron, elevator, rudder = (share * _travel(w) for w in (roll, pitch, yaw))
+        gain = self.parameters["MIXING_GAIN"] * (1.0 if self.mode == MANUAL else STAND_IN)
+        aileron, elevator, rudder = (gain * _travel(w) for w in (roll, pitch, yaw))
         deflections = (elevator - aileron, elevator + aileron, rudder)
         surfaces = [TRIM_US + round(min(max(w, -TRAVEL_US), TRAVEL_US)) for w in deflections]
-        self.put_out(surfaces, throttle or LEAST_US, now_ns)
+        self.set_outputs(surfaces, throttle or LEAST_US, now_ns)
 
     def _read_radio(self, now_ns: int) -> None:
         number = (now_ns - RECEIVER_PHASE_NS) // RECEIVER_NS

@@ -1,6 +1,6 @@
-"""MAVLink 2 frames as an autopilot sends and takes them (MAVLink common.xml), written apart from the decoder on board.
+"""MAVLink 2 frames of an autopilot (MAVLink common.xml), implemented independently of the decoder on board.
 
-Payloads by `struct`, in the order of the wire; CRC_EXTRA of each message beside it.
+Payloads are `struct` formats in the order of the wire; each message has its CRC_EXTRA.
 """
 
 from binascii import crc_hqx
@@ -16,7 +16,7 @@ _REVERSED = bytes(int(f"{i:08b}"[::-1], 2) for i in range(256))
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message's number, CRC_EXTRA and payload, extensions included."""
+    """A message: number, CRC_EXTRA, and format of the payload with its extensions."""
 
     number: int
     crc_extra: int
@@ -52,7 +52,7 @@ TAKEN = {m.number: m for m in _REQUESTS}
 
 @dataclass(frozen=True, slots=True)
 class ReceivedFrame:
-    """A message that came in whole: its number, the system that sent it, and its fields in the order of the wire."""
+    """A received message: its number, the sender's system id, and its fields in the order of the wire."""
 
     number: int
     system: int
@@ -60,14 +60,14 @@ class ReceivedFrame:
 
 
 class Packer:
-    """Makes frames of one sender."""
+    """Encodes the frames of one sender."""
 
     def __init__(self, system: int = 1, component: int = 1) -> None:
         self._ids = bytes([system, component])
         self._sequence = 0
 
     def pack(self, message: Message, *fields: float | bytes) -> bytes:
-        """A frame; MAVLink 2 leaves trailing zeros out."""
+        """Encode a message; MAVLink 2 drops the payload's trailing zeros."""
         payload = message.codec.pack(*fields).rstrip(b"\0") or b"\0"
         head = bytes([len(payload), 0, 0, self._sequence]) + self._ids + message.number.to_bytes(3, "little")
         self._sequence = (self._sequence + 1) & 0xFF
@@ -76,13 +76,13 @@ class Packer:
 
 
 class Unpacker:
-    """Finds the messages an autopilot takes in what arrives."""
+    """Decodes the messages that an autopilot accepts."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> Iterator[ReceivedFrame]:
-        """Messages completed by `data`; others, and damaged ones, are passed over."""
+        """Yield the messages completed by `data`; others, and damaged ones, are skipped."""
         self._buffer += data
         buffer = self._buffer
         while buffer:
@@ -93,22 +93,22 @@ class Unpacker:
                 return
             end = _HEADER + buffer[1]
             message = TAKEN.get(int.from_bytes(buffer[7:10], "little"))
-            if message is None or not self._sound(message, end):
+            if message is None or not self._checksum_valid(message, end):
                 del buffer[0]
                 continue
             payload = bytes(buffer[_HEADER:end]).ljust(message.codec.size, b"\0")[: message.codec.size]
             yield ReceivedFrame(message.number, buffer[5], message.codec.unpack(payload))
             del buffer[: end + 2]
 
-    def _sound(self, message: Message, end: int) -> bool:
+    def _checksum_valid(self, message: Message, end: int) -> bool:
         return checksum(bytes(self._buffer[1:end]) + bytes([message.crc_extra])) == self._buffer[end : end + 2]
 
 
 def checksum(data: bytes) -> bytes:
-    """CRC-16/MCRF4XX, lower byte first: the CRC of `binascii` with all bits the other way round."""
+    """CRC-16/MCRF4XX, lower byte first: the CRC of `binascii` with reversed bits."""
     return crc_hqx(data.translate(_REVERSED), 0xFFFF).to_bytes(2, "big").translate(_REVERSED)
 
 
 def text_of(field: float | bytes) -> str:
-    """The text of a field of characters."""
+    """The text of a character field; empty for a number."""
     return field.split(b"\0", 1)[0].decode("ascii", "replace") if isinstance(field, bytes) else ""

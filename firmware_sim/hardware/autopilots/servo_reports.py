@@ -1,9 +1,9 @@
-"""An autopilot on a serial line that says what it measures and puts out: an ArduPlane's streams, for aircraft without sensors.
+"""An ArduPlane on a serial line that streams its measurements and outputs, for aircraft without sensors of their own.
 
-HEARTBEAT once a second and SERVO_OUTPUT_RAW at its stream rate, in whole microseconds; what else SET_MESSAGE_INTERVAL asks for.
-Modelled by ArduPlane 4.5 (GCS_Common.cpp): intervals are whole milliseconds, messages leave in the loops of SCHED_LOOP_RATE, in
-turn, dated by its own clock since start-up; 0.8 of an interval must not be shorter than a loop. Pressures of the pitot are
-read ten times a second, IMU samples lie behind a low pass of second order. The bytes leave at the speed of the line.
+It sends HEARTBEAT once a second, SERVO_OUTPUT_RAW at its stream rate, in whole microseconds, and the messages that
+SET_MESSAGE_INTERVAL requests. After ArduPlane 4.5 (GCS_Common.cpp): intervals are whole milliseconds; messages leave in the
+loops of SCHED_LOOP_RATE, in turn, stamped by its clock since start-up; 0.8 of an interval must not be shorter than a loop. The
+pitot is read ten times a second, and IMU samples pass a low pass of second order. Bytes leave at the speed of the line.
 """
 
 import math
@@ -36,28 +36,29 @@ from firmware_sim.hardware.autopilots.frames import (
 from firmware_sim.hardware.autopilots.looped import LossyLine
 from firmware_sim.hardware.sensing.instruments import Instruments
 
-STREAM_NS = 50_000_000
+STREAM_NS = 50_000_000  # of SERVO_OUTPUT_RAW unless another interval is requested
 MS = 1_000_000
 SET_MESSAGE_INTERVAL, ACCEPTED, DENIED, UNSUPPORTED = 511, 0, 2, 3
-FILTER_HZ = 20.0
-FILTER_DELAY_NS = round(math.sqrt(2.0) / (2.0 * math.pi * FILTER_HZ) * 1e9)
+FILTER_HZ = 20.0  # INS_GYRO_FILTER and INS_ACCEL_FILTER
+FILTER_DELAY_NS = round(math.sqrt(2.0) / (2.0 * math.pi * FILTER_HZ) * 1e9)  # of a Butterworth low pass of second order
 PITOT_NS = 100 * MS
 BOOTED_NS = 93_214_000_000
-"""It was switched on so long before the recording begins; what it stamps counts from there."""
-CLOCK_PPM = 17.0
+"""Its clock at the start of the recording: time since it was switched on."""
+CLOCK_PPM = 17.0  # rate error of its clock
 BUFFER_NS = 40 * MS
-"""Where the line's buffer is full a stream's message is left out (HAVE_PAYLOAD_SPACE)."""
-UTC_AFTER_NS = 4_000 * MS
-LEVEL_ERROR_RAD, GAUSS, METRES_PER_HPA = 0.004, 1e-4, 8.4
+"""A stream's message is dropped while the line is behind by more (HAVE_PAYLOAD_SPACE)."""
+UTC_AFTER_NS = 4_000 * MS  # until the first GPS fix
+LEVEL_ERROR_RAD, GAUSS = 0.004, 1e-4  # standard deviation of the attitude's constant error; tesla
 STREAMS: tuple[Message, ...] = (
     *(HIGHRES_IMU, RAW_IMU, ATTITUDE, SCALED_PRESSURE, GLOBAL_POSITION_INT, GPS_RAW_INT, SYSTEM_TIME, SERVO_OUTPUT_RAW),
 )
 
 
 class Autopilot:
-    """A Talker for the serial port of the drivers `mavlink_servo` and `autopilot`.
+    """A `Talker` for the drivers `mavlink_servo` and `autopilot`.
 
-    loop_hz: SCHED_LOOP_RATE. without: numbers of messages it does not have. start_utc_ns: UTC at the instruments' origin.
+    loop_hz: SCHED_LOOP_RATE. without: numbers of messages that it does not support. start_utc_ns: UTC at the instruments' origin
+    [ns].
     """
 
     loop_hz = 50.0
@@ -70,22 +71,22 @@ class Autopilot:
         self._rng = instruments.generator("autopilot")
         self._origin_ns = self._next_ns = self._loop_ns = instruments.origin_ns
         self._level = LEVEL_ERROR_RAD * self._rng.standard_normal(3)
-        self._pitot: tuple[int, float] = (0, 0.0)
-        self._streams: dict[int, tuple[int, int]] = {}  # interval, when it is due [ns]
+        self._pitot: tuple[int, float] = (0, 0.0)  # time of the next reading [ns], last pressure [Pa]
+        self._streams: dict[int, tuple[int, int]] = {}  # message number -> interval and next time [ns]
         self._packer, self._unpacker, self._line, self._inward = Packer(), Unpacker(), LossyLine(), LossyLine()
         self._powered = True
 
     def connect(self, baud: int, loop_hz: float) -> None:
-        """Set up for a line, before it speaks: SERIALn_BAUD and SCHED_LOOP_RATE."""
+        """Set SERIALn_BAUD and SCHED_LOOP_RATE, before the first byte."""
         self.loop_hz = loop_hz
         self._line, self._inward = LossyLine(baud), LossyLine(baud)
 
     def set_power(self, on: bool, now_ns: int) -> None:
-        """Power comes or goes; what was asked for is forgotten."""
+        """Switch the power on or off; requested intervals are lost."""
         self._powered = on
         self._streams.clear()
 
-    def hear(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes, which arrive at the speed of the line."""
         self._inward.send(data, now_ns)
 
@@ -104,7 +105,7 @@ class Autopilot:
         return self._line.arrived(now_ns)
 
     def boot_ns(self, time_ns: int) -> int:
-        """Its own clock at a time of ours [ns]."""
+        """Its clock, time since boot [ns], at simulated `time_ns`."""
         elapsed = time_ns - self._origin_ns
         return BOOTED_NS + elapsed + round(elapsed * CLOCK_PPM * 1e-6)
 
@@ -145,7 +146,7 @@ class Autopilot:
         self._streams[number] = interval_ms * MS, time_ns
         return ACCEPTED
 
-    # ---------------------------------------------------------------------------------------- what it says
+    # ---------------------------------------------------------------------------------------- streams
 
     def _stream(self, message: Message, time_ns: int) -> None:
         fields = _FIELDS[message.number](self, time_ns)
@@ -172,7 +173,7 @@ class Autopilot:
     def _highres(self, time_ns: int) -> tuple[float, ...]:
         *nine, kelvin = self._inertial(time_ns)
         (pascal,) = self._at("static_pressure")(time_ns)
-        pressures = (pascal / 100.0, pascal / 100.0 - 950.0, 0.0)  # diff_pressure: against the ground
+        pressures = (pascal / 100.0, pascal / 100.0 - 950.0, 0.0)  # diff_pressure: relative to the ground's
         return self.boot_ns(time_ns) // 1000, *nine, *pressures, kelvin - ZERO_CELSIUS, 0xFFFF, 0
 
     def _rough(self, time_ns: int) -> tuple[float, ...]:
@@ -197,8 +198,8 @@ class Autopilot:
         return self.boot_ns(time_ns) // MS, static / 100.0, self._pitot[1] / 100.0, celsius, celsius
 
     def _position(self, time_ns: int) -> tuple[float, ...]:
-        place = self._at("latitude", "longitude", "altitude", "velocity_north", "velocity_east", "velocity_down")
-        latitude, longitude, altitude, *velocity = (float(v) for v in place(time_ns))
+        position = self._at("latitude", "longitude", "altitude", "velocity_north", "velocity_east", "velocity_down")
+        latitude, longitude, altitude, *velocity = (float(v) for v in position(time_ns))
         noise = 0.05 * self._rng.standard_normal(3)
         speeds = (round(100 * (v + n)) for v, n in zip(velocity, noise, strict=True))
         height = round(altitude * 1e3)

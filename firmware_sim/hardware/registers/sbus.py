@@ -34,5 +34,5 @@ class SbusReceiver:
             self._next_ns += FRAME_NS
         return data
 
-    def hear(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
         """Nobody talks to a receiver."""

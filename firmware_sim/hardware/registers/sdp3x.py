@@ -1,7 +1,7 @@
 """SDP3x at byte level (Sensirion SDP3x-Digital, V0.8). Inputs: differential pressure [Pa], temperature [K], ambient [Pa].
 
-It counts molecules: what it shows is the pressure difference times ambient pressure over 966 hPa. Until it is told to measure, a
-read is not acknowledged.
+It measures mass flow: its output is the pressure difference times ambient pressure over 966 hPa. It does not acknowledge a read
+before the command to measure.
 """
 
 import errno
@@ -15,7 +15,7 @@ CALIBRATED_PA = 96_600.0
 
 
 def checksum(word: bytes) -> int:
-    """CRC-8 by long division: 0x31, begun with 0xFF."""
+    """CRC-8 bit by bit: polynomial 0x31, initial value 0xFF."""
     register = 0xFF
     for byte in word:
         register ^= byte
@@ -26,7 +26,7 @@ def checksum(word: bytes) -> int:
 
 
 class Sdp3xChip(PoweredChip):
-    """scale: counts a pascal. broken_bit: flips a bit of the pressure on the wire, None: none."""
+    """An SDP3x. scale: counts a pascal. broken_bit: bit of the pressure that is flipped on the wire, None for none."""
 
     def __init__(self, inputs: Inputs, scale: int = 20) -> None:
         super().__init__()

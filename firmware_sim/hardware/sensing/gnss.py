@@ -1,8 +1,7 @@
-"""The GPS receiver of the simulated aircraft: where it thinks it is, sent as UBX bytes down a serial line.
+"""The GPS receiver of the simulated aircraft: fixes with errors, sent as UBX messages over a serial line.
 
-Position errors wander slowly (first-order Gauss-Markov), as those of a real receiver do; velocity errors are white. Fixes
-belong to whole multiples of the navigation period in UTC and arrive some tens of milliseconds later, byte after byte at
-the speed of the line.
+Position errors vary slowly (first-order Gauss-Markov), as a real receiver's; velocity errors are white. Fixes are at whole
+multiples of the navigation period in UTC and arrive some tens of milliseconds later, byte after byte at the speed of the line.
 """
 
 import math
@@ -18,9 +17,9 @@ _RESTART_NS = 2_000_000_000  # hot start after a loss of power
 
 
 class GnssReceiver:
-    """A Talker for the serial port of the GPS.
+    """A `Talker` for the serial port of the GPS.
 
-    start_utc_ns: true UTC at the instruments' origin. corrupt: changes the bytes of a message on their way.
+    start_utc_ns: true UTC at the instruments' origin [ns]. corrupt: (bytes, time [ns]) -> the bytes of a message as they arrive.
     """
 
     def __init__(
@@ -36,21 +35,21 @@ class GnssReceiver:
         self._ublox = UbloxReceiver(round(1000.0 / self._model.rate_hz) if self._model.configured else None)
         self._rng = instruments.generator("gnss")
         self._pulse_rng = instruments.generator("gnss pulse")
-        self._pulse: tuple[int, int] | None = None  # edge, and when it was stamped
-        self._wander = self._rng.standard_normal(3)
+        self._pulse: tuple[int, int] | None = None  # last edge, and its stamp [ns]
+        self._wander = self._rng.standard_normal(3)  # Gauss-Markov state of the position errors, unit variance
         self._epoch_ns = start_utc_ns  # UTC of the newest fix sent
-        self._on_line: list[tuple[int, bytes]] = []  # (first byte leaves at, rest of the message)
+        self._on_line: list[tuple[int, bytes]] = []  # time at which the first byte leaves [ns], rest of the message
         self._silent_until = instruments.origin_ns + round(self._model.first_fix_s * 1e9)
         self._powered = True
 
     def set_power(self, on: bool, now_ns: int) -> None:
-        """Power comes or goes; after a return the receiver needs seconds for its first fix."""
+        """Switch the power on or off; after switching on the receiver needs seconds for its first fix."""
         if on and not self._powered:
             self._silent_until = now_ns + _RESTART_NS
             self._ublox.restart()
         self._powered = on
 
-    def hear(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
         if self._powered:
             answer = self._ublox.command(data)
             if answer:
@@ -71,7 +70,7 @@ class GnssReceiver:
     def newest_pulse(self, now_ns: int) -> int | None:
         """Monotonic time of the last edge of the pulse-per-second line [ns], as the kernel stamps it; None without one.
 
-        Edges come at whole UTC seconds while there is a fix; the stamp is late by the interrupt's few microseconds.
+        Edges come at whole UTC seconds while there is a fix; the stamp is late by a few microseconds of interrupt latency.
         """
         elapsed = now_ns - self._instruments.origin_ns
         utc_ns = self._start_utc_ns + elapsed + round(elapsed * self._model.clock_drift_ppm * 1e-6)
@@ -87,7 +86,7 @@ class GnssReceiver:
         return self._instruments.origin_ns + elapsed_ns - round(elapsed_ns * self._model.clock_drift_ppm * 1e-6)
 
     def _navigate(self, now_ns: int) -> None:
-        """Solve all epochs whose message has begun to leave by now."""
+        """Compute the fixes of all epochs whose message begins to leave by now."""
         period_ns = self._ublox.period_ms * 1_000_000
         latency_ns = round(self._model.latency_ms * 1e6)
         while True:

@@ -1,8 +1,8 @@
-"""Where a hidden effect can take hold of the simulated aircraft.
+"""The base of hidden effects: hooks through which an effect changes the simulated aircraft.
 
-An effect overrides only the hooks it needs. All hooks see the Motion of one evaluation (floats of one flight or arrays of
-many) and the state vector; an effect with states of its own finds them at `self.at`. Hooks run inside the integrator's
-stages and must not change the effect; memory (backlash, held samples) changes in `commit`, once a step.
+An effect overrides only the hooks that it needs. Each hook gets the Motion of one evaluation (floats for one flight, arrays for
+many) and the state vector, in which the effect's own states begin at index `self.at`. Hooks run inside the integrator's stages
+and must not change the effect; its memory (backlash, repeated samples) changes in `commit`, once a step.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Sensed:
-    """What flawless instruments at the CG would be shown: the truth, as hidden sensor effects bend it. SI, radians.
+    """The quantities that error-free instruments at the CG measure: the truth, changed by hidden sensor effects. SI, radians.
 
-    arm_left, arm_right, arm_r are the servo arms where the potentiometers sit.
+    arm_left, arm_right, arm_r: angles of the servo arms, which carry the potentiometers.
     """
 
     ax: Value
@@ -43,9 +43,9 @@ class Sensed:
 
 
 class Host(Protocol):
-    """What an effect may know, and at `bind` change, of the aircraft that carries it: the plant is one.
+    """The part of the plant that an effect may read, and may change at `bind`.
 
-    generators: one a flight; step_size [s]; mass [kg], inertia [kg m2], derivatives as they fly.
+    generators: one per flight; step_size [s]; derivatives, mass [kg], Ixx, Ixz [kg m2]: of the flying aircraft.
     """
 
     aircraft: "Aircraft"
@@ -59,7 +59,7 @@ class Host(Protocol):
 
 
 class HiddenEffect:
-    """A hidden effect; `typical` is its size in the units of `unit` at scale 1."""
+    """A hidden effect. typical: its size at scale 1, in `unit`; states: number of its own states."""
 
     name: ClassVar[str]
     title: ClassVar[str]
@@ -67,36 +67,36 @@ class HiddenEffect:
     unit: ClassVar[str]
     typical: ClassVar[float]
     states: ClassVar[int] = 0
-    catalogued: ClassVar[bool] = True  # False: beyond the names a search is expected to know
+    catalogued: ClassVar[bool] = True  # False: a search is not expected to know its name
 
     def __init__(self, scale: Value = 1.0) -> None:
         self.size: Value = self.typical * scale
         self.at = 0
 
     def bind(self, plant: Host) -> None:
-        """Take what is needed from the plant (or change its mass and derivatives) before the flight."""
+        """Take what is needed from the plant, or change its mass, inertia and derivatives, before the flight."""
         self.xp = plant.xp
         self.plant = plant
 
-    def draw(self, how: Callable[[np.random.Generator], float]) -> Value:
-        """One random number per flight from the flights' own generators."""
-        values = [how(generator) for generator in self.plant.generators]
+    def draw(self, sample: Callable[[np.random.Generator], float]) -> Value:
+        """One random number per flight, `sample` of the flight's own generator."""
+        values = [sample(generator) for generator in self.plant.generators]
         return values[0] if self.xp.flights is None else np.array(values)
 
-    def draw_where(self, wanted: Any, how: Callable[[np.random.Generator], float]) -> Value:
-        """Like `draw`, but only flights where `wanted` use up a number; 0 for the others."""
-        flags = [bool(wanted)] if self.xp.flights is None else list(wanted)
-        values = [how(g) if flag else 0.0 for g, flag in zip(self.plant.generators, flags, strict=True)]
+    def draw_where(self, selected: Any, sample: Callable[[np.random.Generator], float]) -> Value:
+        """Like `draw`, but only for the selected flights; 0 for the others, whose generators are not advanced."""
+        flags = [bool(selected)] if self.xp.flights is None else list(selected)
+        values = [sample(g) if flag else 0.0 for g, flag in zip(self.plant.generators, flags, strict=True)]
         return values[0] if self.xp.flights is None else np.array(values)
 
     def start(self, m: "Motion", x: State) -> None:
-        """Set the effect's own states and memory for a flight that starts in this motion."""
+        """Set the effect's own states and memory at the start of a flight."""
 
     def wind(self, m: "Motion", x: State) -> None:
-        """Add to the wind m.wind_north, wind_east, wind_down [m/s] or gusts."""
+        """Add to the wind m.wind_north, wind_east, wind_down [m/s] or to the gusts."""
 
     def linkage(self, m: "Motion", x: State) -> None:
-        """Change where the surfaces stand for the given servo arms."""
+        """Change the surface deflections for the given servo arms."""
 
     def coefficients(self, m: "Motion", x: State) -> None:
         """Add to the aerodynamic coefficients."""
@@ -105,18 +105,18 @@ class HiddenEffect:
         """Add to the forces X Y Z [N] at the CG."""
 
     def moments(self, m: "Motion", x: State) -> None:
-        """Add to the moments L M N [N m] about the CG; m.beta_dot is known here."""
+        """Add to the moments L M N [N m] about the CG; m.beta_dot is set already."""
 
     def derivatives(self, m: "Motion", x: State, dx: State) -> None:
-        """Rates of the effect's own states."""
+        """Set the rates of the effect's own states."""
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        """Bend what the instruments are shown."""
+        """Change the quantities that the instruments measure."""
 
     def commit(self, m: "Motion", x: State) -> None:
-        """Keep what must be remembered of a completed step."""
+        """Update the effect's memory after a completed step."""
 
 
 def overrides(effect: HiddenEffect, hook: str) -> bool:
-    """Does the effect use this hook?"""
+    """Whether the effect uses this hook."""
     return getattr(type(effect), hook) is not getattr(HiddenEffect, hook)

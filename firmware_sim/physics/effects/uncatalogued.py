@@ -1,6 +1,6 @@
-"""Hidden effects that no list of ordinary suspects contains: a search should say it does not know them.
+"""Hidden effects outside the catalogue, which a search should report as unknown.
 
-Each has real dynamics, memory or occasion of its own. Sizes are engineering estimates, chosen to be plainly there.
+Each has dynamics, a memory or an onset of its own. Sizes are engineering estimates, large enough to be detectable.
 """
 
 import math
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
 
 
-class _Unlisted(HiddenEffect):
+class _Uncatalogued(HiddenEffect):
     group = "uncatalogued"
     catalogued = False
 
 
-class SwingingLoad(_Unlisted):
-    """A load hung below the CG swings sideways, pulling on the airframe: `size` is its share of the mass.
+class SwingingLoad(_Uncatalogued):
+    """A load below the CG that swings sideways and pulls on the airframe. size: its share of the mass.
 
-    Small-angle pendulum of 0.5 m in the lateral plane, driven by the side force the airframe feels, damping 0.05.
+    A pendulum of 0.5 m at small angles in the lateral plane, driven by the airframe's lateral acceleration; damping ratio 0.05.
     """
 
     name, title, unit, typical = "swinging_load", "a hung load swings", "1", 0.12
@@ -32,8 +32,8 @@ class SwingingLoad(_Unlisted):
     LENGTH, DROP, DAMPING = 0.5, 0.12, 0.05
 
     def forces(self, m: "Motion", x: State) -> None:
-        self_weight = self.size * self.plant.mass * GRAVITY
-        m.Y = m.Y + self_weight * x[self.at]
+        load_weight = self.size * self.plant.mass * GRAVITY
+        m.Y = m.Y + load_weight * x[self.at]
 
     def moments(self, m: "Motion", x: State) -> None:
         m.L = m.L - self.DROP * self.size * self.plant.mass * GRAVITY * x[self.at]
@@ -45,10 +45,10 @@ class SwingingLoad(_Unlisted):
         dx[self.at + 1] = -omega * omega * angle - 2.0 * self.DAMPING * omega * rate - m.ay / self.LENGTH - m.p_dot
 
 
-class FlexibleFin(_Unlisted):
-    """The fin bends and twists on its spar: a lightly damped second-order mode between rudder arm and fin angle.
+class FlexibleFin(_Uncatalogued):
+    """A fin that bends and twists on its spar: a lightly damped second-order mode between rudder arm and fin angle.
 
-    `size` is the share of fin angle that goes through the mode, with the elastic part also driven by sideslip.
+    size: share of the fin angle that follows the mode, which sideslip drives too.
     """
 
     name, title, unit, typical = "flexible_fin", "the fin swings on its spar", "1", 1.0
@@ -65,10 +65,10 @@ class FlexibleFin(_Unlisted):
         dx[self.at + 1] = -w * w * (x[self.at] + push) - 2.0 * self.DAMPING * w * x[self.at + 1]
 
 
-class FinStall(_Unlisted):
-    """The fin stalls at once beyond a local angle and reattaches late: force, yaw and roll of the fin lost together.
+class FinStall(_Uncatalogued):
+    """A fin that stalls abruptly beyond a local angle and reattaches late, losing side force, yaw and roll together.
 
-    Local angle = rudder less sideslip. A lagged attached fraction with hysteresis; `size` scales the loss.
+    Local angle = rudder - sideslip. The attached fraction has a lag and hysteresis; size: scale of the loss.
     """
 
     name, title, unit, typical = "fin_stall", "the fin stalls and reattaches late", "1", 1.0
@@ -95,10 +95,10 @@ class FinStall(_Unlisted):
         dx[self.at] = (self._static(m, x[self.at]) - x[self.at]) / self.LAG
 
 
-class VortexHysteresis(_Unlisted):
-    """The leading-edge vortex of one side bursts and does not come back on the same path: hysteresis of Cl in sideslip.
+class VortexHysteresis(_Uncatalogued):
+    """A leading-edge vortex that bursts on one side: hysteresis of Cl in sideslip. size: rolling-moment coefficient.
 
-    Two-state relay with a lag: the state flips when sideslip passes +-3 degrees and adds a rolling moment.
+    A relay with a lag, which flips when sideslip passes +-3 degrees.
     """
 
     name, title, unit, typical = "vortex_hysteresis", "rolling moment with hysteresis in sideslip", "1", 0.0015
@@ -120,8 +120,8 @@ class VortexHysteresis(_Unlisted):
         dx[self.at] = (getattr(self, "_side", 1.0) - x[self.at]) / self.LAG
 
 
-class ShearBurst(_Unlisted):
-    """One burst of cross wind, three seconds long, somewhere in the flight: `size` m/s."""
+class ShearBurst(_Uncatalogued):
+    """One burst of cross wind, three seconds long, at a random time of the flight. size: its peak [m/s]."""
 
     name, title, unit, typical = "shear_burst", "three seconds of cross wind", "m/s", 1.2
     LENGTH = 3.0
@@ -132,54 +132,53 @@ class ShearBurst(_Unlisted):
 
     def wind(self, m: "Motion", x: State) -> None:
         phase = (m.t - getattr(self, "_begin", 1e9)) / self.LENGTH
-        share = self.xp.clip(phase, 0.0, 1.0)
-        sine = self.xp.sin(math.pi * share)
+        sine = self.xp.sin(math.pi * self.xp.clip(phase, 0.0, 1.0))
         m.gust_v = m.gust_v + self.size * getattr(self, "_side", 1.0) * sine * sine
 
 
-class StaleVane(_Unlisted):
-    """The vane's converter delivers a new value only now and then: `size` s between values on average."""
+class StaleVane(_Uncatalogued):
+    """A vane whose converter delivers new values at random intervals. size: their mean [s]."""
 
     name, title, unit, typical = "stale_vane", "sideslip samples repeated", "s", 0.30
 
     def start(self, m: "Motion", x: State) -> None:
-        self._held: Value = m.beta
+        self._sample: Value = m.beta
         self._due: Value = self.xp.full(m.t)
 
     def commit(self, m: "Motion", x: State) -> None:
         due = m.t >= self._due
         if not np.any(due):
             return
-        wait = self.draw_where(due, lambda g: g.uniform(0.5, 1.5)) * self.size
-        self._held = self.xp.select(due, m.beta, self._held)
-        self._due = self.xp.select(due, m.t + wait, self._due)
+        interval = self.draw_where(due, lambda g: g.uniform(0.5, 1.5)) * self.size
+        self._sample = self.xp.select(due, m.beta, self._sample)
+        self._due = self.xp.select(due, m.t + interval, self._due)
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.beta = self._held
+        s.beta = self._sample
 
 
-class VaneFriction(_Unlisted):
-    """The vane sticks in its bearing until the wind is `size` rad off (half width of the dead band), then slips."""
+class VaneFriction(_Uncatalogued):
+    """A vane that sticks in its bearing until the flow is off by `size` [rad] (half width of the dead band), then slips."""
 
     name, title, unit, typical = "vane_friction", "sideslip vane sticks", "rad", 0.020
 
     def start(self, m: "Motion", x: State) -> None:
-        self._rests: Value = m.beta
+        self._angle: Value = m.beta
 
     def commit(self, m: "Motion", x: State) -> None:
-        # Once it slips it goes nearly the whole way: stiction above, little friction while moving.
-        deviation = m.beta - self._rests
+        # a slipping vane covers nearly the whole deviation: stiction is high, sliding friction low
+        deviation = m.beta - self._angle
         slips = deviation * self.xp.sign(deviation) > self.size
-        self._rests = self.xp.select(slips, m.beta - 0.15 * deviation, self._rests)
+        self._angle = self.xp.select(slips, m.beta - 0.15 * deviation, self._angle)
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.beta = self._rests
+        s.beta = self._angle
 
 
-class AhrsTurnError(_Unlisted):
-    """The attitude filter trusts the accelerometer as a plumb line: in a turn it levels itself to the apparent vertical.
+class AhrsTurnError(_Uncatalogued):
+    """An attitude filter that takes specific force for gravity, and therefore levels to the apparent vertical in a turn.
 
-    phi error e: e' = -(phi_hat - phi_apparent) / tau with phi_apparent = atan2(-ay, -az); `size` is 1 / tau.
+    Its bank error e follows e' = -(phi + e - phi_apparent) / tau with phi_apparent = atan2(-ay, -az). size: 1 / tau [1/s].
     """
 
     name, title, unit, typical = "ahrs_turn_error", "attitude filter levels itself in turns", "1/s", 0.5
@@ -198,39 +197,40 @@ class AhrsTurnError(_Unlisted):
         s.phi = s.phi + x[self.at]
 
 
-class ThermalDrift(_Unlisted):
-    """The inertial unit warms up: gyro and accelerometer biases creep in with a time constant of 12 s; `size` in rad/s."""
+class ThermalDrift(_Uncatalogued):
+    """An inertial unit that warms up: biases of gyros and accelerometers grow with a time constant of 12 s. size: of p
+    [rad/s]."""
 
     name, title, unit, typical = "thermal_drift", "gyro and accelerometer drift while warming up", "rad/s", 0.025
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        warm = 1.0 - math.exp(-max(m.t, 0.0) / 12.0)
-        s.p = s.p + self.size * warm
-        s.r = s.r - 0.6 * self.size * warm
-        s.ay = s.ay + 8.0 * self.size * warm
+        drift = 1.0 - math.exp(-max(m.t, 0.0) / 12.0)
+        s.p = s.p + self.size * drift
+        s.r = s.r - 0.6 * self.size * drift
+        s.ay = s.ay + 8.0 * self.size * drift
 
 
-class SupplySag(_Unlisted):
-    """Servos load the sensor supply: every ratiometric angle sags while surfaces move; `size` s of fraction per rad/s."""
+class SupplySag(_Uncatalogued):
+    """Servos that load the sensor supply: ratiometric angles sag while surfaces move. size: fraction per rate [s/rad]."""
 
     name, title, unit, typical = "supply_sag", "vane readings sag while servos move", "s", 0.06
     states = 1
 
     def start(self, m: "Motion", x: State) -> None:
-        self._before: Value = self.xp.full(0.0)
+        self._last_arm: Value = self.xp.full(0.0)
         self._activity: Value = self.xp.full(0.0)
         x[self.at] = self.xp.full(0.0)
 
     def commit(self, m: "Motion", x: State) -> None:
-        travel = m.arm_right - self._before
-        self._before = m.arm_right
+        travel = m.arm_right - self._last_arm
+        self._last_arm = m.arm_right
         self._activity = travel * self.xp.sign(travel) / self.plant.step_size
 
     def derivatives(self, m: "Motion", x: State, dx: State) -> None:
         dx[self.at] = (getattr(self, "_activity", 0.0) - x[self.at]) / 0.15
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        # A sagging reference shifts a vane that reads from one end of its potentiometer (half span 1.5 rad).
+        # a lower reference shifts a vane whose angle is measured from one end of its potentiometer (half span 1.5 rad)
         sag = self.size * x[self.at]
         s.beta = s.beta - 1.5 * sag
         s.alpha = s.alpha - 1.5 * sag

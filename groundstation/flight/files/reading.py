@@ -139,7 +139,7 @@ def _read_mcap(path: Path) -> _Read:
             f"{path}: a bag of another program; 'sideslip import {path} -o FLIGHT.mcap' makes a flight of it"
         )
     if any(s.entries for s in flights) or (
-        all(s.sound for s in flights) and not any(FLIGHT_TOPIC in s.kept for s in flights)
+        all(s.sound for s in flights) and not any(FLIGHT_TOPIC in s.auxiliary for s in flights)
     ):
         raise FlightError(
             f"{path}: no calibrated flight in this file; a raw recording must pass 'sideslip calibrate' first"

@@ -69,7 +69,7 @@ def read_link(path: Path) -> list[dict[str, Any]]:
     from daq.contract.recordings.segments import read_parts
 
     try:
-        reports = [data for part in read_parts(path) for data in part.kept.get(LINK_TOPIC, ())]
+        reports = [data for part in read_parts(path) for data in part.auxiliary.get(LINK_TOPIC, ())]
     except RecordingError:
         return []
     return [report for report in map(_link_report, reports) if report is not None]

@@ -14,7 +14,7 @@ from daq.contract.channels import BUILT_IN_CHANNELS, BUILT_IN_COLUMNS, BUILT_IN_
 from daq.contract.laboratory import LaboratoryError, TableRows, check, package_folder, read_rows
 from daq.contract.link.wire import SCAN_FAST_ID, SCAN_LABORATORY_ID, UserError, layouts, pack_scan, unpack_scan
 from daq.contract.scan import GroupStatus, Scan, SensorState
-from daq.telemetry.downlink import _Turns
+from daq.telemetry.downlink import _GroupRotation
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame
 from groundstation.receiver.decode import AircraftDecoder
 from groundstation.receiver.events import ScanReceived, StatusText
@@ -115,7 +115,7 @@ def test_more_than_a_frame_holds_is_refused(tmp_path: Path) -> None:
 def test_sensors_that_come_in_different_scans_take_turns_on_the_link(tmp_path: Path) -> None:
     """Two sensors, each in every fifth scan, never in the same one: once a second one of them, in turn."""
     [smoke] = rows_of(tmp_path).channels
-    turns = _Turns((smoke, replace(smoke, name="ozone", group="ozone")))
+    turns = _GroupRotation((smoke, replace(smoke, name="ozone", group="ozone")))
     sent = {"smoke": 0, "ozone": 0}
     for number in range(400):
         values = {name: 1 for name, phase in (("smoke", 0), ("ozone", 2)) if number % 5 == phase}
@@ -130,7 +130,7 @@ def test_sensors_that_come_in_different_scans_take_turns_on_the_link(tmp_path: P
 
 def test_a_sensor_that_is_gone_holds_the_others_up_by_a_second_at_most(tmp_path: Path) -> None:
     [smoke] = rows_of(tmp_path).channels
-    turns = _Turns((smoke, replace(smoke, name="ozone", group="ozone")))
+    turns = _GroupRotation((smoke, replace(smoke, name="ozone", group="ozone")))
     times = []
     for number in range(400):
         scan = Scan(number, number * 50_000_000, values={"smoke": 1})

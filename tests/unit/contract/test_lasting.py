@@ -151,7 +151,7 @@ def test_pauses_grow_and_opening_happens_beside_the_caller() -> None:
         asked.append(clock.now)
         raise OSError("not yet")
 
-    port = ReconnectingPort(refuse, None, why="unplugged", now_ns=clock)
+    port = ReconnectingPort(refuse, None, reason="unplugged", now_ns=clock)
     while len(asked) < 8:
         with pytest.raises(OSError, match=r"away \(unplugged\)"):
             port.read()
@@ -228,7 +228,7 @@ def test_busy_listener_is_one_sentence(closing: list[BytePort]) -> None:
 
 
 def test_closing_does_not_wait_for_a_host_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reconnecting_port, "PATIENCE_S", 0.01, raising=False)
+    monkeypatch.setattr(reconnecting_port, "OPEN_TIMEOUT_S", 0.01, raising=False)
     answered = threading.Event()
     late = TcpServerPort("127.0.0.1", 0)
     closed = threading.Event()
@@ -238,7 +238,7 @@ def test_closing_does_not_wait_for_a_host_that_does_not_answer(monkeypatch: pyte
         assert answered.wait(20.0)
         return late
 
-    port = quick(ReconnectingPort(opening, None, why="no answer"))  # type: ignore[arg-type]
+    port = quick(ReconnectingPort(opening, None, reason="no answer"))  # type: ignore[arg-type]
     away(port)
     closer = threading.Thread(target=port.close)
     closer.start()

@@ -164,9 +164,9 @@ class Played:
         rig.link_s = 3.0 if self._on("link", number) else 0.1
         rig.book.recording = self._on("recording", number) is None
         if rig.alive and self._on("ground stop", number):
-            rig.actuation.ask(None)
+            rig.actuation.request(None)
         if rig.alive and number % 10 == 0:
-            rig.actuation.ask(int(rig.plan.digest[:6], 16))
+            rig.actuation.request(int(rig.plan.digest[:6], 16))
 
     # ------------------------------------------------------------------------------------------- what must hold
 

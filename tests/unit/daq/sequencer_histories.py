@@ -190,9 +190,9 @@ class Played:
         rig.receiver.set_power(self._on("receiver", frame) is None, rig.now)
         rig.cabin.chip.set_power(self._on("chip power", frame) is None, rig.now)
         if rig.alive and self._on("ground stop", frame):
-            rig.actuation.ask(None)
+            rig.actuation.request(None)
         if rig.alive and (self._on("ground start", frame) or frame % 10 == 0):
-            rig.actuation.ask(int(rig.plan.digest[:6], 16))
+            rig.actuation.request(int(rig.plan.digest[:6], 16))
 
     # ------------------------------------------------------------------------------------------- what must hold
 

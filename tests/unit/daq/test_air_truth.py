@@ -12,7 +12,7 @@ from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import ImuConfig
 from daq.sensors.mounting import Axis
 from daq.sensors.ms4525do import PitotConfig
-from daq.sensors.standstill import pitot_unrest, unrest
+from daq.sensors.standstill import motion_evidence, pitot_motion_evidence
 
 PASCAL = 1.0520
 G_COUNTS = 4096
@@ -48,19 +48,19 @@ def scans(
 
 
 def said(truth: AirTruth, flight: Iterator[Scan]) -> list[str]:
-    return [c.text for scan in flight for c in truth.look(scan)]
+    return [c.text for scan in flight for c in truth.check(scan)]
 
 
 @pytest.mark.parametrize("offset", [-140.0, 37.0, 118.0])
 def test_offset_at_rest_is_measured_and_zeroed_whatever_its_level(offset: float) -> None:
     still = list(scans(6, pascal=offset))
-    assert unrest(still) is None
-    assert pitot_unrest([s.values["pitot_pressure"] for s in still], level_tells=False) is None
+    assert motion_evidence(still) is None
+    assert pitot_motion_evidence([s.values["pitot_pressure"] for s in still], check_level=False) is None
     rest = pitot_at_rest(still, Scales(CONFIG))
     assert rest is not None
     assert rest.offset_pa == pytest.approx(offset, abs=1.5)
     truth = AirTruth(CONFIG)
-    zeros = [z for s in still if not truth.look(s) and (z := truth.zero()) is not None]
+    zeros = [z for s in still if not truth.check(s) and (z := truth.zero()) is not None]
     assert len(zeros) == 1, "once"
     assert zeros[0].count == pytest.approx(8191.5 + offset / PASCAL, abs=1.5)
 
@@ -68,7 +68,7 @@ def test_offset_at_rest_is_measured_and_zeroed_whatever_its_level(offset: float)
 def test_a_zero_that_no_longer_holds_before_motion_is_told_once() -> None:
     truth = AirTruth(CONFIG)
     for scan in scans(6, pascal=37.0):
-        truth.look(scan)
+        truth.check(scan)
         truth.zero()
     assert said(truth, scans(8, pascal=40.0, start=120)) == []
     (sentence,) = said(truth, scans(8, pascal=62.0, start=280))
@@ -89,15 +89,15 @@ def test_a_zero_that_no_longer_holds_before_motion_is_told_once() -> None:
 )
 def test_what_is_no_offset_is_not_zeroed(kind: dict[str, float]) -> None:
     truth = AirTruth(CONFIG)
-    assert not [1 for s in scans(8, **kind) if truth.look(s) or truth.zero()]  # type: ignore[arg-type]
+    assert not [1 for s in scans(8, **kind) if truth.check(s) or truth.zero()]  # type: ignore[arg-type]
 
 
 def test_nothing_is_zeroed_once_it_has_flown_or_by_configuration() -> None:
     truth = AirTruth(CONFIG)
     said(truth, scans(8, pascal=200.0, speed=18.0))
-    assert not [1 for s in scans(8, pascal=60.0, start=160) if truth.look(s) or truth.zero()]
+    assert not [1 for s in scans(8, pascal=60.0, start=160) if truth.check(s) or truth.zero()]
     off = AirTruth(CONFIG, auto_zero=False)
-    assert not [1 for s in scans(8, pascal=60.0) if off.look(s) or off.zero()]
+    assert not [1 for s in scans(8, pascal=60.0) if off.check(s) or off.zero()]
 
 
 @pytest.mark.parametrize(

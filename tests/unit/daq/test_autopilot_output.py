@@ -191,7 +191,7 @@ class TestEnds:
         sent: list[tuple[int, ...]] = []
         taken = rig.plane.rc.override
         rig.plane.rc.override = lambda values, now_ns: (sent.append(values), taken(values, now_ns))[1]  # type: ignore[method-assign]
-        rig.actuation.ask(None)
+        rig.actuation.request(None)
         rig.run_until(State.RELEASED)
         sent.clear()
         rig.run(0.5)

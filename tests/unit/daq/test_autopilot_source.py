@@ -12,7 +12,7 @@ from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.scan import SensorState
 from daq.sensors.autopilot import AutopilotGroup, MavlinkServo
 from daq.sensors.autopilot_line import AutopilotLine, SenderClock, frames
-from daq.sensors.base import Driver, SelfTestError, Surroundings
+from daq.sensors.base import Driver, DriverContext, SelfTestError
 from daq.sensors.config import SensorsConfig, build_drivers
 from daq.sensors.timebase import TimeBase
 from tests.unit.daq.fakes import FakePort
@@ -31,8 +31,8 @@ class Wire:
         sections = table or {"autopilot": {"device": "ttyX"}, **{g: {"driver": "autopilot"} for g in groups}}
         self.config = SensorsConfig.model_validate(sections)
         self.timebase = TimeBase(0, 50 * MS)
-        around = Surroundings(None, None, self.port, lambda: self.now_ns, self.timebase, self.config.section)
-        self.drivers: dict[str, Driver] = build_drivers(self.config, around)
+        context = DriverContext(None, None, self.port, lambda: self.now_ns, self.timebase, self.config.section)
+        self.drivers: dict[str, Driver] = build_drivers(self.config, context)
         self.mav = dialect.MAVLink(None, srcSystem=7, srcComponent=1)
 
     @property

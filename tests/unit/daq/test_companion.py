@@ -128,7 +128,7 @@ def test_one_that_does_not_read_leaves_the_loop_alone(scans: list[Scan], monkeyp
     for _ in range(10):
         companion.scans(scans)
     assert companion.dropped > 0
-    assert len(companion._waiting) <= BACKLOG
+    assert len(companion._unsent) <= BACKLOG
     companion.close()
     texts = [text for _, text in heard.said]
     assert texts == [

@@ -23,9 +23,9 @@ from daq.contract.recordings.recording import RecordingInfo
 from daq.telemetry import backfill
 from daq.telemetry.config import DownlinkConfig, LinkLimits
 from daq.telemetry.link import RadioLink, radio_link
-from daq.telemetry.request_limits import Bucket, CommandBudget, Refusals, SenderLimits
+from daq.telemetry.request_limits import CommandBudget, Refusals, SenderLimits, TokenBucket
 from daq.telemetry.send_queue import SendQueue, item
-from daq.telemetry.uplink import FRAMES, READ_BYTES, TURN_NS, Uplink
+from daq.telemetry.uplink import FRAMES_PER_TURN, READ_BYTES, TURN_NS, Uplink
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame, frames_of, message_types
 from daq.transport.ports import BytePort, SerialPort, UdpPort
 from tests.support.link_rig import PERIOD_NS, START_UTC_NS, FakeLogger, quiet_scan
@@ -130,15 +130,15 @@ def test_a_turn_takes_a_bounded_number_of_frames_and_leaves_the_others_for_the_n
     taken: list[int] = []
     monkeypatch.setattr(Uplink, "_receive", lambda self, frame, now, control: taken.append(frame.sequence))
     encoder = FrameEncoder(255, 190)
-    frames = (encoder.message("HEARTBEAT") for _ in range(3 * FRAMES))
+    frames = (encoder.message("HEARTBEAT") for _ in range(3 * FRAMES_PER_TURN))
     aircraft = Aircraft(HostilePort(frames))
     counts = []
     for _ in range(20):
         before = len(taken)
         aircraft.turns(1)
         counts.append(len(taken) - before)
-    assert max(counts) <= FRAMES
-    assert taken == [i % 256 for i in range(3 * FRAMES)]
+    assert max(counts) <= FRAMES_PER_TURN
+    assert taken == [i % 256 for i in range(3 * FRAMES_PER_TURN)]
     aircraft.link.close()
 
 
@@ -268,7 +268,7 @@ def test_sender_ids_chosen_freely_share_a_limit() -> None:
 
 
 def test_bucket_fills_at_its_rate_and_no_further_than_its_burst() -> None:
-    bucket = Bucket(2.0, 3.0)
+    bucket = TokenBucket(2.0, 3.0)
     assert [bucket.allows(0) for _ in range(4)] == [True, True, True, False]
     assert [bucket.allows(NS // 2), bucket.allows(NS // 2)] == [True, False]
     assert [bucket.allows(1000 * NS) for _ in range(4)] == [True, True, True, False]
@@ -362,10 +362,10 @@ def test_recordings_started_and_stopped_at_radio_speed_stay_few() -> None:
 def test_the_last_recording_of_the_budget_cannot_be_ended() -> None:
     budget = CommandBudget(LinkLimits(recordings=2, recording_s=0.0))
     for now in (1, 2):
-        assert budget.against_stop(now) == budget.against_start() == ""
-        budget.started(now)
-    assert "all 2 recordings" in budget.against_stop(10**15)
-    assert "all 2 recordings" in budget.against_start()
+        assert budget.check_stop(now) == budget.check_start() == ""
+        budget.note_start(now)
+    assert "all 2 recordings" in budget.check_stop(10**15)
+    assert "all 2 recordings" in budget.check_start()
 
 
 def test_marks_at_radio_speed_stay_few_and_a_refused_one_may_be_repeated() -> None:
@@ -495,7 +495,7 @@ def test_what_is_asked_for_and_bulk_do_not_keep_each_other_waiting(scans: int) -
     send_queue.bulk = lambda: item("LOG_DATA", ofs=next(bulk), count=90, data=bytes([1] * 90))
     for turn in range(600):
         for i in range(8):
-            send_queue.put_asked(item("SENT_MAP", first_number=8 * turn + i, sent=bytes([1] * 64)))
+            send_queue.put_requested(item("SENT_MAP", first_number=8 * turn + i, sent=bytes([1] * 64)))
         for _ in range(scans):
             send_queue.put_scan([item("STATUSTEXT", severity=6, text="x" * 50)])
         send_queue.service(turn * NS // 10)
@@ -511,6 +511,6 @@ def test_what_is_asked_for_and_bulk_do_not_keep_each_other_waiting(scans: int) -
 def test_equal_answers_are_sent_once_and_too_many_are_not_kept() -> None:
     send_queue = SendQueue(HostilePort(iter([])), FrameEncoder(1, 1), 2000.0, 4)
     ack = item("COMMAND_ACK", command=1, result=1)
-    assert all(send_queue.put_answer(ack) for _ in range(1000))
-    taken = [send_queue.put_answer(item("COMMAND_ACK", command=n, result=1)) for n in range(2, 100)]
+    assert all(send_queue.put_acknowledgement(ack) for _ in range(1000))
+    taken = [send_queue.put_acknowledgement(item("COMMAND_ACK", command=n, result=1)) for n in range(2, 100)]
     assert taken == [True] * 15 + [False] * 83

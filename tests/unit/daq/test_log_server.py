@@ -221,7 +221,7 @@ def test_closing_ends_a_long_listing(served: Served, tmp_path: Path, monkeypatch
 
 def test_a_worker_takes_no_more_jobs_than_it_has_room_for_and_does_them_in_order() -> None:
     begin, done = threading.Event(), []
-    worker = Worker("test", room=3)
+    worker = Worker("test", capacity=3)
     jobs = [worker.submit(lambda n=n: (begin.wait(20.0), done.append(n), n)[-1]) for n in range(5)]
     assert [j is None for j in jobs] == [False, False, False, True, True]
     assert worker.busy
@@ -236,7 +236,7 @@ def test_a_worker_takes_no_more_jobs_than_it_has_room_for_and_does_them_in_order
 
 def test_closing_a_worker_gives_up_what_waits_and_does_not_wait_for_a_card_that_hangs() -> None:
     began, hung = threading.Event(), threading.Event()
-    worker = Worker("test", room=2)
+    worker = Worker("test", capacity=2)
     first, second = worker.submit(lambda: (began.set(), hung.wait(20.0))[1]), worker.submit(hung.wait, 20.0)
     assert began.wait(20.0)
     assert worker.close(0.01) is False

@@ -34,7 +34,7 @@ class Deck:
         self.plans: list[ServoManoeuvre] = []
         self.why = ""
 
-    def weigh(self, manoeuvre: Manoeuvre) -> Callable[[], str]:
+    def check_manoeuvre(self, manoeuvre: Manoeuvre) -> Callable[[], str]:
         plan = plan_of(manoeuvre, CONFIG)
         return lambda: self._put(plan)
 
@@ -117,7 +117,7 @@ def test_a_bomb_and_an_altered_value_are_refused() -> None:
 
 def test_it_arrives_over_a_link_that_loses_every_third_frame(tmp_path: Path) -> None:
     rig, deck = keyed(tmp_path), Deck()
-    rig.logger.weigh = deck.weigh
+    rig.logger.check_manoeuvre = deck.check_manoeuvre
     at_rest(rig)
     turn = iter(range(10**6))
     rig.up = lambda data: b"" if next(turn) % 3 == 0 else data
@@ -132,7 +132,7 @@ def test_it_arrives_over_a_link_that_loses_every_third_frame(tmp_path: Path) -> 
 
 def test_a_refusal_is_told_with_its_reason_and_may_be_over_the_next_time(tmp_path: Path) -> None:
     rig, deck = keyed(tmp_path), Deck()
-    rig.logger.weigh = deck.weigh
+    rig.logger.check_manoeuvre = deck.check_manoeuvre
     at_rest(rig)
     deck.why = "the pilot's switch is not at off"
     rig.ground.send_manoeuvre(1, short_manoeuvre())
@@ -150,7 +150,7 @@ def test_a_refusal_is_told_with_its_reason_and_may_be_over_the_next_time(tmp_pat
 
 def test_limits_of_the_aircraft_hold_for_what_comes_up_the_link(tmp_path: Path) -> None:
     rig, deck = keyed(tmp_path), Deck()
-    rig.logger.weigh = deck.weigh
+    rig.logger.check_manoeuvre = deck.check_manoeuvre
     at_rest(rig)
     rig.ground.send_manoeuvre(1, short_manoeuvre(peak_deg=20.0))
     until_told(rig, 20.0)
@@ -162,7 +162,7 @@ def test_limits_of_the_aircraft_hold_for_what_comes_up_the_link(tmp_path: Path) 
 
 def test_unproven_fragments_do_nothing(tmp_path: Path) -> None:
     rig, deck = keyed(tmp_path), Deck()
-    rig.logger.weigh = deck.weigh
+    rig.logger.check_manoeuvre = deck.check_manoeuvre
     at_rest(rig)
     data = wire.pack(short_manoeuvre())
     for number, piece in enumerate(pieces := wire.fragments(data)):
@@ -212,7 +212,7 @@ def test_an_aircraft_out_of_reach_is_given_up(tmp_path: Path) -> None:
 def test_any_fragments_are_answered_and_hold_little(shower: list[dict[str, object]]) -> None:
     said: list[str] = []
     inbox, logger = ManoeuvreInbox(lambda severity, text: said.append(text)), FakeLogger()
-    logger.weigh = Deck().weigh
+    logger.check_manoeuvre = Deck().check_manoeuvre
     for fields in shower:
         inbox.receive(fields, logger)
         inbox.service(logger)

@@ -11,7 +11,7 @@ from daq.contract.recordings.mcap_records import CHUNK
 from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import RecordingWriter, scan_entry
 from daq.contract.recordings.recovery import recover
-from daq.contract.recordings.segments import sessions_apart
+from daq.contract.recordings.segments import split_sessions
 from daq.contract.scan import encode_scan
 from tests.unit.daq.synthetic import make_info, make_scan
 
@@ -84,5 +84,5 @@ def test_scans_of_both_sessions_come_back_each_under_its_own(what: str, tmp_path
 
 def test_one_session_stays_in_one_piece_whatever_is_lost_of_it() -> None:
     entries = [scan_entry(make_scan(n), encode_scan(make_scan(n))) for n in range(50) if n % 7]
-    assert sessions_apart(entries) == [tuple(entries)]
-    assert sessions_apart([*entries[20:], *entries[:20]]) == [(*entries[20:], *entries[:20])]
+    assert split_sessions(entries) == [tuple(entries)]
+    assert split_sessions([*entries[20:], *entries[:20]]) == [(*entries[20:], *entries[:20])]

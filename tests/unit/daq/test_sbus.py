@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from daq.clock import RealClock
 from daq.contract.scan import SensorState
-from daq.sensors.base import SelfTestError, Surroundings
+from daq.sensors.base import DriverContext, SelfTestError
 from daq.sensors.capture import CaptureConfig
 from daq.sensors.config import SensorsConfig
 from daq.sensors.open import open_hardware
@@ -47,10 +47,10 @@ class Line:
         self.terminal = PseudoTerminal(self.receiver)
         config = SensorsConfig.model_validate({"capture": {"driver": "sbus", "device": self.terminal.path}})
         self.hardware = open_hardware(config, RealClock())
-        around = Surroundings(
+        context = DriverContext(
             None, None, self.hardware.autopilot, lambda: self.now_ns, TimeBase(0, 50 * MS), config.section
         )
-        self.driver = Sbus.build("capture", around)
+        self.driver = Sbus.build("capture", context)
 
     def wait(self, duration_ns: int) -> None:
         """Let time pass, and the kernel carry the bytes from one side of the terminal to the other."""

@@ -76,19 +76,19 @@ class TestFlown:
         rig = Rig(switch_plan(*USUAL), config=sequencer_config(start="ground", wait_s=5.0))
         digest = int(rig.plan.digest[:6], 16)
         rig.run(1.0)
-        assert "not at go" in rig.actuation.ask(digest)
+        assert "not at go" in rig.actuation.request(digest)
         rig.run(1.0)
         assert rig.state is State.ARMED
-        assert "another manoeuvre" in rig.actuation.ask(digest ^ 1)
+        assert "another manoeuvre" in rig.actuation.request(digest ^ 1)
         rig.run(0.1)
         assert rig.state is State.ARMED
-        assert rig.actuation.ask(digest) == ""
+        assert rig.actuation.request(digest) == ""
         rig.run(0.1)
         assert rig.state is State.RUNNING
-        assert rig.actuation.ask(None) == ""
+        assert rig.actuation.request(None) == ""
         rig.run(0.4)
         assert (rig.state, rig.reason) == (State.RELEASED, Reason.GROUND)
-        assert "the pilot has the aircraft" in rig.actuation.ask(None)
+        assert "the pilot has the aircraft" in rig.actuation.request(None)
 
     def test_a_ground_that_never_starts_does_not_keep_the_aircraft(self) -> None:
         rig = Rig(switch_plan(*USUAL), config=sequencer_config(start="ground", wait_s=1.0))
@@ -97,7 +97,7 @@ class TestFlown:
 
     def test_the_switch_starts_only_what_the_switch_may(self) -> None:
         rig = armed()
-        assert "pilot's switch" in rig.actuation.ask(int(rig.plan.digest[:6], 16))
+        assert "pilot's switch" in rig.actuation.request(int(rig.plan.digest[:6], 16))
 
 
 def let(rig: Rig, reason: Reason) -> None:
@@ -124,7 +124,7 @@ def let(rig: Rig, reason: Reason) -> None:
     elif reason is Reason.PILOT_SIGNALS:
         rig.receiver.set_power(False, rig.now)
     else:
-        rig.actuation.ask(None)
+        rig.actuation.request(None)
 
 
 ENDED = (

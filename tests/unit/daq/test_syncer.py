@@ -39,15 +39,15 @@ def test_a_sync_after_a_failed_one_confirms_nothing() -> None:
     syncer = Syncer(on_failure, SimulatedClock(), sync=True)
     syncer.start()
     file = cast(StorageFile, ForgetfulFile())
-    segment = OpenRecording(Path("s1_000.mcap"), file, make_info(), compress=False, keep=100)
+    segment = OpenRecording(Path("s1_000.mcap"), file, make_info(), compress=False, capacity=100)
     entries = [scan_entry(make_scan(n)) for n in range(10)]
     for entry in entries:
         segment.add(entry)
-    segment.handed_over()
+    segment.mark_flushed()
     syncer.request(segment)
     assert failing.wait(10.0)
     assert syncer.retire(segment).wait(10.0)
     syncer.stop()
     syncer.thread.join(10.0)
     assert failed == [False, True]
-    assert segment.take_back() == entries
+    assert segment.take_unconfirmed() == entries

@@ -60,11 +60,11 @@ class Px4(LoopedAutopilot):
             roll, pitch, throttle, yaw = channels[:4]
             travel = [(w - TRIM_US) / TRAVEL_US for w in (roll, pitch, yaw)]
             self._offer(RECEIVER, (travel[0], travel[1], travel[2], (throttle - 1000) / 1000), now_ns)
-        for message in self.heard(now_ns):
+        for message in self.received(now_ns):
             self._handle_message(message, now_ns)
         if self.chosen is not None and not self._fresh(self.chosen, now_ns):
             self.chosen = None
-        self._put_out(now_ns)
+        self._set_outputs(now_ns)
         if self.loops % _HEARTBEAT_LOOPS == 0:
             self.outward.send(self.packer.pack(HEARTBEAT, _MANUAL, 1, 12, 0x51, 4, 3), now_ns)
         if self.loops % _STREAM_LOOPS == 0 and channels is not None:
@@ -98,10 +98,10 @@ class Px4(LoopedAutopilot):
             6: source == MAVLINK or free,
         }.get(mode, False)
 
-    def _put_out(self, now_ns: int) -> None:
+    def _set_outputs(self, now_ns: int) -> None:
         sticks = self._newest[self.chosen][1] if self.chosen is not None else (0.0, 0.0, 0.0, 0.0)
         surfaces = [TRIM_US + round(TRAVEL_US * s) for s in sticks[:3]]
-        self.put_out(surfaces, LEAST_US + round(1000 * sticks[3]), now_ns)
+        self.set_outputs(surfaces, LEAST_US + round(1000 * sticks[3]), now_ns)
 
     # ---------------------------------------------------------------------------------------- messages
 

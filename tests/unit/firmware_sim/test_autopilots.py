@@ -27,7 +27,7 @@ class Ground:
         self.heard: list[Any] = []
 
     def send(self, message: Any) -> None:
-        self.craft.hear(message.pack(self.mav), self.now)
+        self.craft.receive(message.pack(self.mav), self.now)
 
     def override(self, *values: int) -> None:
         widths = [*values, *[STAY] * (8 - len(values))]
@@ -194,7 +194,7 @@ class TestArduPlane:
         ground.run(100)
         frame = bytearray(ground.mav.rc_channels_override_encode(1, 1, 1700, *[STAY] * 7).pack(ground.mav))
         frame[12] ^= 0x40
-        ground.craft.hear(bytes(frame), ground.now)
+        ground.craft.receive(bytes(frame), ground.now)
         ground.override(STAY, 1600)
         ground.run(80)
         assert ground.outputs == servos(1520, 1600, 1600, 1510)

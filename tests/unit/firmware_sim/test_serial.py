@@ -37,7 +37,7 @@ class Chatter:
         self.sent = due
         return data
 
-    def hear(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
         self.heard += data
 
 
@@ -102,7 +102,7 @@ def test_no_fix_is_said() -> None:
 
 def test_power_dip_costs_fixes_and_settings() -> None:
     gnss = receiver(configured=False)
-    gnss.hear(ublox.frame((0x06, 0x01), bytes((0x01, 0x07, 1))), 0)
+    gnss.receive(ublox.frame((0x06, 0x01), bytes((0x01, 0x07, 1))), 0)
     assert ublox.frame((0x05, 0x01), b"\x06\x01") in gnss.bytes_until(1_000_000_000)
     assert len(gnss.bytes_until(1_070_000_000)) == 100
     gnss.set_power(False, 1_100_000_000)

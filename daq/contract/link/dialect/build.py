@@ -1,9 +1,9 @@
-"""The Python module of the dialect, made from `sideslip.xml` by pymavlink's mavgen when the package is built.
+"""Builds the Python module of the dialect from `sideslip.xml` with pymavlink's mavgen.
 
-The module is not in git: a wheel holds it, an editable install makes it in the source tree (`setup.py` calls this file for
-both), and a source tree that nobody installed, or whose XML has changed since, makes it on first use. A table of the
-other standard messages' checksums is appended, so that a foreign but sound frame is distinguished from a damaged one.
-Imports nothing but the standard library until it has to build.
+The module is not in git: a wheel contains it, an editable install writes it into the source tree (`setup.py` calls this file for
+both), and a source tree without it, or with a newer XML, writes it on first use. The checksums of the other standard messages are
+appended, so that a valid frame of another dialect can be distinguished from a damaged one. Only building imports more than the
+standard library.
 """
 
 import contextlib
@@ -19,9 +19,9 @@ MODULE = "sideslip_dialect.py"
 
 
 def ensure_module() -> None:
-    """Make the module beside the definition unless one made from this very definition is there, from its first line to its last.
+    """Build the module beside the definition unless there is a complete one of this definition.
 
-    Raises ImportError, with what to do, where it is missing and the folder cannot be written.
+    Raises ImportError, with the remedy, where it is missing and the folder cannot be written.
     """
     module = HERE / MODULE
     mark = _mark(DEFINITION.read_bytes()).encode()
@@ -37,7 +37,7 @@ def ensure_module() -> None:
 
 
 def write_module(folder: Path) -> Path:
-    """Make the module in `folder`, whole or not at all; several processes may do so at once."""
+    """Write the module into `folder` atomically; several processes may do so at once. Returns its path."""
     text = module_text(DEFINITION.read_bytes())
     with tempfile.NamedTemporaryFile("wb", dir=folder, prefix=".dialect", suffix=".tmp", delete=False) as stream:
         try:
@@ -52,7 +52,7 @@ def write_module(folder: Path) -> Path:
 
 
 def module_text(definition: bytes) -> str:
-    """The text of the module made from a definition; its first line says from which."""
+    """The text of the module for a definition; first and last line identify the definition."""
     from pymavlink.generator import mavgen, mavparse
 
     with tempfile.TemporaryDirectory() as folder:

@@ -24,7 +24,7 @@ def encoded(columns: tuple[str, ...], values: np.ndarray) -> bytes:
 
 def segment(monkeypatch: pytest.MonkeyPatch, rows: list[bytes]) -> RecordingWalk:
     monkeypatch.setattr(rows_of, "_columns", lambda _: NAMES)
-    return RecordingWalk(Path("made"), 10_000, None, (), {}, (), True, kept={FLIGHT_TOPIC: tuple(rows)})
+    return RecordingWalk(Path("made"), 10_000, None, (), {}, (), True, auxiliary={FLIGHT_TOPIC: tuple(rows)})
 
 
 LAYOUTS = [("time", "p", "V", "alpha", "far"), ("time", "p"), ("time", "V"), (), ("p", "time", "alpha")]

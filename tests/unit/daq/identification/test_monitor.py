@@ -12,7 +12,7 @@ from scipy.stats import gumbel_r
 from daq.identification.airframe import DERIVATIVES, Airframe, Sample
 from daq.identification.monitor import threshold
 from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, bank
-from daq.identification.monitor.evidence import PIECE_S, InnovationsOfAir, MonitorEvidence, fitted
+from daq.identification.monitor.evidence import PIECE_S, AirWhitening, MonitorEvidence, fit_whitening
 from daq.identification.monitor.monitor import Alarm, GapMonitor
 from daq.identification.monitor.motions import Inputs, LateralMotion, instants
 from daq.identification.monitor.nulls import NullConditions, fly
@@ -124,7 +124,7 @@ def test_whitening_finds_the_autoregression_it_is_shown() -> None:
     known = kind.copy()
     for later in (1, 2):
         known[later:][kind[:-later] == BLIND] = BLIND
-    found = fitted([(e[:2000], known[:2000]), (e[2000:], known[2000:])])
+    found = fit_whitening([(e[:2000], known[:2000]), (e[2000:], known[2000:])])
     np.testing.assert_allclose(found.first, first, atol=0.15)
     np.testing.assert_allclose(found.second, second, atol=0.15)
     white = np.stack([found.applied(e[t], e[t - 1], e[t - 2], known[t]) for t in range(2, 4000)])
@@ -265,7 +265,7 @@ def test_innovations_of_stronger_gusts_are_white_as_well() -> None:
     noise no more, neither at once nor from scan to scan."""
     rng, gust = np.random.default_rng(6), np.array([3.0, 0.0, 2.0, 0.0, 1.5])[:, None]
     late = np.array([0.0, 0.0, 3.0, 0.0, 0.0])[:, None]
-    air, found, last_gust = InnovationsOfAir(5, 1, 2), [], np.zeros(2)
+    air, found, last_gust = AirWhitening(5, 1, 2), [], np.zeros(2)
     for k in range(600):
         this_gust = rng.standard_normal(2)
         white = rng.standard_normal((5, 2)) + gust * this_gust + late * last_gust
@@ -274,7 +274,7 @@ def test_innovations_of_stronger_gusts_are_white_as_well() -> None:
             white[:, 1] = 0.0  # nothing is learnt of a blind scan
         found.append(air.add(0.05 * k, white, np.zeros((5, 1, 2)))[0])
         if k % 10 == 9:
-            air.renew()
+            air.update()
     last = np.array(found[300:])
     for flight in (0, 1):
         seen = last[last[:, :, flight].any(axis=1), :, flight]
@@ -288,13 +288,13 @@ def test_of_fast_scans_those_of_the_last_twentieth_of_a_second_tell() -> None:
     rng = np.random.default_rng(8)
     left = {}
     for dt in (0.05, 0.01):
-        air, slow, found = InnovationsOfAir(1, 1, 1), 0.0, []
+        air, slow, found = AirWhitening(1, 1, 1), 0.0, []
         for k in range(round(60.0 / dt)):
             slow += (rng.standard_normal() * 1.5 - slow) * dt / 0.2
             white = np.array([[slow + rng.standard_normal()]])
             found.append(float(air.add(dt * k, white, np.zeros((1, 1, 1)))[0][0, 0]))
             if k % round(0.5 / dt) == 0:
-                air.renew()
+                air.update()
         w = np.array(found[len(found) // 2 :])
         left[dt] = float(np.mean(w[1:] * w[:-1]) / np.mean(w**2))
     assert abs(left[0.05]) < 0.1
