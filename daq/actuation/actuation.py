@@ -117,7 +117,7 @@ class Actuation:
         self._send_ns = round(NS / config.status_rate_hz) if config.status_rate_hz else 0
         self._next_send_ns = 0
         self._idle = True  # the last frame was idle: nothing to record
-        self._recorded = True  # no frame has failed to be recorded
+        self._recorded = True  # the last frame was recorded, or did not have to be
 
     def request(self, digest: int | None) -> str:
         """Take a request from the ground: start the manoeuvre whose digest begins with these 24 bits; None: stop. Returns why it
