@@ -165,18 +165,8 @@ def assemble(
     logger.check_air_truth(AirTruth(config.sensors, auto_zero=config.preflight.auto_zero))
     if actuation is not None:
         logger.attach_actuation(actuation)
-    link = None
-    if config.downlink is not None and edge.radio is not None:
-        link = radio_link(
-            config.downlink,
-            edge.radio,
-            edge.clock,
-            papers=lambda: replace(identity, details={**identity.details, **sampler.metadata()}),
-            recordings=config.recorder.directories,
-            boot=boot,
-            turn_ns=min(TURN_NS, round(_UPLINK_SHARE * config.together * config.scan.period_ns)),
-            facts=sampler.metadata,
-        )
+    link = _radio_link(config, edge, identity, sampler, boot)
+    if link is not None:
         link.report_on(logger)
         logger.connect(link, link.uplink)
         if actuation is not None:

@@ -92,7 +92,7 @@ class ArduPlane(LoopedAutopilot):
         self._set_servos(now_ns)
         self._read_radio(now_ns)
         if self.loops % (self._loop_hz // 10) == 0:
-            self.rc.look_at_switch(now_ns)
+            self.rc.read_switch(now_ns)
         for message in self.received(now_ns):
             self._handle_message(message, now_ns)
         if self.loops % self._loop_hz == 0:
