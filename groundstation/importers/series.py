@@ -87,7 +87,7 @@ def without_damaged_times(series: Mapping[str, TimeSeries]) -> tuple[dict[str, T
     for name, item in series.items():
         plausible = np.isfinite(item.time) & (item.time > low - reach) & (item.time < high + reach)
         outliers = max(outliers, int(np.sum(~plausible)))
-        kept_series[name] = item if plausible.all() else TimeSeries(item.time[plausible], item.values[plausible])
+        kept_series[name] = replace(item, time=item.time[plausible], values=item.values[plausible])
     return kept_series, outliers
 
 
