@@ -11,17 +11,16 @@ if TYPE_CHECKING:
     from groundstation.receiver.receive import Receiver
     from groundstation.viewer.live import LiveView
 
-TELLS_S = 60.0  # of the radio's time within which the aircraft tells of every scan whether it was sent
-SILENT_S = 60.0
-"""Of the radio's time without a word from the aircraft, after which nobody is taken to answer: requests repeat in seconds."""
+ACCOUNTING_S = 60.0  # of simulated time, at most, until the aircraft has reported of every scan whether it was sent
+SILENT_S = 60.0  # of simulated time without a message, after which backfill is given up: requests repeat in seconds
+BACKFILL_S = 3600.0  # of simulated time, at most, for backfill
 
 
 @dataclass(frozen=True)
 class ChainFlight:
-    """What one simulated flight has left. summary: as `ground --json`; agreed: air and ground hold the same scans.
-
-    sequencer: time [s] and words of each of its transitions.
-    """
+    """The result of one simulated flight. onboard, ground: flight files from the recording on board and the received one, None
+    where nothing was received; truth: CSV without sensor errors; summary: as `ground --json`; agreed: whether backfill made both
+    recordings hold the same scans; lines: to print; sequencer: time [s] and text of each transition."""
 
     onboard: Path
     ground: Path | None
@@ -46,9 +45,9 @@ def fly_scenario(
 ) -> ChainFlight:
     """Fly one scenario through the real logger, a simulated radio and the real ground station.
 
-    config_file: of the logger, calibration: set it carries; those of the CDFP by default. speed: until it has landed; what
-    comes down afterwards, by a radio as slow, does so as fast as it goes.
-    tell: told the share of the flight that has been flown, then what else is done. live: makes the view of an aircraft.
+    folder: to write in. seed: of the scenario by default. speed: of simulated over real time until landing; None, and after
+    landing, as fast as possible. backfill: whether lost scans are fetched. config_file: of the logger, calibration: folder of its
+    set; by default those of the CDFP. live: system id -> view of that aircraft. tell: takes the fraction flown, later a text.
     """
     from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
@@ -81,8 +80,8 @@ def fly_scenario(
         def after_landing(now_ns: int) -> None:
             station.step()
 
-        def no_room() -> bool:
-            """Files that fail go on failing in simulated time: scans would be fetched again and again."""
+        def file_failed() -> bool:
+            """Whether a file cannot be written: it would not recover in simulated time, and scans would be fetched for ever."""
             return any(not what.startswith("radio") for what in receiver.port_faults)
 
         def agreed() -> bool:
@@ -96,12 +95,14 @@ def fly_scenario(
         flight.clock.unpaced()
         flight.each_scan = after_landing
         backfill_agreed = False
-        if receiver.systems:  # the radio stays on until the aircraft has told of every scan whether it was sent
-            flight.serve(lambda: no_room() or not any(a.unknown for a in receiver.accounting()), limit_s=TELLS_S)
+        if receiver.systems:
+            flight.serve(
+                lambda: file_failed() or not any(a.unknown for a in receiver.accounting()), limit_s=ACCOUNTING_S
+            )
         if backfill and receiver.systems:
             tell("landed; fetching what the radio lost")
             receiver.set_backfill("all")
-            flight.serve(lambda: no_room() or agreed() or silent(), limit_s=3600.0)
+            flight.serve(lambda: file_failed() or agreed() or silent(), limit_s=BACKFILL_S)
             backfill_agreed = agreed()
         station.close()
         summary = receiver.summary()
@@ -114,12 +115,12 @@ def fly_scenario(
         lines.append(
             f"backfill given up: nobody answered for {SILENT_S:g} s; what is missing is in the recording on board"
         )
-    sequencer = _sequencer_words(folder / "onboard") if scenario.sequencer is not None else ()
+    sequencer = _sequencer_events(folder / "onboard") if scenario.sequencer is not None else ()
     return ChainFlight(onboard, ground, files.truth, summary, backfill_agreed, lines, sequencer)
 
 
 def fly_onboard(scenario: "Scenario", folder: Path, *, seed: int | None = None) -> Path:
-    """Fly one scenario of the CDFP through the real logger alone, with nobody at the ground; the flight's file."""
+    """Fly one scenario of the CDFP through the real logger, without a ground station; returns the flight file."""
     from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 
@@ -130,7 +131,7 @@ def fly_onboard(scenario: "Scenario", folder: Path, *, seed: int | None = None) 
 
 
 def _onboard_flight(folder: Path) -> Path:
-    """What was recorded on board, calibrated; the flight's file."""
+    """Calibrate the recording on board; returns the flight file."""
     from groundstation.calibration.recording import calibrate_recording
     from groundstation.flight import write_flight
 
@@ -141,7 +142,8 @@ def _onboard_flight(folder: Path) -> Path:
 def _received_flight(
     folder: Path, receiver: "Receiver", station: "Station", origin: str
 ) -> tuple[Path | None, list[str]]:
-    """The flight as the ground has it, from its longest recording, and what is said of it; nothing where it received none."""
+    """The flight file from the largest recording of the ground station, and lines to print; None where it received nothing.
+    origin: of the data, for the provenance."""
     from groundstation.live.handover import hand_over
 
     recordings = sorted(folder.glob("aircraft*.mcap"), key=lambda p: p.stat().st_size)
@@ -153,7 +155,8 @@ def _received_flight(
     return handover.path, handover.lines()
 
 
-def _sequencer_words(onboard: Path) -> tuple[tuple[float, str], ...]:
+def _sequencer_events(onboard: Path) -> tuple[tuple[float, str], ...]:
+    """Time [s] and text of the sequencer's events in a recording."""
     from daq.contract.recordings.reading import read_recording
 
     events = read_recording(onboard, salvage=True).events
