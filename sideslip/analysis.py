@@ -1,4 +1,4 @@
-"""From logs to an answer: what `analyse` and `ss.analyse` do; each stage is kept, so that a rerun does what has changed."""
+"""From logs to an answer, for `analyse` and `ss.analyse`. Results of stages are stored, and a rerun repeats only changed ones."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from estimation.analysis.stages import Stages
     from groundstation.flight import Flight
 
-READY = (".mcap",)
-"""Endings of files that may be flights as they stand."""
+FLIGHT_ENDINGS = (".mcap",)
+"""Endings of files that may be flights or recordings, and need no import."""
 
 
 def analyse(
@@ -61,15 +61,15 @@ def analyse(
 
 
 def _content(path: Path | None) -> str:
-    """What a small file says, for the key of a stage; its name where it is none (a built-in's)."""
+    """The content of a small file, for the key of a stage; the text of `path` where there is no such file (a built-in name)."""
     return path.read_bytes().decode("latin-1") if path is not None and path.is_file() else str(path)
 
 
 def _imported(
     number: int, path: Path, mapping: Path | None, aircraft: str | None, stages: "Stages"
 ) -> "tuple[Flight, str, bool]":
-    """The flight of a log, the key of its stage and whether it was imported in this run. What is kept of it has the aircraft that
-    the log names: another aircraft file needs no other import."""
+    """The flight of a log, the key of its stage, and whether it was imported in this run. The stored flight has the aircraft that
+    the log names, so that another aircraft file needs no new import."""
     from dataclasses import replace
 
     from groundstation.flight import read_flight, write_flight
@@ -94,11 +94,11 @@ def _imported(
 
 
 def _read(path: Path, mapping: Path | None) -> "Flight":
-    """A flight as it stands, a raw recording calibrated, or somebody else's log imported."""
+    """The flight of a file: a flight file, a calibrated raw recording, or an imported foreign log."""
     from groundstation.importers.about import is_foreign_log
     from groundstation.importers.run import import_data
 
-    if path.suffix.lower() in READY and mapping is None and not is_foreign_log(path):
+    if path.suffix.lower() in FLIGHT_ENDINGS and mapping is None and not is_foreign_log(path):
         from groundstation.calibration.recording import open_flight
 
         return open_flight(path)

@@ -19,8 +19,9 @@ BACKFILL_LIMIT_S = 3600.0  # simulated time of backfill at most
 
 @dataclass(frozen=True)
 class ChainFlight:
-    """The files and results of a simulated flight. summary: as `ground --json`; agreed: air and ground have the same scans;
-    lines: messages for the terminal; sequencer: time [s] and text of each of its transitions."""
+    """The result of one simulated flight. onboard, ground: flight files from the recording on board and the received one, None
+    where nothing was received; truth: CSV without sensor errors; summary: as `ground --json`; agreed: whether backfill made both
+    recordings hold the same scans; lines: to print; sequencer: time [s] and text of each transition."""
 
     onboard: Path
     ground: Path | None
@@ -45,9 +46,9 @@ def fly_scenario(
 ) -> ChainFlight:
     """Fly one scenario through the real logger, a simulated radio and the real ground station.
 
-    config_file: of the logger; calibration: the set in its recording; by default those of the CDFP. speed: simulated seconds a
-    second until landing; backfill after it runs as fast as the computer can. tell: called with the fraction of the flight that is
-    flown, then with a text. live: makes the view of an aircraft.
+    folder: to write in. seed: of the scenario by default. speed: of simulated over real time until landing; None, and after
+    landing, as fast as possible. backfill: whether lost scans are fetched. config_file: of the logger, calibration: folder of its
+    set; by default those of the CDFP. live: system id -> view of that aircraft. tell: takes the fraction flown, later a text.
     """
     from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY

@@ -1,4 +1,4 @@
-"""What a newcomer meets: the greeting, what to do after each verb, and shell completion."""
+"""Texts for a new user: the greeting, and the next step that is printed after each verb."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -41,9 +41,9 @@ NEXT: Mapping[str, str] = {
     "doctor": "sideslip demo",
 }
 """Verb -> what to do after it. {file}: the first file on the command line; {flight}: the first that is no TOML file; {model}:
-the first word behind the verb; {out}: what it wrote; {rest}: the words behind the verb.
+the first word after the verb; {out}: what it wrote; {stem}: the name of {file} without ending; {rest}: the words after the verb.
 
-`estimate`, `ground` and `info` say it themselves, from what they found."""
+`estimate`, `ground` and `info` are not here: they print a next step that depends on their result."""
 
 AFTER_A_FAILED_CHECK: Mapping[str, str] = {
     "preflight": "put right what stands above, then sideslip preflight {file}",
@@ -51,10 +51,10 @@ AFTER_A_FAILED_CHECK: Mapping[str, str] = {
     "check": "sideslip view {file}, where it fails",
     "aircraft": "write in {file} what is missing, then sideslip aircraft check {file}",
     "export": "{out} is not what {file} says: sideslip export {file} again, with --force",
-    "watch": "",  # the answer names the command
+    "watch": "",  # its output contains the command
     "performance": "glides from near the slowest to near the fastest speed, then sideslip performance again",
 }
-"""The same where the answer is a failed check, if that is something else."""
+"""Verb -> what to do after a failed check, where it differs from NEXT."""
 
 WITH_OPTION: Mapping[tuple[str, str], str] = {
     (
@@ -64,19 +64,19 @@ WITH_OPTION: Mapping[tuple[str, str], str] = {
     ("fly", "--list"): "sideslip fly NAME",
     ("fly", "--port"): "sideslip calibrate {out}/onboard -o flight.mcap",
     ("import", "--recipe"): "sideslip import {file} --draft-map -o map.toml",
-    ("aircraft", "new"): "",  # the verb says it itself
+    ("aircraft", "new"): "",  # printed by the verb
     ("check", "--write"): "sideslip estimate {out}/{stem}.mcap",
     ("campaign", "--no-report"): "query {out}/results/*.parquet, as docs/campaign.md shows",
 }
-"""The same for an option, or a word, with which a verb does something else."""
+"""(Verb, option or word) -> what to do next, where that changes what the verb does."""
 
 OUTPUTS = ("-o", "--output", "--out", "--write")
-BESIDE = ("--aircraft", "--map", "--calibration", "--plan", "--config", "--limits", "--json", "--figure", "--rrd")
-"""Options whose value is a file and not the one that the verb is about."""
+SIDE_FILES = ("--aircraft", "--map", "--calibration", "--plan", "--config", "--limits", "--json", "--figure", "--rrd")
+"""Options whose value is a file, but not {file}."""
 
 
 def next_line(words: Sequence[str], *, failed: bool) -> str:
-    """What to do after a command line; "" where there is nothing to say: help was asked for, or the verb is not ours."""
+    """The next step after a command line; empty for --help, or a verb without one. failed: whether its check failed."""
     if not words or {"-h", "--help"} & {*words}:
         return ""
     verb, rest = words[0], words[1:]
@@ -84,8 +84,8 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
     if not failed:
         text = next((t for (v, option), t in WITH_OPTION.items() if v == verb and option in rest), text)
     out = next((b for a, b in zip(rest, rest[1:], strict=False) if a in OUTPUTS), _usual_output(verb, rest))
-    beside = {b for a, b in zip(rest, rest[1:], strict=False) if a in BESIDE}
-    files = [w for w in rest if w not in (out, *beside) and not w.startswith("-") and Path(w).is_file()]
+    side_files = {b for a, b in zip(rest, rest[1:], strict=False) if a in SIDE_FILES}
+    files = [w for w in rest if w not in (out, *side_files) and not w.startswith("-") and Path(w).is_file()]
     file = next(iter(files), "FLIGHT")
     flight = next((w for w in files if not w.endswith(".toml")), "FLIGHT")
     model = next((w for w in rest[:1] if not w.startswith("-")), "MODEL.toml")
@@ -97,26 +97,26 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
     if verb == "fly" and text == NEXT["fly"]:
         return line + _free_flight(Path(out) / "scenario.toml")
     estimates = text.startswith(("sideslip estimate {file}", "sideslip estimate {out}"))
-    return line + _whose(rest, line.split()[2]) if estimates else line
+    return line + _aircraft_option(rest, line.split()[2]) if estimates else line
 
 
 def _after_gap(report: Path) -> str:
-    """What to do with the model that the gap workflow has written, where it found one: its name is the longest."""
-    found = sorted((report / "models").glob("*+*.toml"), key=lambda p: len(p.name))
-    if not found:
+    """The next step with the model that the gap workflow wrote: of several, the one with most effects has the longest name."""
+    models = sorted((report / "models").glob("*+*.toml"), key=lambda p: len(p.name))
+    if not models:
         return f"open {report}/index.html: its first screen says what to fly"
-    return f"sideslip match {found[-1]} FLIGHT, on a flight that was not used"
+    return f"sideslip match {models[-1]} FLIGHT, on a flight that was not used"
 
 
 def _usual_output(verb: str, rest: Sequence[str]) -> str:
-    """Where a verb writes that is not told where; OUT where it would not."""
+    """The default output of a verb; OUT for one without."""
     if verb == "fly":
         return next((f"flights/{w}" for w in rest if Path("flights", w).is_dir()), "OUT")
     return "demo" if verb == "demo" else "OUT"
 
 
 def _free_flight(scenario_file: Path) -> str:
-    """The --segments of what was flown by forces: launch and landing of a simulated flight are scripted paths."""
+    """The option --segments without launch and landing of a simulated flight, which are scripted paths; empty without these."""
     from daq.utilities.errors import UserError
     from firmware_sim.world.scenario import load_scenario
 
@@ -129,8 +129,8 @@ def _free_flight(scenario_file: Path) -> str:
     return f" --segments {start:g}:{start + scenario.flight.duration_s:g}" if scripted else ""
 
 
-def _whose(rest: Sequence[str], flight: str) -> str:
-    """The --aircraft that an estimate of a flight needs: as given before, or to be written where the flight names none."""
+def _aircraft_option(rest: Sequence[str], flight: str) -> str:
+    """The option --aircraft for an estimate of a flight: as given before, or a placeholder where the flight names no aircraft."""
     from daq.utilities.errors import UserError
     from groundstation.flight.files.reading import named_aircraft
 
@@ -144,6 +144,6 @@ def _whose(rest: Sequence[str], flight: str) -> str:
 
 
 def quiet_first(words: Sequence[str]) -> tuple[list[str], bool]:
-    """The words without --quiet, wherever it stands, and whether it was there (or SIDESLIP_QUIET in the environment)."""
+    """The words without --quiet, and whether it was among them or SIDESLIP_QUIET is set."""
     rest = [w for w in words if w != "--quiet"]
     return rest, len(rest) < len(words) or bool(os.environ.get("SIDESLIP_QUIET"))

@@ -1,4 +1,4 @@
-"""The aircraft as live identification is told of it: from the aircraft file that is given, carried along, or built in."""
+"""The aircraft for live identification, from a given, embedded or built-in aircraft file, or a model."""
 
 import math
 from collections.abc import Sequence
@@ -17,18 +17,16 @@ from estimation.aircraft import Aircraft
 from estimation.aircraft.library import load_aircraft
 from estimation.aircraft.schema import aircraft_from_text
 
-DOUBTED = (
-    0.5  # of a believed value: its standard deviation where the file states none, as `estimate --method live` has it
-)
-NEEDED = ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz")
+DEFAULT_STD = 0.5  # of a believed value, where the file states no std; the same in `estimate --method live`
+NEEDED = ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz")  # of the aircraft file; "c" as well with the pitching plane
 
 
 def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAircraft:
-    """The aircraft of a name or file; text: that of the file which travelled with the recording; model: what is estimated, a
-    built-in model's name or the file of one; the gap monitor holds one that is a file against flight.
+    """The aircraft of a name or file. text: of the aircraft file embedded in the recording, used instead. model: name of a
+    built-in model, or a model file, whose values the gap monitor then compares with the flight; "" for the default.
 
-    Raises AircraftError where there is no such aircraft, or where its file lacks geometry, mass or inertia, ModelError and
-    EstimationError where the model cannot be read, or is not linear in its parameters.
+    Raises AircraftError for an unknown aircraft, or one without geometry, mass or inertia; ModelError and EstimationError for a
+    model that cannot be read, or is not linear in its parameters.
     """
     aircraft = (
         load_aircraft(name) if text is None else aircraft_from_text(text, f"aircraft {name} of the recording", name)
@@ -45,7 +43,7 @@ def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAi
 
 
 def airframe_of_model(model: str, aircraft: Aircraft) -> tuple[Airframe, tuple[PlaneRegression, ...]]:
-    """An aircraft as a model has it: its values, and what it says that these may be wrong by; and what it estimates."""
+    """The airframe with the values and standard deviations of a model as beliefs; and the regressions of that model."""
     from estimation.estimators.recursive import airframe_of, linear_terms, values_of
     from estimation.models.load import load_model
 
@@ -57,14 +55,14 @@ def airframe_of_model(model: str, aircraft: Aircraft) -> tuple[Airframe, tuple[P
 
 
 def airframe_of_file(aircraft: Aircraft, regressions: Sequence[PlaneRegression] = (LATERAL,)) -> Airframe:
-    """Geometry, mass and beliefs of an aircraft, as the recursive estimator takes them."""
+    """Geometry, mass, inertia and beliefs of an aircraft for the recursive estimator. regressions: the planes to be estimated."""
     pitching = LONGITUDINAL.name in [r.name for r in regressions]
     aircraft.need((*NEEDED, "c") if pitching else NEEDED, "live identification")
     beliefs = {}
     for name in (n for r in regressions for n in r.derivatives):
         prior = aircraft.prior(name)
         if prior is not None:
-            beliefs[name] = Belief(prior.value, DOUBTED * abs(prior.value) if prior.std is None else prior.std)
+            beliefs[name] = Belief(prior.value, DEFAULT_STD * abs(prior.value) if prior.std is None else prior.std)
     lag = None if aircraft.servos is None else aircraft.servos.lag
     a = aircraft
     chord = a.chord if pitching else math.nan

@@ -1,7 +1,7 @@
-"""The companion of the logger: `python -m sideslip.onboard`, started by it where `[identification]` is configured.
+"""The companion of the logger: `python -m sideslip.onboard`, which the logger starts where `[identification]` is configured.
 
-Reads frames from standard input (`daq.companion.wire`), brings scans to one instant, and answers every few seconds of flight. The
-same alignment and the same estimator as at the ground: same samples, same numbers.
+It reads scans from standard input (`daq.companion.wire`), identifies, and writes a reply every few seconds of flight. Alignment
+and estimator are those of the ground station, so the same samples give the same numbers.
 """
 
 import math
@@ -20,19 +20,19 @@ from groundstation.identification.words import point_line, short_line
 from groundstation.live.watches import LandingLimits
 from sideslip.live_aircraft import live_aircraft
 
-BATCH_S = 2.0  # s of scans at once: nobody looks at a screen here, and half the work is saved
-WANTED = 0.05  # bound to be reached, as a share of a derivative; only for the words
+BATCH_S = 2.0  # [s] of scans at once, twice that of the ground station, for half its work: no screen waits here
+WANTED = 0.05  # bound to be reached, as a share of a derivative; affects the text only
 
 
 def answer_of(state: LiveState, point: str = "", alarm: str = "") -> CompanionReply:
-    """What is told of a state. point, alarm: what there is new of either."""
+    """The reply with the identified derivatives of a state. point, alarm: texts on a new test point or alarm, else empty."""
     known = state.estimates.derivatives
-    told = {n: (known[n].estimate, known[n].std) for n in state.aircraft.shown if known[n].told}
-    return CompanionReply(state.time, told, short_line(state), "", point, alarm)
+    identified = {n: (known[n].estimate, known[n].std) for n in state.aircraft.shown if known[n].told}
+    return CompanionReply(state.time, identified, short_line(state), "", point, alarm)
 
 
 def answers(source: BinaryIO, sink: BinaryIO) -> None:
-    """Until the source ends. Raises UserError where calibration or aircraft cannot be used."""
+    """Write replies to `sink` until `source` ends. Raises UserError where calibration or aircraft cannot be used."""
     first = read_frame(source)
     if first is None:
         return
@@ -45,8 +45,8 @@ def answers(source: BinaryIO, sink: BinaryIO) -> None:
         _write(sink, CompanionReply(alarm=words))
     stretches = ManoeuvreDetector(landing.flying_speed, landing.flying_s, aircraft.regressions)
     live = LiveIdentification(aircraft, calibrator, WANTED, alignment, stretches, watched=setup.watch)
-    due = point_told = -math.inf
-    told_trouble = False
+    next_reply = last_point = -math.inf
+    trouble_sent = False
     while (data := read_frame(source)) is not None:
         try:
             alignment.add(data)
@@ -55,13 +55,13 @@ def answers(source: BinaryIO, sink: BinaryIO) -> None:
         state = live.step()
         if state is not None:
             point, alarm = "", "; ".join(a.text for a in live.new_alarms())
-            if state.point is not None and not state.point.moving and state.point.begin > point_told:
-                point, point_told = point_line(state), state.point.begin
-            if state.time >= due or point or alarm:
-                due = state.time + setup.every_s
+            if state.point is not None and not state.point.moving and state.point.begin > last_point:
+                point, last_point = point_line(state), state.point.begin
+            if state.time >= next_reply or point or alarm:
+                next_reply = state.time + setup.every_s
                 _write(sink, answer_of(state, point, alarm))
-        if live.trouble and not told_trouble:
-            told_trouble = True
+        if live.trouble and not trouble_sent:
+            trouble_sent = True
             _write(sink, CompanionReply(trouble=live.trouble))
     final = live.finish()
     if final is not None:
@@ -74,7 +74,7 @@ def _write(sink: BinaryIO, answer: CompanionReply) -> None:
 
 
 def main() -> None:
-    """Serve standard input and output."""
+    """Run on standard input and output; an error that the user can correct is the last reply."""
     try:
         answers(sys.stdin.buffer, sys.stdout.buffer)
     except UserError as error:

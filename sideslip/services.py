@@ -1,4 +1,4 @@
-"""What the verbs of the ground station are given: aircraft files, recipes and estimates, each imported when it is used."""
+"""The services of `groundstation.cli`: aircraft files, recipes and estimates, imported when they are first used."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Simulated flights for campaigns: the simulator behind the names that a plan's [[simulate]] uses."""
+"""Simulated flights for campaigns: scenarios of a plan's [[simulate]] as data, and the function that flies them."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,13 +6,13 @@ from typing import Any
 from estimation.campaign.keys import digest_of_files
 from estimation.campaign.tasks import FlightMaker
 
-NOT_FLOWN = ("sensors", "faults", "radio", "logger", "sequencer")
-"""Tables of a scenario that decide nothing here: there is no bus, no chip and no radio."""
+IGNORED_TABLES = ("sensors", "faults", "radio", "logger", "sequencer")
+"""Tables of a scenario without effect here, where there is no bus, no chip and no radio."""
 
 
 def describe_scenario(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The whole scenario as plain data, with dotted keys changed. ScenarioError for an unknown name or key, and for a key that
-    would change nothing."""
+    """A scenario as plain data. changes: dotted key -> value. ScenarioError for an unknown name or key, and for a key without
+    effect."""
     from estimation.aircraft import load_aircraft
     from firmware_sim.physics.aerodynamics import true_derivatives
     from firmware_sim.tables import ScenarioError
@@ -21,7 +21,7 @@ def describe_scenario(scenario: str, changes: Mapping[str, Any]) -> Mapping[str,
     tables: dict[str, Any] = {}
     for key, value in changes.items():
         table, dot, name = key.partition(".")
-        if table in NOT_FLOWN:
+        if table in IGNORED_TABLES:
             raise ScenarioError(
                 f"{key}: flights are made without bus, chips and radio, so it changes nothing; leave it out"
             )
@@ -37,7 +37,8 @@ def describe_scenario(scenario: str, changes: Mapping[str, Any]) -> Mapping[str,
 
 
 def fly_description(description: Mapping[str, Any]) -> bytes:
-    """The flight of a description as CSV, by the direct sensor model: no bus, no chips."""
+    """The CSV of a flight. description: `scenario`, as of `describe_scenario`, and `seed`. Flown by the direct sensor model,
+    without bus and chips."""
     import tempfile
     from pathlib import Path
 
@@ -53,5 +54,5 @@ def fly_description(description: Mapping[str, Any]) -> bytes:
 
 
 def simulator() -> FlightMaker:
-    """What `estimation.campaign` takes."""
+    """The simulator in the form that `estimation.campaign` needs."""
     return FlightMaker(describe_scenario, fly_description, digest_of_files(("firmware_sim", "estimation/aircraft")))

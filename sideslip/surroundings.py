@@ -1,4 +1,4 @@
-"""What the surroundings of a verb refuse it, a disk, memory, open files, processes, in one sentence with what to do."""
+"""Errors of the operating system (disk, memory, open files, processes) as one sentence with a remedy."""
 
 import errno
 import os
@@ -12,12 +12,12 @@ _REMEDIES = {
     errno.EAGAIN: "let this user have more processes (ulimit -u), or close other programs",
     errno.ENOBUFS: "close other programs",
 }
-_NO_THREAD = "can't start new thread"  # CPython's words, and all that tells this RuntimeError from others
-_NO_TEMPORARY = "No usable temporary directory"  # tempfile's
+_NO_THREAD = "can't start new thread"  # message of CPython, by which alone this RuntimeError is recognised
+_NO_TEMPORARY = "No usable temporary directory"  # message of tempfile
 
 
 def refusal(error: BaseException) -> str | None:
-    """The sentence for an error that comes from the surroundings; None for any other."""
+    """The sentence for an error of the operating system; None for any other error."""
     if isinstance(error, MemoryError):
         return f"{os.strerror(errno.ENOMEM)}; {_REMEDIES[errno.ENOMEM]}"
     if isinstance(error, RuntimeError) and str(error) == _NO_THREAD:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import CHANNEL_BY_NAME, channels_of
 from daq.utilities.constants import GRAVITY
 from groundstation.calibration import curves
-from groundstation.calibration.align import BRIDGED, COMPLETE, REPEATED, completeness
+from groundstation.calibration.align import BRIDGED, COMPLETE, SAME_STAMP, completeness
 from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.columns import MIXED, direct_columns
 from groundstation.calibration.scan_table import Readings, ScanTable
@@ -75,9 +75,9 @@ def _by_pulses(table: ScanTable, calibration: CalibrationSet, readings: Readings
     for name, lag in readings.lag.items():
         item, stamps = calibration.get(name), np.unique(table.time + table.known_offset(readings.group[name]))
         apart = np.diff(stamps[np.isfinite(stamps)])
-        if lag >= 0.0 or item is None or not np.any(apart > REPEATED):
+        if lag >= 0.0 or item is None or not np.any(apart > SAME_STAMP):
             continue
-        interval = float(np.median(apart[apart > REPEATED]))
+        interval = float(np.median(apart[apart > SAME_STAMP]))
         entry = {"from": f"{item.channel} and its servo", "kind": "measured", "rate_hz": 1.0 / interval}
         held = {HELD: True, INTERVAL: interval, BACK: DATED_BACK * interval, "servo_lag_s": -lag}
         found |= {column: {**entry, **held} for column in mixed.get(name) or direct.get(name, ())}

@@ -1,7 +1,6 @@
 """Scans as arrays: one row per scan, one column per raw channel, NaN where a channel has no value.
 
-This is the only door through which an unusable reading becomes "not measured": a value of a sensor group that was not
-in order in that scan is NaN from here on.
+Here alone, readings of a sensor group whose state in a scan was not usable become NaN.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,7 +20,7 @@ from groundstation.calibration.schema import CalibrationError
 
 Array = NDArray[np.float64]
 
-_BREAK = 1000  # in the numbering: more than any channel's spacing
+_BREAK = 1000  # step of the scan number at a gap: more than any channel's spacing
 
 
 @dataclass(frozen=True)
@@ -30,9 +29,9 @@ class ScanTable:
 
     number: (N,) scan counter. time: (N,) [s] on the aircraft's clock. raw: channel -> (N,) counts, NaN where absent or
     unusable. physical: the same at data-sheet scale. offset: group -> (N,) time of the group's sample after the scan's [s].
-    usable: group -> (N,) whether its sensor was in order in the scan (a group not read in a scan counts as in order).
-    utc_offset: UTC [s since 1970] minus `time` and its accuracy [s], from the scan that knew it best; None: never known.
-    bridged: numbered so that scans up to BRIDGED seconds apart are neighbours (`bridged`).
+    usable: group -> (N,) whether its sensor worked in the scan (True where the group was not read).
+    utc_offset: UTC [s since 1970] minus `time`, and its accuracy [s], from the scan with the best; None without UTC.
+    bridged: whether the scans are renumbered by `bridged`.
     """
 
     number: NDArray[np.int64]
@@ -48,7 +47,7 @@ class ScanTable:
         return int(self.time.size)
 
     def known_offset(self, group: str) -> Array:
-        """Read offset of a group in each scan [s]; where a scan does not carry it, the group's median, else 0."""
+        """(N,) read offset of a group [s]; the group's median in scans without one, 0 without any."""
         offset = self.offset[group]
         missing = np.isnan(offset)
         if not missing.any():
@@ -56,7 +55,7 @@ class ScanTable:
         return np.where(missing, 0.0 if missing.all() else float(np.median(offset[~missing])), offset)
 
     def clipped(self) -> dict[str, int]:
-        """Samples at the ends of the raw range of the signed channels: the truth lay beyond."""
+        """Channel -> number of samples at an end of the raw range, of the signed channels that have any."""
         counts = {}
         low, high = RAW_LIMITS["i16"]
         for name, values in self.raw.items():
@@ -67,6 +66,7 @@ class ScanTable:
         return counts
 
     def part(self, rows: slice | NDArray[np.bool_]) -> "ScanTable":
+        """The table with some of its rows."""
 
         def part_of(columns: Mapping[str, Any]) -> Mapping[str, Any]:
             return MappingProxyType({name: values[rows] for name, values in columns.items()})
@@ -76,20 +76,17 @@ class ScanTable:
 
 
 def bridged(table: ScanTable) -> ScanTable:
-    """The table with scans up to BRIDGED seconds apart numbered as neighbours: alignment breaks only where more is missing."""
+    """The table with new scan numbers, by which scans up to BRIDGED seconds apart are neighbours for the alignment."""
     steps = np.where(np.diff(table.time) <= BRIDGED, 1, _BREAK)
     return replace(table, number=np.concatenate([[0], np.cumsum(steps)]).astype(np.int64), bridged=True)
 
 
-_UNKNOWN_ACCURACY_NS = 2**32  # 4 s: worse than any accuracy that is told
-_BLOCK = 4096  # scans turned into columns at a time: as objects they take ten times the room
+_UNKNOWN_ACCURACY_NS = 2**32  # 4 s: worse than any stated accuracy
+_BLOCK = 4096  # scans converted to columns at a time: as objects they need ten times the memory
 
 
 def scan_table(scans: Iterable[Scan]) -> ScanTable:
-    """The table of `scans`, sorted by time; a scan number that comes again is dropped and counted.
-
-    Raises CalibrationError when there is no scan.
-    """
+    """The table of `scans`, sorted by time, without repeated scans; notes state both. Raises CalibrationError without a scan."""
     rest = iter(scans)
     blocks, offsets = [], []
     while block := list(islice(rest, _BLOCK)):
@@ -113,9 +110,9 @@ def scan_table(scans: Iterable[Scan]) -> ScanTable:
     unmeasured.flags.writeable = False
 
     def column(name: str) -> NDArray[Any]:
-        """One column of all blocks; taken out of them, for two copies of the whole table are one too many."""
+        """One column of all blocks, removed from them to save memory."""
         if not any(name in b for b in blocks):
-            return unmeasured  # one for all channels that nothing was read of
+            return unmeasured  # the same array for all channels without a value
         parts = [b.pop(name, np.full(b["number"].size, np.nan)) for b in blocks]
         values = np.concatenate(parts) if len(parts) > 1 else parts[0]
         return values if in_place else values[rows]
@@ -132,7 +129,7 @@ def scan_table(scans: Iterable[Scan]) -> ScanTable:
 
 
 def _utc_offset(scans: list[Scan]) -> tuple[float, float] | None:
-    """UTC minus monotonic time and its accuracy [s], from the scan that knew it best; None where none knew it."""
+    """UTC minus monotonic time, and its accuracy [s], from the most accurate scan; None without UTC."""
     timed = [s for s in scans if s.time_utc_ns > 0]
     if not timed:
         return None
@@ -142,7 +139,7 @@ def _utc_offset(scans: list[Scan]) -> tuple[float, float] | None:
 
 
 def _columns(scans: list[Scan]) -> dict[str, NDArray[Any]]:
-    """Some scans as columns; a channel or offset that none of them has is left out."""
+    """Some scans as columns, without channels and offsets that none of them has."""
     columns: dict[str, NDArray[Any]] = {
         "number": np.array([s.number for s in scans], np.int64),
         "time_ns": np.array([s.time_monotonic_ns for s in scans], np.uint64),
@@ -150,12 +147,12 @@ def _columns(scans: list[Scan]) -> dict[str, NDArray[Any]]:
     for g in GROUP_NAMES:
         columns[f"{g} usable"] = np.array([g not in s.groups or s.groups[g].state.usable for s in scans])
         offsets = [s.groups[g].offset_us if g in s.groups else np.nan for s in scans]
-        if offsets.count(np.nan) < len(scans):  # the very same object: nothing was read
+        if offsets.count(np.nan) < len(scans):  # count finds the NaN by identity
             columns[f"{g} offset"] = np.array(offsets, float) * 1e-6
     nan = float("nan")
     for channel in CHANNELS:
         read = [s.values.get(channel.name, nan) for s in scans]
-        if read.count(nan) == len(scans):  # the very same object each time: nothing was read
+        if read.count(nan) == len(scans):
             continue
         values = np.array(read, float)
         columns[channel.name] = np.where(columns[f"{channel.group} usable"], values, np.nan)
@@ -164,11 +161,10 @@ def _columns(scans: list[Scan]) -> dict[str, NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Readings:
-    """Physical value of each instrument axis, with what is known of its instant.
+    """Physical value of each instrument axis, with its delays.
 
-    values: name -> (N,). group: name -> sensor group. delay: name -> by which it lags [s]. lag: name -> time constant of a
-    first-order low pass in front of it [s].
-    extrapolated, clipped: instrument or channel -> number of samples.
+    values: name -> (N,), SI. group: name -> sensor group. delay: name -> delay [s]. lag: name -> time constant [s] of the
+    first-order low pass before the sensor. extrapolated, clipped: instrument or channel -> number of samples.
     """
 
     values: dict[str, Array]

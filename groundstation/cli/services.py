@@ -1,4 +1,4 @@
-"""What the verbs of the ground station are given by whoever assembles the command line."""
+"""Functions from other packages that the verbs of the ground station call, which may not import them."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -12,10 +12,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Services:
-    """What the command line gives the verbs, as click's object; they know no aircraft files, models and estimators.
-
-    aircraft: of a name or file, for live identification. recipe: what a flight is good for. estimate: of flights, with model,
-    methods, aircraft ("": the one the flights name) and the folder of the report; gives what a person reads."""
+    """The object of click's context. aircraft: name or file, text of an embedded file, model -> aircraft for live identification.
+    recipe: flight -> advice on methods and models. estimate: flights, model, methods, aircraft ("" for that of the flights),
+    folder of the report -> lines to print."""
 
     aircraft: "AircraftSource"
     recipe: "Callable[[Flight], Any]"

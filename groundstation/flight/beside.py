@@ -1,4 +1,5 @@
-"""Two flights in one view or report: the second moved in time until it lies on the first, drawn beside the first's columns."""
+"""Two flights in one: the second is shifted in time to match the first, and its columns stand beside the first's, for view and
+report."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,22 +15,23 @@ from groundstation.flight.marks import marks_of
 Array = NDArray[np.float64]
 
 COMPARED = ("delta_a", "delta_r", "delta_e", "cmd_a", "cmd_r", "cmd_e", "p", "q", "r", "phi", "theta")
-"""Columns whose likeness tells which time of one flight is which of the other."""
-RATE = 20.0
-"""[Hz] at which they are compared: a servo's rise is some samples long."""
-SHORTEST = 5.0
-"""[s] of common time below which any two flights look alike."""
-ALIKE = 0.3
-"""Correlation over all columns from which on two flights are said to lie on each other."""
-BOOTS, AT_ONCE = 10.0, 1.0
-"""[s] within which an autopilot says what it is, and writes the state in which it finds itself."""
+"""Columns whose correlation gives the shift."""
+COMPARISON_RATE = 20.0
+"""[Hz] to which they are resampled: the rise of a servo then lasts some samples."""
+SHORTEST_OVERLAP = 5.0
+"""[s]; over a shorter common time any two flights correlate."""
+LEAST_CORRELATION = 0.3
+"""Over all columns, for a shift to count as found."""
+BOOT_TIME, FIRST_STATE = 10.0, 1.0
+"""[s] after its start in which an autopilot reports its version and board, and writes its first state."""
 BESIDE = "_model"
 """Ending of the columns that the view draws beside those of a flight."""
 
 
 @dataclass(frozen=True)
 class PairedFlight:
-    """flight: the first, with the second's columns beside its own; shift: added to the second's time [s]; text: how found."""
+    """flight: the first, with the columns of the second added under names ending in BESIDE; shift: added to the second's time
+    [s]; text: the shift and by what it was found."""
 
     flight: Flight
     shift: float
@@ -37,8 +39,9 @@ class PairedFlight:
 
 
 def beside(first: Flight, second: Flight, by: str = "auto") -> PairedFlight:
-    """Both in one. by: 'input' (first movement of a control), 'event' (first event, mode or message that both have),
-    'correlation', 'start', or 'auto': correlation, else input, else start. Raises FlightError where that cannot be done."""
+    """Both flights in one. by: 'correlation', 'input' (first movement of a control), 'event' (first event, mode or message that
+    both have), 'start', or 'auto': correlation, else input, else start. FlightError where that gives no shift, or no common
+    time."""
     ways: Mapping[str, Callable[[Flight, Flight], tuple[float, str] | None]] = {
         "correlation": _by_correlation, "input": _by_input, "event": _by_event, "start": _by_start,
     }  # fmt: skip
@@ -65,7 +68,8 @@ def beside(first: Flight, second: Flight, by: str = "auto") -> PairedFlight:
 
 
 def _resampled(base: Array, time: Array, values: Array, flight: Flight) -> Array:
-    """Values of the second at times of the first; NaN outside it and in its gaps."""
+    """The values of the second flight at the times `base` of the first (n,); NaN outside it and in its gaps. time: of the second,
+    shifted [s]."""
     finite = np.isfinite(values)
     if finite.sum() < 2:
         return np.full(base.size, np.nan)
@@ -87,33 +91,34 @@ def _by_input(first: Flight, second: Flight) -> tuple[float, str] | None:
 
 
 def _by_event(first: Flight, second: Flight) -> tuple[float, str] | None:
-    for own, other in zip(_ranked_events(first), _ranked_events(second), strict=True):
-        theirs: dict[str, float] = {}
-        for time, text in other:
-            theirs.setdefault(text, time)
-        common = next(((time - theirs[text], f"by '{text}'") for time, text in own if text in theirs), None)
+    for first_events, second_events in zip(_ranked_events(first), _ranked_events(second), strict=True):
+        second_times: dict[str, float] = {}
+        for time, text in second_events:
+            second_times.setdefault(text, time)
+        common = next(
+            ((time - second_times[text], f"by '{text}'") for time, text in first_events if text in second_times), None
+        )
         if common is not None:
             return common
     return None
 
 
 def _ranked_events(flight: Flight) -> tuple[list[tuple[float, str]], ...]:
-    """What happened, what was said, and what was so from the beginning, each in order of time. What an autopilot says while it
-    boots (its version, its board) stands in every log and tells nothing."""
+    """(Time [s], text) of events and changes of mode, of messages, and of all events and modes from the start on, in the order in
+    which they are tried. Messages of the boot (version, board) are left out, since every log has them."""
     marks = marks_of(flight)
     events, modes = [(m.time, m.text) for m in marks.events], [(m.start, f"mode {m.name}") for m in marks.modes]
-    begins = min([t for t, _ in (*events, *modes)] + [m.time for m in marks.messages] + [float(flight.time[0])])
-    said = [(m.time, m.text) for m in marks.messages if m.time > begins + BOOTS]
-    happened = [event for event in (*events, *modes[1:]) if event[0] > begins + AT_ONCE]
-    return sorted(happened), sorted(said), sorted([*events, *modes])
+    start = min([t for t, _ in (*events, *modes)] + [m.time for m in marks.messages] + [float(flight.time[0])])
+    messages = [(m.time, m.text) for m in marks.messages if m.time > start + BOOT_TIME]
+    changes = [event for event in (*events, *modes[1:]) if event[0] > start + FIRST_STATE]
+    return sorted(changes), sorted(messages), sorted([*events, *modes])
 
 
 def _by_correlation(first: Flight, second: Flight) -> tuple[float, str] | None:
-    """The shift at which the columns that both have are most alike, over all of them."""
+    """The shift with the largest correlation over all columns that both flights have."""
     names = [n for n in COMPARED if first.measured(n) and second.measured(n)]
-    peak = None
-    a, b = (np.arange(f.time[0], f.time[-1], 1 / RATE) for f in (first, second))
-    min_samples = round(SHORTEST * RATE)
+    a, b = (np.arange(f.time[0], f.time[-1], 1 / COMPARISON_RATE) for f in (first, second))
+    min_samples = round(SHORTEST_OVERLAP * COMPARISON_RATE)
     if not names or min(a.size, b.size) < min_samples:
         return None
     size = a.size + b.size
@@ -129,18 +134,17 @@ def _by_correlation(first: Flight, second: Flight) -> tuple[float, str] | None:
         correlation = np.where(
             (common >= min_samples) & (power_a > 0) & (power_b > 0), cross / np.sqrt(power_a * power_b), -1.0
         )
-        correlation = correlation * np.sqrt(
-            np.clip(common / min(a.size, b.size), 0.0, 1.0)
-        )  # a short overlap is alike by chance
+        # a short overlap correlates by chance
+        correlation = correlation * np.sqrt(np.clip(common / min(a.size, b.size), 0.0, 1.0))
     peak = int(np.argmax(correlation))
-    if correlation[peak] < ALIKE:
+    if correlation[peak] < LEAST_CORRELATION:
         return None
     lag = peak if peak < size else peak - 2 * size
-    return float(a[0] - b[0] + lag / RATE), f"{', '.join(names)} correlate by {correlation[peak]:.2f}"
+    return float(a[0] - b[0] + lag / COMPARISON_RATE), f"{', '.join(names)} correlate by {correlation[peak]:.2f}"
 
 
 def _normalised(flight: Flight, name: str, time: Array) -> Array:
-    """A column at an even rate, about its median, in units of its spread over both."""
+    """A column interpolated at `time` (n,), less its median, over its rms."""
     finite = np.isfinite(flight[name])
     values = np.interp(time, flight.time[finite], flight[name][finite])
     values = values - np.median(values)
@@ -148,5 +152,5 @@ def _normalised(flight: Flight, name: str, time: Array) -> Array:
 
 
 def _products(x: Array, y: Array, size: int) -> Array:
-    """Sum over t of x(t + lag) y(t), by lag; negative ones from the end."""
+    """(2 size,) sum over t of x(t + lag) y(t) for each lag in samples; negative lags count from the end, as in an FFT."""
     return np.asarray(np.fft.irfft(np.fft.rfft(x, 2 * size) * np.conj(np.fft.rfft(y, 2 * size)), 2 * size))

@@ -1,6 +1,6 @@
-"""What a person should know of a flight's data, from its import to its report: one type for notes, suspicions and checks.
+"""Findings on a flight's data, from import to report: one type for notes, suspected mistakes and checks.
 
-In a flight file and in every JSON a note is its sentence; a file keeps kinds and columns beside them, under `facts`.
+In a flight file and in every JSON a note is its sentence; a file has kinds and columns of notes as well, under `facts`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,27 +16,25 @@ _SEVERITIES: tuple[Severity, ...] = ("ok", "note", "warn", "fail")
 
 
 class FindingKind(StrEnum):
-    """What a note states; a check of the quality report has its own name instead."""
+    """The subject of a note; a check of the quality report has its name as kind instead."""
 
     OTHER = "other"
     TIME_ORDER = "time order"  # rows were unsorted, repeated or without a time
     GAP = "gap"  # time is missing
-    UNKNOWN_COLUMNS = "unknown columns"  # kept, though no table here names them
+    UNKNOWN_COLUMNS = "unknown columns"  # of the flight that are not in the channel table
     NOT_MEASURED = "not measured"  # wholly or in part
-    LEFT_OUT = "left out"  # samples or channels that a fit does not see
+    LEFT_OUT = "left out"  # samples or channels that a fit does not use
     STUCK = "stuck"  # a sensor that repeats one value
     HELD = "held"  # a sensor slower than the samples, whose last value is repeated
-    OUTLIER = "outlier"  # values that no motion makes
-    DERIVED = "derived"  # a column made from others
-    UNLIKELY = "unlikely"  # values that look like another unit
+    OUTLIER = "outlier"  # values that no motion explains
+    DERIVED = "derived"  # a column calculated from others
+    UNLIKELY = "unlikely"  # values that look like another unit, sign or axis
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """kind: a FindingKind or the name of a check; text: what was found, where in time, and what to do.
-
-    columns: those of the flight that it is about; labels: what their file calls them, where that is another name.
-    """
+    """kind: a FindingKind or the name of a check; text: the fact, its time, and what to do; columns: those of the flight that it
+    concerns; labels: their names in the file that was read, where these differ."""
 
     kind: str
     text: str
@@ -48,17 +46,17 @@ class Finding:
         return self.text
 
     def to_json(self) -> dict[str, str]:
-        """As in the JSON of `sideslip check`."""
+        """An entry of `quality` in the JSON of `sideslip check`."""
         return {"check": self.kind, "verdict": self.severity, "text": self.text}
 
 
 def as_finding(note: Finding | str) -> Finding:
-    """A sentence of no particular kind, or a finding as it is."""
+    """A sentence as a finding of kind OTHER; a finding unchanged."""
     return note if isinstance(note, Finding) else Finding(FindingKind.OTHER, note)
 
 
 def finding_texts(findings: Iterable[Finding]) -> list[str]:
-    """The sentences, as JSON has them."""
+    """The sentences alone, for JSON."""
     return [finding.text for finding in findings]
 
 
@@ -68,19 +66,19 @@ def worst(findings: Iterable[Finding]) -> Severity:
 
 
 def without_repeats(notes: Iterable[Finding | str]) -> tuple[Finding, ...]:
-    """Every sentence once, in order; of those that say the same the newest, for an older file may not know its kind."""
+    """One finding for each sentence, in order; the last of equal ones, since only newer ones may have a kind."""
     return tuple({finding.text: finding for finding in map(as_finding, notes)}.values())
 
 
 def unknown_columns(labels: Mapping[str, str]) -> Finding:
-    """Columns that no table here names. labels: column of the flight -> what its file calls it."""
+    """The finding on columns that are not in the channel table. labels: column of the flight -> its name in the file."""
     names = ", ".join(column if column == label else f"{label} as {column}" for column, label in labels.items())
     text = f"columns not known to Sideslip, kept as they are: {names}"
     return Finding(FindingKind.UNKNOWN_COLUMNS, text, columns=tuple(labels), labels=tuple(labels.values()))
 
 
 def to_meta(findings: Iterable[Finding]) -> dict[str, Any]:
-    """Findings as a flight file keeps them; `from_meta` gives the same ones."""
+    """Findings as metadata of a flight file, without severities; the inverse of `from_meta`."""
     notes = tuple(findings)
     facts = [
         {
@@ -95,7 +93,7 @@ def to_meta(findings: Iterable[Finding]) -> dict[str, Any]:
 
 
 def from_meta(meta: Mapping[str, Any]) -> list[Finding]:
-    """Findings of a flight file. A kind that is not known here, of a newer file, is `OTHER`."""
+    """Findings of a flight file's metadata. An unknown kind, of a newer file, becomes OTHER."""
     notes = [as_finding(one_line(text)) for text in as_texts(meta.get("notes"))]
     known_kinds = {kind.value: kind for kind in FindingKind}
     facts = meta.get("facts")

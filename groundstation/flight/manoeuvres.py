@@ -1,7 +1,7 @@
-"""Where in a flight the controls were moved: windows with a name, and the flight cut to them.
+"""Manoeuvres of a flight: the windows in which controls were moved, their kinds, and the flight cut to them.
 
-A window begins when a control leaves its slowly varying trim position by more than its noise allows, and ends once
-all controls have been quiet for a while, with the aircraft's answer included.
+A window begins when a control leaves its slowly varying trim position by more than its noise. It ends once all controls have been
+quiet for a while, and includes the aircraft's response.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,11 +16,14 @@ from groundstation.flight.errors import FlightError
 from groundstation.flight.flight import Flight
 
 CONTROLS = ("delta_a", "delta_r", "delta_e")
-SMALLEST = 0.0175  # rad: a control movement below 1 deg is trimming, not a manoeuvre
-TRIM_TIME = 12.0  # s: the trim position is the median over so long
-MEDIANS_AT_ONCE = 2_000_000  # samples in windows at once: 16 MB
-QUIET = 2.0  # s without movement end a manoeuvre
-LEAD, TAIL = 0.5, 2.5  # s kept before the first movement and after the last
+SMALLEST = 0.0175  # [rad] a control movement below 1 deg is trimming, not a manoeuvre
+NOISE_FACTOR = 6  # standard deviations of the noise that a movement must exceed, too
+TRIM_TIME = 12.0  # [s] of the running median that is the trim position
+MEDIANS_AT_ONCE = 2_000_000  # samples in windows that are sorted at once: 16 MB
+QUIET = 2.0  # [s] without movement end a manoeuvre
+LEAD, TAIL = 0.5, 2.5  # [s] before the first movement and after the last that belong to the window
+LEADING_SHARE = 0.3  # of the largest movement; a control that moves less only follows it (mixing, gusts on the linkage)
+PULSE_SHARE = 0.4  # of the amplitude, beyond which a control is in a pulse
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,8 @@ class ManoeuvreStretch:
     """A stretch of flight in which controls were moved.
 
     start, stop: first and last time of the window [s]. controls: the columns that moved, the largest movement first.
-    kind: 'doublet', '3-2-1-1', 'step', 'multistep' or 'mixed', judged on the first control. amplitude: of that control [rad].
+    kind: of the first control's input, 'doublet', '3-2-1-1', 'step' or 'multistep'; 'mixed' of several controls. amplitude: of
+    the first control [rad].
     """
 
     start: float
@@ -67,10 +71,8 @@ def find_manoeuvres(
 
 
 def cut_to_manoeuvres(flight: Flight, manoeuvres: Iterable[ManoeuvreStretch], name: str | None = None) -> Flight:
-    """The flight reduced to the windows, each a segment of its own, with initial states of its own in an estimate.
-
-    Raises FlightError when no sample lies in a window.
-    """
+    """The flight reduced to the windows, each a segment with initial states of its own in an estimate. FlightError where fewer
+    than two samples lie in a window."""
     label = np.full(len(flight), -1, np.int64)
     for number, m in enumerate(manoeuvres):
         rows = (flight.time >= m.start) & (flight.time <= m.stop) & (label < 0)
@@ -85,7 +87,7 @@ def cut_to_manoeuvres(flight: Flight, manoeuvres: Iterable[ManoeuvreStretch], na
 
 
 def _departure(values: Array, time: Array) -> Array:
-    """Movement away from trim: the value less its running median, 0 where not measured."""
+    """(n,) movement from trim [rad]: the value less its running median, 0 where not measured."""
     width = max(3, int(TRIM_TIME / float(np.median(np.diff(time)))) | 1)
     filled = values.copy()
     missing = ~np.isfinite(filled)
@@ -108,9 +110,10 @@ def _departure(values: Array, time: Array) -> Array:
 
 
 def _active(departure: Array, smallest: float) -> NDArray[np.bool_]:
+    """(n,) samples at which a control is away from trim by more than `smallest` [rad] and its noise."""
     steps = np.diff(departure)
     noise = float(np.median(np.abs(steps))) * 1.4826 / np.sqrt(2) if steps.size else 0.0
-    return np.asarray(np.abs(departure) > max(smallest, 6 * noise))
+    return np.asarray(np.abs(departure) > max(smallest, NOISE_FACTOR * noise))
 
 
 def _windows(active: NDArray[np.bool_], time: Array) -> list[tuple[int, int]]:
@@ -125,11 +128,11 @@ def _windows(active: NDArray[np.bool_], time: Array) -> list[tuple[int, int]]:
 def _describe(
     time: Array, first: int, last: int, departures: dict[str, Array], active: dict[str, NDArray[np.bool_]]
 ) -> ManoeuvreStretch:
+    """The manoeuvre between the rows `first` and `last` of a segment. departures, active: by control, (n,)."""
     span = slice(first, last + 1)
     sizes = {c: float(np.max(np.abs(departures[c][span]))) for c in departures if active[c][span].any()}
     order = sorted(sizes, key=lambda c: -sizes[c])
-    # a control that merely rides along (mixing, gusts on the linkage) moves much less than the leading one
-    leading = tuple(c for c in order if sizes[c] > 0.3 * sizes[order[0]])
+    leading = tuple(c for c in order if sizes[c] > LEADING_SHARE * sizes[order[0]])
     lead = order[0]
     kind = _kind(departures[lead][span], time[span], sizes[lead]) if len(leading) == 1 else "mixed"
     return ManoeuvreStretch(
@@ -138,8 +141,8 @@ def _describe(
 
 
 def _kind(departure: Array, time: Array, size: float) -> str:
-    """Name of the input from its pulses: runs of one sign beyond half the amplitude."""
-    sign = np.where(departure > 0.4 * size, 1, np.where(departure < -0.4 * size, -1, 0))
+    """Kind of an input by its pulses: runs of one sign beyond PULSE_SHARE of the amplitude `size` [rad]."""
+    sign = np.where(departure > PULSE_SHARE * size, 1, np.where(departure < -PULSE_SHARE * size, -1, 0))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], sign, [0]])))
     pulses = [
         (int(sign[a]), float(time[min(b, time.size - 1)] - time[a]))

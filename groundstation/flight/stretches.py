@@ -1,7 +1,7 @@
-"""Stretches of a flight by times, by the name of a flight mode, or by a condition over its columns, as `--segments` writes them.
+"""Stretches of a flight as `--segments` gives them, and the times at which the aircraft was in the air.
 
-`2:12,15:25` [s], `mode:MANUAL`, `V > 12 and abs(phi) < 0.5`, `mode:FBWA and V > 12`. Stretches by name or condition leave out
-when the aircraft was not on its wings (on the ground, rolling, hovering), and runs too short for a manoeuvre.
+`2:12,15:25` [s], `mode:MANUAL`, `V > 12 and abs(phi) < 0.5`, `mode:FBWA and V > 12`. Stretches by mode or condition leave out
+times without lift of the wings (on the ground, rolling, hovering), and runs too short for a manoeuvre.
 """
 
 import re
@@ -19,17 +19,16 @@ from groundstation.flight.expression import MODE, Expression, parse_condition
 from groundstation.flight.flight import Flight
 from groundstation.flight.marks import FlightMode, marks_of
 
-SHORTEST = 1.0  # [s] of a stretch by name or condition: less holds no manoeuvre
+SHORTEST_STRETCH = 1.0  # [s] of a stretch by mode or condition: a shorter one holds no manoeuvre
 MOST_MODES_SHOWN = 12
-STANDS = 3.0  # [m/s] below which an aeroplane stands, taxies or hovers, and no airspeed is measured well
-SLOW = (
-    0.55  # of the usual airspeed in flight: wings carry a third of the weight there, so something else carries the rest
+STANDING_SPEED = 3.0  # [m/s] below which an aeroplane stands, taxies or hovers, and no pitot measures well
+SLOW_SHARE = 0.55  # of the median airspeed, below which wings carry less than a third of the weight
+STANDING_SHARE = (
+    0.35  # of the largest airspeed, where that is less: a model that flies at 4 m/s does not stand at 2 m/s
 )
-STANDS_SHARE = 0.35  # of the fastest, where that is less: a model that flies at 4 m/s does not stand at 2
-LASTS = 2.0  # [s] that it is slow before it counts: a stall or a gust passes
-OFF_THE_GROUND = 3.0
-"""[m] above where it stood before or after, below which an aeroplane that begins or ends slow still rolls or flares."""
-LONGEST_ROLL = 60.0  # [s] from standing to that height, and back
+SHORTEST_SLOW = 2.0  # [s] of low airspeed: a stall or a gust is shorter
+FLYING_HEIGHT = 3.0  # [m] above the ground, below which an aeroplane at the start or end of a record rolls or flares
+LONGEST_ROLL = 60.0  # [s] from standing to that height, or back
 _TIMES = re.compile(r"(?:[\s\d.eE+\-,]|inf|nan)*:(?:[\s\d.eE+\-:,]|inf|nan)*|[\s\d.eE+\-,]+")
 
 
@@ -39,29 +38,29 @@ class StretchError(FlightError):
 
 @dataclass(frozen=True)
 class LabelledStretches:
-    """label: (N,) number of the stretch of each sample, -1 outside; notes: what was left out, and why."""
+    """label: (N,) number of each sample's stretch, -1 outside; notes: sentences on what was left out, and why."""
 
     label: NDArray[np.int64]
     notes: tuple[str, ...] = ()
 
 
 def is_times(text: str) -> bool:
-    """Whether a text means stretches by their times."""
+    """Whether a text of `--segments` gives stretches by times (or is empty), not by mode or condition."""
     return not text.strip() or _TIMES.fullmatch(text.strip()) is not None
 
 
 def stretches_where(flight: Flight, text: str) -> LabelledStretches:
-    """The stretches of a flight in which a condition holds. Raises FlightError where the text is none, or names a column or a
-    mode that the flight has not, and where nothing is left."""
+    """The stretches of a flight in which a condition holds. FlightError for a text that is no condition, a column or mode that
+    the flight does not have, or a condition that holds nowhere for long enough."""
     condition = parse_condition(text)
     columns = _condition_columns(flight, condition)
     holds = (condition.values(columns) > 0.0) & np.all([np.isfinite(c) for c in columns.values()], axis=0)
     flight_phase = airborne(flight)
     notes = [flight_phase.text] if flight_phase.text and (holds & ~flight_phase.flying).any() else []
     runs = true_runs(holds & flight_phase.flying, flight.segments)
-    stretches = [(a, b) for a, b in runs if flight.time[b - 1] - flight.time[a] >= SHORTEST]
+    stretches = [(a, b) for a, b in runs if flight.time[b - 1] - flight.time[a] >= SHORTEST_STRETCH]
     if len(runs) > len(stretches):
-        notes.append(f"{len(runs) - len(stretches)} stretches of '{text}' shorter than {SHORTEST:g} s left out")
+        notes.append(f"{len(runs) - len(stretches)} stretches of '{text}' shorter than {SHORTEST_STRETCH:g} s left out")
     if not stretches:
         reason = "; ".join(notes) or f"it holds at {int(holds.sum())} of {len(flight)} samples"
         raise StretchError(f"--segments {text!r}: nothing of {flight.name} is left: {reason}")
@@ -72,7 +71,7 @@ def stretches_where(flight: Flight, text: str) -> LabelledStretches:
 
 
 def _condition_columns(flight: Flight, condition: Expression) -> dict[str, Array]:
-    """What a condition reads."""
+    """The columns (N,) that a condition names; a mode is 1 where the autopilot was in it, else 0."""
     modes = marks_of(flight).modes
     columns: dict[str, Array] = {}
     for name in condition.columns:
@@ -101,13 +100,13 @@ def _in_mode(flight: Flight, name: str, modes: Iterable[FlightMode]) -> Array:
     return in_mode
 
 
-# ------------------------------------------------------------------------------------------------------- on its wings
+# ------------------------------------------------------------------------------------------------------- in the air
 
 
 @dataclass(frozen=True)
 class Airborne:
-    """flying: (N,) samples on the wings. text: what was left out and why; empty where nothing was. stood: whether the record
-    begins or ends with the aircraft standing, by its airspeed and, where measured, its speed over ground, and flies besides."""
+    """flying: (N,) samples in the air. text: what was left out and why; empty where nothing was. stood: whether the aircraft
+    stands at the start or end of the record, by airspeed and, where measured, ground speed, and flies in between."""
 
     flying: Mask
     text: str
@@ -115,16 +114,16 @@ class Airborne:
 
 
 def airborne(flight: Flight) -> Airborne:
-    """When the aircraft flew; all of the flight where no speed tells."""
+    """When the aircraft was in the air; throughout where no speed is measured."""
     speed = hold_recent(flight.time, _speed(flight))
-    stands = _standing(speed)
-    rolling_speeds = speed[np.isfinite(speed) & (speed > stands)]
-    limit = max(SLOW * float(np.median(rolling_speeds)), stands) if rolling_speeds.size else 0.0
+    standing = _standing_speed(speed)
+    moving = speed[np.isfinite(speed) & (speed > standing)]
+    limit = max(SLOW_SHARE * float(np.median(moving)), standing) if moving.size else 0.0
     with np.errstate(invalid="ignore"):
         slow_runs = true_runs(speed < limit, flight.segments)
     slow = np.zeros(len(flight), bool)
     for a, b in slow_runs:
-        slow[a:b] = flight.time[b - 1] - flight.time[a] >= LASTS
+        slow[a:b] = flight.time[b - 1] - flight.time[a] >= SHORTEST_SLOW
     slow &= ~lost_airspeed(flight.time, flight.columns, flight.segments)
     if not slow.any():
         return Airborne(~slow, "")
@@ -133,32 +132,33 @@ def airborne(flight: Flight) -> Airborne:
     seconds = int((~flying).sum()) * flight.sample_interval
     text = (
         f"{seconds:.1f} s on the ground, at lift-off or landing, or in a hover are left out: slower than {limit:.3g} m/s"
-        + (f", or within {OFF_THE_GROUND:g} m of the ground before and after" if (rolls & ~slow).any() else "")
+        + (f", or within {FLYING_HEIGHT:g} m of the ground before and after" if (rolls & ~slow).any() else "")
     )
-    return Airborne(flying, text, bool(flying.any()) and _stood(flight, speed, stands, flying))
+    return Airborne(flying, text, bool(flying.any()) and _stood(flight, speed, standing, flying))
 
 
-def _standing(speed: Array) -> float:
-    """Airspeed [m/s] below which an aeroplane stands; no spike of a fiftieth of the record decides."""
+def _standing_speed(speed: Array) -> float:
+    """Speed [m/s] below which an aeroplane stands, by the 0.98 quantile, so that spikes do not count. speed: (N,) [m/s]."""
     known = speed[np.isfinite(speed)]
-    return min(STANDS, STANDS_SHARE * float(np.quantile(known, 0.98))) if known.size else 0.0
+    return min(STANDING_SPEED, STANDING_SHARE * float(np.quantile(known, 0.98))) if known.size else 0.0
 
 
-def _stood(flight: Flight, speed: Array, stands: float, flying: Mask) -> bool:
-    """Whether a segment begins or ends below a speed, and the fixes, where there are any, do not say that it flew there."""
-    count = max(round(LASTS / flight.sample_interval), 1)
+def _stood(flight: Flight, speed: Array, standing: float, flying: Mask) -> bool:
+    """Whether a segment begins or ends below the standing speed [m/s], and the ground speed, where measured, is low there,
+    too."""
+    count = max(round(SHORTEST_SLOW / flight.sample_interval), 1)
     ends = [e for p in flight.segments for e in (speed[p][:count], speed[p][-count:]) if np.isfinite(e).any()]
-    if not any(np.nanmedian(e) < stands for e in ends):
+    if not any(np.nanmedian(e) < standing for e in ends):
         return False
     ground = ground_speed(flight.time, flight.columns)
     if ground is None or not np.isfinite(ground).any():
         return True
-    there, in_flight = ground[~flying & np.isfinite(ground)], ground[flying & np.isfinite(ground)]
-    return there.size > 0 and in_flight.size > 0 and bool(np.median(there) < 0.5 * np.median(in_flight))
+    on_ground, in_flight = ground[~flying & np.isfinite(ground)], ground[flying & np.isfinite(ground)]
+    return on_ground.size > 0 and in_flight.size > 0 and bool(np.median(on_ground) < 0.5 * np.median(in_flight))
 
 
 def _speed(flight: Flight) -> Array:
-    """Airspeed [m/s], or what the pressures make of it; over ground where neither is measured; NaN without any."""
+    """(N,) airspeed [m/s], also by pressure; speed over ground where that is not measured; NaN without either."""
     speed = airspeed({n: v for n, v in flight.columns.items() if flight.measured(n)})
     if speed is not None:
         return speed
@@ -168,7 +168,7 @@ def _speed(flight: Flight) -> Array:
 
 
 def _rolls(flight: Flight, slow: Mask) -> Mask:
-    """Samples between standing and some height, before and after."""
+    """(N,) samples of take-off and landing between standing and FLYING_HEIGHT."""
     rolls = np.zeros(len(flight), bool)
     height = next((flight[c] for c in ("altitude", "altitude_gnss") if flight.measured(c)), None)
     if height is None:
@@ -180,14 +180,14 @@ def _rolls(flight: Flight, slow: Mask) -> Mask:
 
 
 def _first_roll(time: Array, slow: Mask, height: Array) -> Mask:
-    """The same from the beginning on of a segment that begins slow."""
+    """(n,) samples of the take-off of one segment, which must begin slow; for the landing, all three arrays are reversed."""
     rolls = np.zeros(slow.size, bool)
     if not slow[0]:
         return rolls
     stop = int(np.argmin(slow)) if not slow.all() else slow.size
     ground = float(np.nanmedian(height[:stop])) if np.isfinite(height[:stop]).any() else np.nan
     with np.errstate(invalid="ignore"):
-        high = np.flatnonzero((height > ground + OFF_THE_GROUND) & (np.arange(slow.size) >= stop))
+        high = np.flatnonzero((height > ground + FLYING_HEIGHT) & (np.arange(slow.size) >= stop))
     if high.size and abs(time[high[0]] - time[stop - 1]) <= LONGEST_ROLL:
         rolls[stop : high[0]] = True
     return rolls

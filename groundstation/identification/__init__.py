@@ -1,5 +1,5 @@
-"""Live identification at the ground: from scans as they come down, with losses and late ones, to derivatives in words.
+"""Live identification on the ground: from received scans, some lost or late, to derivatives and advice as text.
 
-The estimator itself is `daq.identification`, the same that runs on board and over a file. Here scans are brought to one
-instant each, put in order, and what comes out is said: against belief, how long until a wanted bound, what to fly next.
+The estimator is `daq.identification`, as on board and over a file. Here the samples of a scan are aligned to one instant and put
+in order, and the estimates are compared with prior beliefs: time to the wanted bounds, and what to fly next.
 """

@@ -21,26 +21,27 @@ from groundstation.identification.history import LiveHistory
 from groundstation.identification.wanted import ExcitationMeter, TimeToBound, Together, together, wanted_bounds
 from groundstation.identification.watching import LiveWatch
 
-LOOK_S = 0.9  # s of flight between two entries of the history: samples come in batches of a second
-ADVISE_S = 5.0  # s of flight between two looks for what to fly next: some 20 ms each
-REVISE_S = 5.0  # s of flight between two workings-in of late scans: each goes back by up to 30 s
-WORK = 15  # late samples worked in at a call, so that the receiver never waits: some 5 ms
-PACE_S = 10.0  # s of scans that tell how many come a second
-RECENT_S = 10.0  # s over which excitation counts as that of now
+STATE_S = 0.9  # [s] of flight, at least, between two states: samples come in batches of a second
+ADVICE_S = 5.0  # [s] of flight between two searches for the next manoeuvre, of some 20 ms each
+REVISION_S = 5.0  # [s] of flight between two revisions by late scans, each of which repeats up to 30 s
+SAMPLES_PER_CALL = 15  # late samples processed at a call, in some 5 ms, so that the receiver does not wait
+ALL_SAMPLES = 1000  # processed at a call when nothing waits
+RATE_S = 10.0  # [s] over which the rate of the scans is measured
+RECENT_S = 10.0  # [s] over which excitation is measured
 
 TROUBLES = (CalibrationError, LinAlgError, ArithmeticError, ValueError)
-"""What numbers from outside can provoke in the arithmetic; told once, and identification rests, nothing else does."""
+"""Errors that received numbers can cause in the arithmetic. They are reported once and stop the identification only."""
 
 
 @dataclass(frozen=True)
 class LiveState:
-    """Everything that is shown at `time` [s].
+    """The result of live identification at `time` [s].
 
-    wanted: derivative -> bound to be reached [1/rad]. to_go: derivative -> seconds of manoeuvring as of now until then, 0 when
-    there, inf where nothing is gained. excitation: control -> rms movement of the last seconds [rad], as signals. together: pairs
-    that are not told apart. late: scans that came late and are not in the numbers yet. point: the test point under way,
-    or the last; before: bounds [1/rad] when it began. mass [kg], cg_x [m] ahead of the airframe's CG: as measured in flight,
-    NaN where nobody does.
+    wanted: derivative -> bound to be reached [1/rad]. to_go: derivative -> seconds of flight until then at the present gain of
+    information, 0 when reached, inf without gain. excitation: control signal -> rms movement of the last seconds [rad]. together:
+    pairs of correlated derivatives. late: number of late scans that are not in the estimates yet. point: the present test point,
+    or the last; before: derivative -> std [1/rad] when it began. mass [kg], cg_x [m] ahead of the airframe's CG: as measured in
+    flight, else NaN.
     """
 
     time: float
@@ -59,11 +60,11 @@ class LiveState:
 
 
 class LiveIdentification:
-    """Call `step` often, `finish` at the end. It never raises for what the numbers are.
+    """The live estimator of one run of the logger: call `step` often, `finish` at the end. No received number makes them raise.
 
-    wanted: bound to be reached as a share of a derivative. alignment: filled by the owner with the scans that come; some may be
-    there already. stretches: decides what is identified from.
-    watched: with the gap monitor beside it, from ten seconds on. trouble: why it rests; empty while it works.
+    wanted: bound to be reached, as a share of a derivative. alignment: the caller adds received scans to it, also before.
+    stretches: selects the samples to identify from. watched: whether the gap monitor runs as well, after RATE_S. trouble: why
+    the identification stopped; empty while it runs.
     """
 
     def __init__(
@@ -86,75 +87,79 @@ class LiveIdentification:
         self._estimators = self._new_estimators()
         self._share = wanted
         self._watched = watched
-        self._begun = math.nan
+        self._first_time = math.nan
         self.watch: LiveWatch | None = None
         self._meters = {
             signal: ExcitationMeter(RECENT_S) for r in aircraft.regressions for signal in r.controls.values()
         }
         self._points = PointMeter(tuple(self._meters), aircraft.throws)
         self._bounds_before: dict[str, float] = {}
-        self._pace = TimeToBound()
+        self._time_to_bound = TimeToBound()
         self._last: Sample | None = None
-        self._look_at = self._advise_at = self._revise_at = -math.inf
+        self._next_state = self._next_advice = self._next_revision = -math.inf
         self._advice: ManoeuvreAdvice | None = None
         self.state: LiveState | None = None
 
     def use(self, calibrator: Calibrator) -> None:
-        """Another calibration, from the first scan on."""
+        """Take another calibration, and repeat the identification from the first scan on."""
         self._calibrator = calibrator
-        self._alignment.again()
+        self._alignment.restart()
         self._estimators = self._new_estimators()
 
     def step(self) -> LiveState | None:
-        """Work in some of what has come; the state where there is a new one, once a second of flight."""
+        """Process some of the received scans; returns a new state about once a second of flight, else None."""
         if self.trouble:
             return None
         try:
-            self._work(finish=False)
-            if self._last is None or self._last.time < self._look_at:
+            self._process(finish=False)
+            if self._last is None or self._last.time < self._next_state:
                 return None
-            self._look_at = self._last.time + LOOK_S
-            self.state = self._look(self._last)
+            self._next_state = self._last.time + STATE_S
+            self.state = self._new_state(self._last)
         except TROUBLES as error:
-            self.trouble = f"live identification rests: {error or type(error).__name__}"
+            self._stop(error)
             return None
         self.history.add(self.state.time, self.state.estimates)
         return self.state
 
     def finish(self) -> LiveState | None:
-        """Everything that has come into the numbers; the last state."""
+        """Process all received scans; returns the last state."""
         if self.trouble:
             return self.state
         try:
-            self._work(finish=True)
+            self._process(finish=True)
             if self._last is not None:
-                self.state = self._look(self._last)
+                self.state = self._new_state(self._last)
                 self.history.add(self.state.time, self.state.estimates)
         except TROUBLES as error:
-            self.trouble = f"live identification rests: {error or type(error).__name__}"
+            self._stop(error)
         return self.state
 
+    def _stop(self, error: Exception) -> None:
+        self.trouble = f"live identification rests: {error or type(error).__name__}"
+
     def new_alarms(self, *, finish: bool = False) -> list[Alarm]:
-        """What the gap monitor has to say since it was last asked. finish: after going through all that has come."""
+        """Alarms of the gap monitor that are new since the last call. finish: process all samples first."""
         return [] if self.watch is None else self.watch.step(finish=finish)
 
-    def _work(self, *, finish: bool) -> None:
-        revise = self._last is not None and self._last.time >= self._revise_at and not self._behind
+    def _process(self, *, finish: bool) -> None:
+        """Pass new samples to the estimators; also those that late scans change, from time to time. finish: all of them."""
+        revise = self._last is not None and self._last.time >= self._next_revision and not self._behind
         if revise and self._last is not None:
-            self._revise_at = self._last.time + REVISE_S
+            self._next_revision = self._last.time + REVISION_S
         airframe = self.aircraft.airframe
         for sample in self._alignment.ready(
-            self._calibrator, late=revise, all_of_it=finish, pitch=self._pitch, airframe=airframe
+            self._calibrator, late=revise, finish=finish, pitch=self._pitch, airframe=airframe
         ):
             if self._last is None or sample.time > self._last.time:
-                self._newest(sample)
+                self._add_newest(sample)
             for identified in self.stretches.take(sample):
                 for estimator in self._estimators:
                     estimator.revise(identified)
                 if self.watch is not None:
                     self.watch.add(identified)
         for estimator in self._estimators:
-            while not estimator.work(1000 if finish else WORK) and finish:
+            while not estimator.work(ALL_SAMPLES if finish else SAMPLES_PER_CALL) and finish:
                 pass
 
     def _new_estimators(self) -> list[OrderedEstimator]:
@@ -162,16 +167,18 @@ class LiveIdentification:
 
     @property
     def _behind(self) -> int:
+        """Samples that the slower of the estimators has not processed yet."""
         return max(e.behind for e in self._estimators)
 
     def _begin_watch(self, time: float) -> None:
-        """Once the pace of the scans is known."""
-        if math.isnan(self._begun):
-            self._begun = time
-        elif time - self._begun >= PACE_S:
-            self.watch = LiveWatch(self.aircraft, len(self._alignment) / (time - self._begun))
+        """Start the gap monitor once the rate of the scans is known."""
+        if math.isnan(self._first_time):
+            self._first_time = time
+        elif time - self._first_time >= RATE_S:
+            self.watch = LiveWatch(self.aircraft, len(self._alignment) / (time - self._first_time))
 
-    def _newest(self, sample: Sample) -> None:
+    def _add_newest(self, sample: Sample) -> None:
+        """Count a sample that is later than all before it for excitation and test points."""
         if self._watched and self.watch is None:
             self._begin_watch(sample.time)
         if any(r.credible(sample) for r in self.aircraft.regressions):
@@ -180,14 +187,14 @@ class LiveIdentification:
             for signal, meter in self._meters.items():
                 meter.add(sample.time, getattr(sample, signal))
 
-    def _look(self, last: Sample) -> LiveState:
+    def _new_state(self, last: Sample) -> LiveState:
         estimates = joined([e.estimates() for e in self._estimators])
         information = {c: i for e in self._estimators for c, i in e.estimator.information().items()}
         bounds = wanted_bounds(self.aircraft.airframe.beliefs, estimates.derivatives, self._share)
-        to_go = self._pace.at(estimates, bounds)
-        # Without advice nothing was solved yet, or nothing is left to be done: either may be over by now, and is quickly seen.
-        if last.time >= self._advise_at or self._advice is None:
-            self._advise_at = last.time + ADVISE_S
+        to_go = self._time_to_bound.at(estimates, bounds)
+        # Without advice nothing was solved yet, or all bounds were reached: both may have changed, and are quick to check.
+        if last.time >= self._next_advice or self._advice is None:
+            self._next_advice = last.time + ADVICE_S
             values = {n: self._value(n, estimates) for n in self.aircraft.derivatives}
             advice = [
                 next_manoeuvre(self.aircraft.airframe, values, information, bounds, last, r)
@@ -217,5 +224,6 @@ class LiveIdentification:
         )
 
     def _value(self, name: str, estimates: LiveEstimates) -> float:
+        """The estimate of a derivative, or the prior belief where it is not identified."""
         derivative = estimates.derivatives[name]
         return derivative.estimate if derivative.told else self.aircraft.airframe.believed(name)

@@ -1,6 +1,6 @@
-"""The gap monitor beside live identification: does what the aircraft file believes, or a model, still describe what is flown?
+"""The gap monitor of live identification: whether the beliefs of the aircraft file, or a model, still describe the flight.
 
-Its thresholds come from simulated flights, half a minute of processor time, so they are made in a thread; samples wait for them.
+Its thresholds are calibrated by simulated flights, in half a minute of processor time. That runs in a thread, and samples wait.
 """
 
 import math
@@ -17,16 +17,16 @@ from daq.identification.monitor.nulls import FINEST_S, NEARLY, NullConditions, w
 from daq.identification.monitor.threshold import calibrated
 from daq.identification.regression import LiveAircraft
 
-SEED = 1
-HOURS = 2.5  # of simulated manoeuvring behind the thresholds
-LOST = 0.05  # of what a radio sends
-ON_BOARD_HZ, SLOWER_HZ = 20, 17.0  # scans a second of the logger; from which on below they are taken to come by radio
-AT_ONCE = 60  # samples that have waited, worked off at a call
+SEED = 1  # of the simulated flights, so that thresholds repeat
+HOURS = 2.5  # of simulated manoeuvring, from which the thresholds are calibrated
+LOST = 0.05  # share of scans that a radio loses
+ON_BOARD_HZ, SLOWER_HZ = 20, 17.0  # least rate of the logger's scans; a lower rate than the second is that of a radio
+SAMPLES_PER_CALL = 60  # of those that have waited
 
 
 def conditions_at(rate: float) -> NullConditions:
-    """What thresholds are simulated for, by the scans a second that come: on board 20 or some more; fewer are what a radio
-    delivers of 20."""
+    """Conditions of the simulated flights for a rate of scans [Hz]: at least 20 Hz on board; less is what a radio delivers of
+    20 Hz."""
     if rate < SLOWER_HZ:
         return NullConditions(rate=rate, loss=LOST)
     grid = watched_step(1.0 / max(ON_BOARD_HZ, round(rate)))
@@ -34,7 +34,8 @@ def conditions_at(rate: float) -> NullConditions:
 
 
 class LiveWatch:
-    """Give it samples of manoeuvring flight; `alarms` are those told so far. rate: scans a second that come."""
+    """The gap monitor over samples of manoeuvring flight. rate: of the scans [Hz]; trouble: why there is no monitor, else
+    empty."""
 
     def __init__(self, aircraft: LiveAircraft, rate: float) -> None:
         self._airframe = aircraft.airframe if aircraft.modelled is None else aircraft.modelled
@@ -44,58 +45,58 @@ class LiveWatch:
         self._waiting: list[Sample] = []
         self._last = -math.inf
         self._shortest = NEARLY * self._conditions.grid if rate * FINEST_S > 1.0 else 0.0
-        self._told: list[str] = []  # what each alarm was last said to be
+        self._reported: list[str] = []  # effect with which each alarm was last reported
         self.trouble = ""
         self._thread = threading.Thread(target=self._calibrate, name="gap monitor", daemon=True)
         self._thread.start()
 
     def add(self, sample: Sample) -> None:
-        """One sample, in order of time; one that comes sooner after the last than is looked at is left out."""
+        """Add a sample, in order of time; one that follows sooner than the monitor's step is left out."""
         if sample.time - self._last >= self._shortest:
             self._last = sample.time
             self._waiting.append(sample)
 
     def step(self, *, finish: bool = False) -> list[Alarm]:
-        """Alarms that are new, or may be something else than was said. finish: wait for the thresholds, and go through all."""
+        """Process some samples; returns alarms that are new or have another leading effect than reported before. finish: wait for
+        the thresholds, and process all."""
         if finish:
             self._thread.join()
         if self._monitor is None:
             return []
-        count = len(self._waiting) if finish else AT_ONCE
+        count = len(self._waiting) if finish else SAMPLES_PER_CALL
         batch, self._waiting = self._waiting[:count], self._waiting[count:]
         for sample in batch:
             self._monitor.add(sample)
         names = [a.leading[0].effect if a.leading else "" for a in self._monitor.alarms]
-        told_names = [*self._told, *[None] * (len(names) - len(self._told))]
-        news = [
-            a for a, name, known_name in zip(self._monitor.alarms, names, told_names, strict=True) if name != known_name
-        ]
-        self._told = names
-        return news
+        reported = [*self._reported, *[None] * (len(names) - len(self._reported))]
+        new = [a for a, name, before in zip(self._monitor.alarms, names, reported, strict=True) if name != before]
+        self._reported = names
+        return new
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
-        """All so far."""
+        """All alarms so far."""
         return () if self._monitor is None else tuple(self._monitor.alarms)
 
     @property
     def watched(self) -> float:
-        """Seconds of manoeuvring that were watched."""
+        """Time of manoeuvring that was monitored [s]."""
         return 0.0 if self._monitor is None else self._monitor.watched
 
     def _calibrate(self) -> None:
+        """Simulate the thresholds and start the monitor (in the thread)."""
         try:
             self._monitor = GapMonitors([self._monitor_of(plane) for plane in self._planes])
         except (LinAlgError, ArithmeticError, ValueError) as error:  # an aircraft that does not fly by its beliefs
             self.trouble = f"no gap monitor: its thresholds cannot be simulated from these beliefs ({error})"
 
     def _monitor_of(self, plane: MonitoredPlane) -> GapMonitor:
-        """All planes together have the allowed false alarms."""
+        """The monitor of one plane; the allowed rate of false alarms is divided among the planes."""
         beliefs = {n: b for n, b in self._airframe.beliefs.items() if n in plane.parameters}
         values = {n: b.value for n, b in beliefs.items()}
         effects = bank(values, {n: b.std for n, b in beliefs.items() if b.std > 0.0}, plane)
-        rng, each = np.random.default_rng([SEED, len(effects)]), FALSE_ALARMS / len(self._planes)
+        rng, rate = np.random.default_rng([SEED, len(effects)]), FALSE_ALARMS / len(self._planes)
         calibration = calibrated(
-            self._airframe, values, effects, self._conditions, rng=rng, hours=HOURS, rate=each, plane=plane
+            self._airframe, values, effects, self._conditions, rng=rng, hours=HOURS, rate=rate, plane=plane
         )
         return GapMonitor(self._airframe, values, effects, calibration, plane)

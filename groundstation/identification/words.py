@@ -1,4 +1,4 @@
-"""The state of live identification as a person reads it: one line, a table of plain lines, and the same as Markdown."""
+"""The state of live identification as text: one line, a table for a terminal, and Markdown for the viewer."""
 
 import math
 from collections.abc import Iterator
@@ -9,30 +9,34 @@ from daq.identification.next_manoeuvre import LONG, ManoeuvreAdvice
 from daq.identification.point_quality import CONTROL_WORDS, FlownPoint
 from groundstation.identification.session import LiveState
 
-LONGEST_S = 600.0  # to go; beyond, it is said that this flying does not bring it
-SAID = 4  # derivatives in the short line
-GO_ON_S = 60.0  # to go of a bound from which the input under way is not worth going on with
-WORTH = 1.1  # times narrower, from which a bound counts as gained by a point
-LEAST_PEAK = math.radians(0.5)  # of a control that counts as flown
-LINE = 99  # letters of a line on the link: two messages of STATUSTEXT
-EXCITED = math.radians(0.5)  # rad rms of the last seconds from which a control counts as being moved
+LONGEST_S = 600.0  # to go; a longer time is not shown
+MOST_NAMES = 4  # derivatives in one line
+GO_ON_S = 60.0  # to go until the next bound, beyond which the present input should stop
+LEAST_GAIN = 1.1  # ratio of bounds before and after a test point, from which it is shown
+LEAST_PEAK = math.radians(0.5)  # of a control that the test point moved
+LINE = 99  # characters of a line on the link: two messages of STATUSTEXT
+EXCITED = math.radians(0.5)  # rms of the last seconds, from which a control is shown as moved
 FIRST = "a doublet of each control: nothing can be identified before both have moved"
 
 
 def short_line(state: LiveState) -> str:
-    """The most important in one line of the log."""
-    told_derivatives = [
-        state.estimates.derivatives[n] for n in state.aircraft.shown if state.estimates.derivatives[n].told
-    ]
-    reached_count = sum(state.to_go.get(d.name, math.inf) == 0.0 for d in told_derivatives)
-    surest = sorted(told_derivatives, key=lambda d: d.std / max(abs(d.estimate), 1e-12))[:SAID]
+    """One line for the log: how many derivatives are identified, the best of them, and what to fly next."""
+    identified = _identified(state)
+    reached_count = sum(state.to_go.get(d.name, math.inf) == 0.0 for d in identified)
+    surest = sorted(identified, key=lambda d: d.std / max(abs(d.estimate), 1e-12))[:MOST_NAMES]
     numbers = ", ".join(f"{d.name} {number(d)}" for d in surest)
-    counts = f"{len(told_derivatives)} of {len(state.aircraft.shown)} identified, {reached_count} to the wanted bound"
+    counts = f"{len(identified)} of {len(state.aircraft.shown)} identified, {reached_count} to the wanted bound"
     return f"live: {counts}{': ' + numbers if numbers else ''}; next: {next_words(state)}"
 
 
+def _identified(state: LiveState) -> list[LiveDerivative]:
+    """The shown derivatives that are identified so far."""
+    derivatives = (state.estimates.derivatives[n] for n in state.aircraft.shown)
+    return [d for d in derivatives if d.told]
+
+
 def lines(state: LiveState) -> Iterator[str]:
-    """Everything, for a terminal."""
+    """The complete state as lines for a terminal."""
     e = state.estimates
     yield f"{state.aircraft.name}, {e.span:.0f} s of flight in {e.rows} intervals at t = {state.time:.1f} s{_late(state)}"
     yield f"{'':9}{'now':>10}{'bound':>10}{'believed':>11}  {'by whom':<21}{'to go':>7}"
@@ -45,7 +49,7 @@ def lines(state: LiveState) -> Iterator[str]:
 
 
 def markdown(state: LiveState) -> str:
-    """Everything, for the viewer's text pane: first what to do now, for the pane may be too low for more than that."""
+    """The complete state for the viewer's text pane; what to do next comes first, since the pane may be low."""
     e, point = state.estimates, list(point_lines(state))
     to_do = [f"**{line}**" for line in (*point[-1:], _next_line(state))]
     rows = [
@@ -66,7 +70,7 @@ def markdown(state: LiveState) -> str:
 
 
 def advice_lines(state: LiveState) -> Iterator[str]:
-    """Mass, excitation, what is told only together, the test point, and what to fly next."""
+    """Lines on mass, excitation, correlated derivatives, the test point, and what to fly next."""
     yield from _motion_lines(state)
     yield from point_lines(state)
     yield _next_line(state)
@@ -110,7 +114,7 @@ def _cg_words(cg_x: float, airframe: Airframe) -> str:
 
 
 def point_lines(state: LiveState) -> Iterator[str]:
-    """The test point under way or just flown: what it was, what it has brought and will bring, and what to do with it."""
+    """Lines on the present or last test point: its inputs, its faults, the bounds that it narrowed, and what to do."""
     point = state.point
     if point is None:
         return
@@ -121,19 +125,21 @@ def point_lines(state: LiveState) -> Iterator[str]:
     yield f"test point {status}: {moves or 'nothing'} for {point.seconds:.1f} s at {point.speed:.1f} m/s{air}"
     for fault in point.faults:
         yield f"test point: {fault}"
-    gained = [(name, factor) for name, factor in _gained(state) if factor >= WORTH]
+    gained = [(name, factor) for name, factor in _gained(state) if factor >= LEAST_GAIN]
     if gained:
-        yield "test point has narrowed " + ", ".join(f"{name} {factor:.1f} times" for name, factor in gained[:SAID])
+        yield "test point has narrowed " + ", ".join(
+            f"{name} {factor:.1f} times" for name, factor in gained[:MOST_NAMES]
+        )
     yield f"test point: {point_decision(state)}"
 
 
 def _flown(point: FlownPoint) -> dict[str, float]:
-    """Control -> peak [deg], of those that count as flown."""
+    """Control -> peak [deg], of the controls that a test point moved."""
     return {CONTROL_WORDS[n]: math.degrees(v) for n, v in point.peaks.items() if v >= LEAST_PEAK}
 
 
 def point_decision(state: LiveState) -> str:
-    """Whether to go on, to stop, to repeat it, or to fly something else."""
+    """Whether to go on with the present test point, to stop, to repeat it, or to fly something else."""
     point = state.point
     if point is None:
         return "none flown yet"
@@ -143,7 +149,7 @@ def point_decision(state: LiveState) -> str:
         return "stop, every wanted bound is reached"
     within = sorted((seconds, n) for n, seconds in lacking.items() if seconds <= GO_ON_S)
     if point.moving and within:
-        coming = ", ".join(f"{n} in {max(seconds, 1.0):.0f} s" for seconds, n in within[:SAID])
+        coming = ", ".join(f"{n} in {max(seconds, 1.0):.0f} s" for seconds, n in within[:MOST_NAMES])
         return f"go on, at this rate bounds are reached of {coming}"
     if point.moving:
         return "stop, this input brings no bound within a minute"
@@ -155,14 +161,13 @@ def point_decision(state: LiveState) -> str:
 
 
 def _gained(state: LiveState) -> list[tuple[str, float]]:
-    """Derivatives with the bound before the point over the one now, most gained first; those that are told."""
-    told = ((n, state.estimates.derivatives[n]) for n in state.aircraft.shown if state.estimates.derivatives[n].told)
-    factors = [(n, state.before.get(n, math.inf) / d.std) for n, d in told if d.std > 0.0]
+    """Identified derivatives with the ratio of their bounds before the test point and now, the largest first."""
+    factors = [(d.name, state.before.get(d.name, math.inf) / d.std) for d in _identified(state) if d.std > 0.0]
     return sorted(((n, f) for n, f in factors if math.isfinite(f)), key=lambda pair: -pair[1])
 
 
 def point_line(state: LiveState) -> str:
-    """A point that is over in one line of a few dozen letters, as it goes down the link."""
+    """A completed test point in one line of at most LINE characters, for the telemetry link."""
     point = state.point
     assert point is not None
     reached = sum(seconds == 0.0 for seconds in state.to_go.values())
@@ -173,7 +178,7 @@ def point_line(state: LiveState) -> str:
 
 
 def next_short(state: LiveState) -> str:
-    """What to fly next, in as few letters as may be."""
+    """What to fly next, in few characters."""
     if state.advice is None:
         return "-"
     peaks = " ".join(f"{math.degrees(v):.1f}" for v in state.advice.peaks.values())
@@ -201,7 +206,7 @@ def _advised(a: ManoeuvreAdvice) -> str:
 
 
 def number(d: LiveDerivative) -> str:
-    """Estimate and bound, to the digits that the bound allows."""
+    """Estimate and standard deviation, with as many decimals as the latter supports."""
     places = max(0, 1 - math.floor(math.log10(d.std))) if 0.0 < d.std < math.inf else 4
     return f"{d.estimate:.{min(places, 6)}f} ±{d.std:.{min(places, 6)}f}"
 
@@ -219,7 +224,7 @@ def _to_go(state: LiveState, name: str) -> str:
 
 
 def _remark(state: LiveState, d: LiveDerivative) -> str:
-    """Why it is not told; or that it is not what was believed."""
+    """Why a derivative is not identified, or that it contradicts the prior belief; else empty."""
     if not d.told:
         return d.why
     belief = state.aircraft.airframe.beliefs.get(d.name)

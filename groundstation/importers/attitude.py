@@ -1,4 +1,4 @@
-"""Euler angles of the quaternions in foreign logs, scalar first, from north-east-down to the body."""
+"""Euler angles from the attitude quaternions of foreign logs, which turn north-east-down to body axes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,19 +15,20 @@ QUATERNIONS = (
     tuple(f"quaternion_{i}" for i in range(4)),
     ("quat_w", "quat_x", "quat_y", "quat_z"),
 )
-"""What the elements are called, scalar first, behind the name of a topic if there is one."""
-COUNTED = (QUATERNIONS[0], ("q0", "q1", "q2", "q3"), ("q1", "q2", "q3", "q4"), QUATERNIONS[4])
-"""Names that do not say which element is the scalar: that is the first as a rule, and the last with some."""
-FOLLOWS, CLEARER = 0.6, 0.3
-"""Correlation with the gyros from which one order is the right one, and by which it has to be the better one."""
-SMOOTHED = 0.3  # [s] over which the slope of a noisy attitude is averaged
-FEWEST_ROWS = 50
-ANGLES = {"phi": "roll", "theta": "pitch", "psi": "yaw"}
-UNIT_TOLERANCE = 0.05  # by which the length of a quaternion of an attitude may differ from 1
+"""Names of the four elements, scalar first, after the name of a topic if there is one."""
+AMBIGUOUS = (QUATERNIONS[0], ("q0", "q1", "q2", "q3"), ("q1", "q2", "q3", "q4"), QUATERNIONS[4])
+"""Names that do not show which element is the scalar: usually the first, in some programs the last."""
+LEAST_CORRELATION, LEAST_DIFFERENCE = 0.6, 0.3
+"""Correlation of the quaternion's rates with the gyros for "scalar last", and its excess over that for "scalar first"."""
+AVERAGE = 0.3  # [s] over which the rates of a noisy attitude are averaged
+FEWEST_ROWS = 50  # for a correlation
+ANGLES = {"phi": "roll", "theta": "pitch", "psi": "yaw"}  # flight column -> name of its series
+UNIT_TOLERANCE = 0.05  # of the median norm about 1, for four columns to be a quaternion of attitude
 
 
 def euler_from_quaternion(w: Array, x: Array, y: Array, z: Array) -> dict[str, Array]:
-    """Roll, pitch and yaw [rad]. Written out: scipy's Rotation takes longer to load than a log takes to read."""
+    """Roll, pitch and yaw [rad], each (n,), from a quaternion with scalar w. Without scipy's Rotation, which takes longer to
+    import than a log to read."""
     return {
         "roll": np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
         "pitch": np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0)),
@@ -35,9 +36,9 @@ def euler_from_quaternion(w: Array, x: Array, y: Array, z: Array) -> dict[str, A
     }
 
 
-@np.errstate(all="ignore")  # absurd values of a damaged log
+@np.errstate(all="ignore")  # for values of any size in a damaged log
 def with_attitudes(series: Mapping[str, TimeSeries]) -> dict[str, TimeSeries]:
-    """The series with `roll`, `pitch` and `yaw` [rad] beside each quaternion of attitude in them."""
+    """The series, with `roll`, `pitch` and `yaw` [rad] added for each quaternion of attitude."""
     extended = dict(series)
     for head in dict.fromkeys(n.rpartition(".")[0] for n in series):
         prefix = f"{head}." if head else ""
@@ -54,9 +55,9 @@ def with_attitudes(series: Mapping[str, TimeSeries]) -> dict[str, TimeSeries]:
     return extended
 
 
-def _turns_with_gyros(log: Log, mapping: Map, names: Sequence[str]) -> float:
-    """Correlation of the rates of a quaternion, whose elements stand in this order, scalar first, with those of the gyros; 0
-    without gyros. No unit is needed."""
+def _gyro_correlation(log: Log, mapping: Map, names: Sequence[str]) -> float:
+    """Correlation of the body rates of a quaternion with the gyros, whose unit is not needed; 0 without gyros. names: series of
+    the elements, scalar first."""
     gyros = [log.series.get(mapping.columns[n][0].column or "") for n in "pqr" if n in mapping.columns]
     parts = [log.series[n] for n in names]
     time = parts[0].time
@@ -68,7 +69,7 @@ def _turns_with_gyros(log: Log, mapping: Map, names: Sequence[str]) -> float:
         dw, *dv = (np.gradient(x, time) for x in (w, *v))
         cross = [v[1] * dv[2] - v[2] * dv[1], v[2] * dv[0] - v[0] * dv[2], v[0] * dv[1] - v[1] * dv[0]]
         rates = [2.0 * (w * dv[i] - dw * v[i] - cross[i]) for i in range(3)]
-        width = max(round(SMOOTHED / max(float(np.nanmedian(np.diff(time))), 1e-6)), 1)
+        width = max(round(AVERAGE / max(float(np.nanmedian(np.diff(time))), 1e-6)), 1)
         window = np.full(min(width, time.size), 1.0 / width)
         pairs = [
             (np.convolve(r, window, "same"), np.convolve(g.values, window, "same"))
@@ -81,21 +82,22 @@ def _turns_with_gyros(log: Log, mapping: Map, names: Sequence[str]) -> float:
 
 
 def _scalar_last(log: Log, mapping: Map) -> tuple[str, ...] | None:
-    """The elements of a quaternion, whose names only count them, scalar first, where its scalar is the last by what the gyros
-    turn; None where it is the first, or where nothing tells."""
-    names = next((n for n in COUNTED if all(x in log.series for x in n)), None)
+    """Names of a quaternion's elements, scalar first, where by the gyros the scalar is the last of them; None where it is the
+    first or not determined, and without a quaternion of AMBIGUOUS names."""
+    names = next((n for n in AMBIGUOUS if all(x in log.series for x in n)), None)
     if names is None:
         return None
-    first, last = (_turns_with_gyros(log, mapping, n) for n in (names, (names[3], *names[:3])))
-    return (names[3], *names[:3]) if last > FOLLOWS and last > first + CLEARER else None
+    first, last = (_gyro_correlation(log, mapping, n) for n in (names, (names[3], *names[:3])))
+    return (names[3], *names[:3]) if last > LEAST_CORRELATION and last > first + LEAST_DIFFERENCE else None
 
 
 def with_quaternion(log: Log, mapping: Map) -> tuple[Log, Map]:
-    """The table with phi, theta and psi of its quaternion, where it has one and nothing else gives them; said in a note."""
+    """The log and mapping of a table, with phi, theta and psi from its quaternion where the mapping gives none of them; a note
+    states the assumed order."""
     if any(angle in mapping.columns for angle in ANGLES):
         return log, mapping
     scalar_last = _scalar_last(log, mapping)
-    renamed = dict(zip(scalar_last, COUNTED[0], strict=True)) if scalar_last else {}
+    renamed = dict(zip(scalar_last, AMBIGUOUS[0], strict=True)) if scalar_last else {}
     extended = with_attitudes({renamed.get(n, n): s for n, s in log.series.items()})
     extended = {**log.series, **{n: s for n, s in extended.items() if n not in renamed.values()}}
     new = [n for n in extended if n not in log.series]

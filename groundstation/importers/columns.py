@@ -19,7 +19,7 @@ from groundstation.flight.flight import BACK, DATED_BACK, HELD, INTERVAL
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.mapping import ColumnSource, Kind, Map
-from groundstation.importers.origins import COMPUTED, NOT_FLOWN, is_command, kind_of, kind_of_all
+from groundstation.importers.origins import AIR_RELATIVE, COMPUTED, is_command, kind_of, kind_of_all
 from groundstation.importers.series import Log, TimeSeries, lagged, native_rate, resample
 from groundstation.importers.units import conversion, find_unit, known_units
 
@@ -75,7 +75,7 @@ def flight_columns(log: Log, mapping: Map, time: Array, resampled: bool) -> Impo
             continue
         source = source.model_copy(update={"unit": _unit(log, source, name)})
         kind = flight_kind(log, source)
-        label = f"{name}_computed" if kind == COMPUTED and name in NOT_FLOWN else name
+        label = f"{name}_computed" if kind == COMPUTED and name in AIR_RELATIVE else name
         rate = min(native_rate(log.series[t.column]) for t in source.parts) if resampled else None
         origins[name] = ColumnOrigin(source, kind, rate, label, *_held(log, source))
         values[label] = _value(log, source, name, time)

@@ -1,4 +1,5 @@
-"""Servo outputs of a log as surfaces: which, by SERVOn_FUNCTION; which way, by what the aircraft did; how far, nobody can know.
+"""Surfaces from the servo outputs of a log, for a draft map: the surface by SERVOn_FUNCTION, the sign by the aircraft's response.
+The deflection cannot be determined from a log and must be measured.
 
 Signs: trailing edge down positive, rudder to port. Elevator down pitches down, rudder to port yaws to port, the right aileron
 down rolls left: delta_a = (right - left) / 2.
@@ -14,20 +15,20 @@ from groundstation.importers.functions import OUTPUT, function_name
 from groundstation.importers.series import Array, Log, TimeSeries, native_rate
 from groundstation.importers.servos import parameter_of
 
-THROW = 20.0  # [deg] that a draft writes where the deflection at the ends of the travel must be measured
-LATEST = 0.05
-"""[s] after a move of a servo at which the rate turns: later ones are turns of a Dutch roll on its way back."""
-SHORTEST = 200  # records of an output in MANUAL that are enough to tell from
-SURE = 6.0  # standard errors of a response that tell a sign
-_RATE = 50.0
+THROW = 20.0  # [deg] at the ends of the travel, which stand in a draft until they are measured
+LARGEST_DELAY = 0.05
+"""[s] from a step of a servo to the change of the rate's slope: a later change is the return of a Dutch roll."""
+FEWEST_RECORDS = 200  # of an output, to determine a sign
+LEAST_STANDARD_ERRORS = 6.0  # of a response, to determine a sign
+_RATE = 50.0  # [Hz] to which output and rate are resampled
 _TURN = 0.08
-"""[s] before and after an instant between which a slope turns: a servo's lag, and far from half a Dutch roll."""
+"""[s] before and after an instant between which slopes are compared: longer than a servo's lag, far below half a Dutch roll."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutputFunction:
-    """What one function of an output does. response: rate that tells its sign; answer: sign of that rate's change by a trailing
-    edge down (rudder: to port); shares: surface -> its factor in it."""
+    """The effect of one SERVOn_FUNCTION. response: rate that shows its sign; answer: sign of that rate's change for trailing edge
+    down (rudder: to port); shares: surface -> factor of this output in it."""
 
     name: str
     response: str
@@ -46,15 +47,15 @@ PARTS: Mapping[int, OutputFunction] = {
     79: OutputFunction("tail_left", "q", -1, {"delta_e": 0.5, "delta_r": 0.5}),
     80: OutputFunction("tail_right", "q", -1, {"delta_e": 0.5, "delta_r": -0.5}),
 }
-"""SERVOn_FUNCTION -> what it moves; an aileron is drafted as the right one, which rolls left when it goes down."""
+"""SERVOn_FUNCTION -> its effect; a function "aileron" is taken as the right aileron, which rolls left when it goes down."""
 
 
 Shares = Mapping[str, Mapping[str, float]]
-"""Surface -> servo -> its factor in it."""
+"""Surface -> servo -> factor of the servo in the surface."""
 
 
 def drafted_servos(log: Log, rates: Mapping[str, str]) -> tuple[list[str], Shares]:
-    """The lines [servos] of a draft, and what the surfaces are mixed of. rates: p, q, r -> series of the log."""
+    """The lines [servos] of a draft map, and the factors of the servos in each surface. rates: p, q, r -> series of the log."""
     lines: list[str] = []
     shares: dict[str, dict[str, float]] = {}
     names: set[str] = set()
@@ -81,6 +82,7 @@ def drafted_servos(log: Log, rates: Mapping[str, str]) -> tuple[list[str], Share
 
 
 def _servo_lines(log: Log, column: str, name: str, part: OutputFunction, rate: str) -> list[str]:
+    """The section of one servo. column: series of its output; name: of the servo; rate: series that shows the sign."""
     series = log.series[column]
     outputs = series.values[np.isfinite(series.values)]
     trim, low, high = (_parameter(log, column, e) for e in ("TRIM", "MIN", "MAX"))
@@ -112,18 +114,21 @@ def _parameter(log: Log, column: str, ending: str) -> float | None:
 
 
 def by_hand(log: Log, series: TimeSeries) -> TimeSeries:
-    """A series where the pilot alone moved the surfaces, by the modes of the log; all of it where they do not say so."""
+    """A series with NaN outside mode MANUAL; unchanged where the log has too little of that mode."""
     manual = np.zeros(series.time.size, bool)
     for mode in log.marks.modes:
         if mode.name == "MANUAL":
             manual |= (series.time >= mode.start) & (series.time < mode.stop)
-    return TimeSeries(series.time, np.where(manual, series.values, np.nan)) if manual.sum() >= SHORTEST else series
+    return (
+        TimeSeries(series.time, np.where(manual, series.values, np.nan)) if manual.sum() >= FEWEST_RECORDS else series
+    )
 
 
 def sign_of(output: TimeSeries, trim: float, rate: TimeSeries | None, answer: int, name: str) -> tuple[int, str]:
-    """Sign of the deflection at the upper end of the travel, and why: the change of a rate after the output moved.
+    """Sign of the deflection at the upper end of the travel, by the response of a rate to the output; and the evidence as text.
 
-    output: NaN where it is not to be used.
+    output: NaN where it is not to be used; trim: its value at zero deflection; rate: [rad/s]; answer: as in `OutputFunction`;
+    name: of the rate. The sign is 1 where it is not known.
     """
     if rate is None or rate.time.size < 20 or native_rate(output) <= 0:
         return 1, "sign UNKNOWN: no rate to tell it from"
@@ -134,24 +139,26 @@ def sign_of(output: TimeSeries, trim: float, rate: TimeSeries | None, answer: in
     rows = np.searchsorted(output.time, time, side="right") - 1
     u = output.values[np.clip(rows, 0, output.time.size - 1)] - trim
     y = np.interp(time, rate.time, rate.values)
-    response = max((_response(u, y, round(delay * _RATE)) for delay in np.arange(-LATEST, LATEST, 0.01)), key=abs)
-    if abs(response) < SURE:
+    response = max(
+        (_response(u, y, round(delay * _RATE)) for delay in np.arange(-LARGEST_DELAY, LARGEST_DELAY, 0.01)), key=abs
+    )
+    if abs(response) < LEAST_STANDARD_ERRORS:
         return 1, f"sign UNKNOWN: {name} does not tell"
     sign = answer * (1 if response > 0 else -1)
     return sign, f"sign by the change of {name} after it moves ({abs(response):.0f} standard errors)"
 
 
-def _response(u: Array, y: Array, late: int) -> float:
-    """Standard errors of what a jump of u does, some samples later, to the slope of y: the turn of y about each instant against
-    the jump of u about it. What moves y slowly, and feedback, have no part in a turn so short."""
+def _response(u: Array, y: Array, delay: int) -> float:
+    """Regression of the change of y's slope on the jump of u `delay` samples before, over its standard error. Slow motion and
+    feedback have no effect within so short a time."""
     h = round(_TURN * _RATE)
-    jump = np.roll(u, late)[h:] - np.roll(u, late)[:-h]
+    jump = np.roll(u, delay)[h:] - np.roll(u, delay)[:-h]
     turn = y[2 * h :] - 2.0 * y[h:-h] + y[: -2 * h]
     n = min(jump.size, turn.size)
     x, z = jump[h // 2 : h // 2 + n - h], turn[: n - h]
     use = np.isfinite(x) & np.isfinite(z)
     x, z = x[use], z[use]
-    if x.size < SHORTEST:
+    if x.size < FEWEST_RECORDS:
         return 0.0
     x, z = x - x.mean(), z - z.mean()
     power = float(x @ x)
@@ -163,7 +170,7 @@ def _response(u: Array, y: Array, late: int) -> float:
 
 
 def surface_lines(shares: Shares, lacking: Sequence[str]) -> list[str]:
-    """The surfaces of a draft, mixed of its servos."""
+    """The surfaces of a draft map as mixes of its servos. lacking: surfaces without an output."""
     lines = []
     for surface, parts in shares.items():
         if set(parts.values()) == {1.0}:

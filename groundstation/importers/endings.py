@@ -1,14 +1,14 @@
-"""Which files `sideslip import` reads, by the ending of their names; those of installed packages come on top."""
+"""Files that `sideslip import` reads, by the ending of their names (installed packages may add more), and advice on others."""
 
 TABLES = (".csv", ".txt", ".tsv", ".asc", ".dat", ".parquet", ".mat")
 LOGS = {".ulg": "px4", ".ulog": "px4", ".bin": "ardupilot", ".log": "ardupilot", ".tlog": "mavlink"}
 """Logs of autopilots -> the built-in map of their channels."""
 
 BAGS = (".mcap", ".db3")
-"""MCAP files and ROS 2 bags of other programs; our own recordings and flights are MCAP files, too."""
+"""ROS 2 bags and MCAP files of other programs; our recordings and flights are MCAP files, too."""
 
 FOREIGN = frozenset({".csv", ".parquet", ".mat", ".ulg", ".ulog", ".tlog"})
-"""Those that no recording of ours has; what a rescue tool writes may be called .bin, .dat or .txt."""
+"""Endings that no recording of ours has; one that was rescued from a disk may be called .bin, .dat or .txt."""
 
 _PACKED = "packed; unpack it ('{tool} {{file}}') and import what was in it"
 OTHERS = {
@@ -35,7 +35,7 @@ OTHERS = {
     ".npz": "numpy's arrays are not read; write them as a table (pandas: DataFrame, to_csv) or as .mat (scipy: savemat)",
     ".npy": "numpy's arrays are not read; write them as a table (numpy: savetxt, with a header) or as .mat (scipy: savemat)",
 }
-"""Endings of other files that people have -> what they are and the way out."""
+"""Endings of other common files -> what they are, and how to convert them."""
 
 BEGINNINGS: dict[bytes, tuple[str, tuple[str, ...]]] = {
     b"ULog\x01\x12\x35": ("a PX4 ULog", (".ulg", ".ulog")),
@@ -44,4 +44,4 @@ BEGINNINGS: dict[bytes, tuple[str, tuple[str, ...]]] = {
     b"PAR1": ("a Parquet table", (".parquet",)),
     b"PK\x03\x04": ("an Excel workbook or another packed file", (".xlsx, and save its sheet as CSV",)),
 }
-"""First bytes -> what a file is, and its endings."""
+"""First bytes -> kind of the file, and its usual endings."""

@@ -1,4 +1,4 @@
-"""What an autopilot's log says of its own sensors: which was in use, whether it measured at all, and when it did not."""
+"""Facts on the sensors from an autopilot's log: which was in use, whether the airspeed is measured, and when there was no fix."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -11,11 +11,11 @@ from groundstation.flight.arrays import Mask
 from groundstation.importers.instances import mean_of_first, with_primaries
 from groundstation.importers.series import Log, TimeSeries
 
-FIX_3D = 3  # type of a GNSS fix, of ArduPilot's Status as of MAVLink's and PX4's fix_type, from which it has a velocity
-BY_SENSOR = (1, 4)
-"""ArduPilot's AirspeedEstimateType: a sensor, or its simulator's; 0 none that is new, 2 and 3 synthetic."""
+FIX_3D = 3  # ArduPilot's Status, MAVLink's and PX4's fix_type, from which a fix has a velocity
+ARDUPILOT_SENSORS = (1, 4)
+"""ArduPilot's AirspeedEstimateType: 1 a sensor, 4 a simulated one; 0 is no new value, 2 and 3 are synthetic."""
 PX4_SENSORS = (1, 2, 3)
-"""PX4's airspeed_source (and selected_airspeed_index before it): a sensor; 0 ground speed less wind, 4 synthetic, -1 none."""
+"""PX4's airspeed_source (earlier selected_airspeed_index) of a sensor; 0 is ground speed less wind, 4 synthetic, -1 none."""
 PITOT_BIT = 16  # MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE, in SYS_STATUS.onboard_control_sensors_*
 _LOW_PASSED = (
     (re.compile(r"IMU(\[\d+\])?\.Gyr[XYZ]"), "INS_GYRO_FILTER"),
@@ -23,31 +23,32 @@ _LOW_PASSED = (
     (re.compile(r"vehicle_angular_velocity(\[\d+\])?\.xyz\[\d\]"), "IMU_GYRO_CUTOFF"),
     (re.compile(r"vehicle_acceleration(\[\d+\])?\.xyz\[\d\]"), "IMU_ACCEL_CUTOFF"),
 )
-"""Series that the autopilot has low-passed before it logs them, and its parameter with the frequency of that filter [Hz], of
-second order, Butterworth (ArduPilot and PX4: LowPassFilter2p); attitude, GYR, ACC and sensor_combined are not."""
-SLOWEST_FILTER = 2.0
-"""[Hz] below which the parameter is none of such a filter, or the filter no mere delay of the motion."""
+"""Series that are logged after a low pass, and the parameter with its cut-off frequency [Hz]. It is a Butterworth filter of
+second order (ArduPilot and PX4: LowPassFilter2p). Attitude, GYR, ACC and sensor_combined are not filtered."""
+LEAST_CUTOFF = 2.0
+"""[Hz] below which the parameter has another meaning, or the filter does more to the motion than delay it."""
 _DIFFERENTIAL = ("SCALED_PRESSURE.press_diff", "HIGHRES_IMU.diff_pressure", "RAW_PRESSURE.press_diff1")
 
 
 def of_ardupilot(log: Log) -> Log:
-    """A dataflash log with the sensors in use under the plain names, without samples that have no fix, and with the origin of
-    its airspeed."""
+    """A dataflash log with the sensors in use under names without a number, NaN where there was no fix, swapped pitot tubes
+    corrected, the delay of filters removed, and the origin of its airspeed."""
     primaries = with_primaries(log.series)
     series, notes = dict(primaries.series), [*primaries.notes]
     for prefix in _prefixes(series, "GPS", "Status"):
         notes += _without_fix(series, prefix, "Status", ("Spd", "GCrs", "VZ", "VN", "VE", "Lat", "Lng", "Alt"))
-    notes += _tubes_turned(series)
+    notes += _correct_swapped_tubes(series)
     if "ARSP.Temp" in series and not np.any(series["ARSP.Temp"].values):
-        del series["ARSP.Temp"]  # nothing but zeros: a sensor without a thermometer
+        del series["ARSP.Temp"]  # zero throughout: a sensor without a thermometer
     kind, note = _airspeed_of_ardupilot(log.parameters, series)
     contradictions = (*log.contradictions, *primaries.contradictions)
     log = replace(log, series=series, kinds={**log.kinds, "CTUN.As": kind}, contradictions=contradictions)
-    return _dated_back(log.with_notes(*notes, *note))
+    return _without_filter_delay(log.with_notes(*notes, *note))
 
 
-def _tubes_turned(series: dict[str, TimeSeries]) -> list[str]:
-    """Turns the differential pressures that are negative where the autopilot makes an airspeed of their size."""
+def _correct_swapped_tubes(series: dict[str, TimeSeries]) -> list[str]:
+    """Reverse the sign of differential pressures that are negative in flight while the autopilot has an airspeed; returns
+    notes."""
     notes = []
     for prefix in _prefixes(series, "ARSP", "DiffPress"):
         pressure, speed = series[f"{prefix}.DiffPress"], series.get(f"{prefix}.Airspeed")
@@ -60,14 +61,14 @@ def _tubes_turned(series: dict[str, TimeSeries]) -> list[str]:
     return notes
 
 
-def _dated_back(log: Log) -> Log:
-    """The log with the times at which what a filter delayed happened: the motion is slow beside the filter, which then delays by
-    sqrt(2)/(2 pi f) and changes nothing else. Gyros and accelerometers have filters of their own, and an attitude has none."""
+def _without_filter_delay(log: Log) -> Log:
+    """The log with earlier times of its low-passed series. For motion that is slow compared with the cut-off frequency f the
+    filter is a delay of sqrt(2)/(2 pi f)."""
     series, notes = dict(log.series), []
     for pattern, parameter in _LOW_PASSED:
         frequency = log.parameters.get(parameter, 0.0)
         names = [n for n in series if pattern.fullmatch(n)]
-        if not names or frequency < SLOWEST_FILTER:
+        if not names or frequency < LEAST_CUTOFF:
             continue
         delay = sqrt(2.0) / (2.0 * pi * frequency)
         series |= {n: replace(series[n], time=series[n].time - delay) for n in names}
@@ -79,17 +80,17 @@ def _dated_back(log: Log) -> Log:
 
 
 def _airspeed_of_ardupilot(parameters: Mapping[str, float], series: dict[str, TimeSeries]) -> tuple[str, list[str]]:
-    """What CTUN.As is; samples of it that no sensor made are taken out where others are of one."""
+    """Origin of CTUN.As, and notes. Where a pitot made some of its samples, the others become NaN in `series`."""
     speed, source = series.get("CTUN.As"), series.get("CTUN.AsT")
     if speed is None:
         return "measured", []
     if source is not None:
-        by_sensor = np.isin(source.values, BY_SENSOR)
+        by_sensor = np.isin(source.values, ARDUPILOT_SENSORS)
         if not by_sensor.any():
             words = f"(AsT {_distinct(source)}): an estimate of the autopilot, not a measurement"
             return "computed", [f"CTUN.As is not of a pitot {words}"]
         if not by_sensor.all():
-            series["CTUN.As"] = _only(speed, by_sensor)
+            series["CTUN.As"] = _masked(speed, by_sensor)
             return "measured", [f"CTUN.As: {int((~by_sensor).sum())} samples that no pitot made (AsT) left out"]
         return "measured", []
     if "ARSP.DiffPress" in series or "ARSP.Airspeed" in series:
@@ -108,7 +109,7 @@ def _airspeed_of_ardupilot(parameters: Mapping[str, float], series: dict[str, Ti
 
 
 def of_px4(log: Log) -> Log:
-    """A ULog without samples that have no fix, and with the origin of the validated airspeed."""
+    """A ULog with NaN where there was no fix, the delay of filters removed, and the origin of the validated airspeed."""
     series, notes, kinds = dict(log.series), [], dict(log.kinds)
     has_pitot = any(n.startswith(("differential_pressure.", "airspeed.")) for n in series)
     for prefix in (p for topic in ("vehicle_gps_position", "sensor_gps") for p in _prefixes(series, topic, "fix_type")):
@@ -128,13 +129,13 @@ def of_px4(log: Log) -> Log:
             words = f"(airspeed_source {_distinct(source)}): ground speed less a guessed wind, or synthetic"
             notes.append(f"{prefix} is not of a pitot {words}")
         elif not by_sensor.all():
-            series |= {n: _only(series[n], by_sensor) for n in names}
+            series |= {n: _masked(series[n], by_sensor) for n in names}
             notes.append(f"{prefix}: {int((~by_sensor).sum())} samples that no pitot made (airspeed_source) left out")
-    return _dated_back(replace(log, series=series, kinds=kinds).with_notes(*notes))
+    return _without_filter_delay(replace(log, series=series, kinds=kinds).with_notes(*notes))
 
 
 def of_mavlink(log: Log) -> Log:
-    """A telemetry log with the origin of VFR_HUD.airspeed: a pitot's pressure that moves, or what the autopilot says it has."""
+    """A telemetry log with NaN where there was no fix, and the origin of VFR_HUD.airspeed."""
     series, notes, kinds = dict(log.series), [], dict(log.kinds)
     for prefix in _prefixes(series, "GPS_RAW_INT", "fix_type"):
         notes += _without_fix(series, prefix, "fix_type", ("vel", "cog"))
@@ -145,6 +146,7 @@ def of_mavlink(log: Log) -> Log:
 
 
 def _airspeed_of_mavlink(series: Mapping[str, TimeSeries]) -> tuple[str, str]:
+    """Origin of VFR_HUD.airspeed by a differential pressure that varies, else by the sensors in SYS_STATUS; and a note or ''."""
     pressures = [series[n].values for n in _DIFFERENTIAL if n in series]
     varies = any(
         float(np.nanmax(np.abs(p - np.nanmedian(p)), initial=0.0)) > 0.0 and np.nanmax(np.abs(p)) > 0.0
@@ -166,26 +168,26 @@ def _distinct(series: TimeSeries) -> str:
 
 
 def _prefixes(series: Mapping[str, TimeSeries], topic: str, field: str) -> list[str]:
-    """A topic and its further instances that have a field."""
+    """The names of a topic and its further instances that have a field."""
     pattern = re.compile(re.escape(topic) + r"(\[\d+\])?\." + re.escape(field))
     return [n.rsplit(".", 1)[0] for n in series if pattern.fullmatch(n)]
 
 
 def _without_fix(series: dict[str, TimeSeries], prefix: str, status: str, fields: Iterable[str]) -> list[str]:
-    """Takes out what a receiver wrote while it had no fix: zeros are no velocities. Gives a note where there was any."""
+    """Set `fields` of a receiver to NaN while it had no fix, since it then writes zeros; returns a note where there were any."""
     fixed = series[f"{prefix}.{status}"].values >= FIX_3D
     if fixed.all():
         return []
-    series |= {n: _only(series[n], fixed) for n in (f"{prefix}.{f}" for f in fields) if n in series}
+    series |= {n: _masked(series[n], fixed) for n in (f"{prefix}.{f}" for f in fields) if n in series}
     return [f"{prefix}: {int((~fixed).sum())} samples without a fix ({status} below {FIX_3D}) taken as not measured"]
 
 
-def _only(series: TimeSeries, use: Mask) -> TimeSeries:
-    """The series with NaN elsewhere; as it is where it has other times."""
+def _masked(series: TimeSeries, use: Mask) -> TimeSeries:
+    """The series with NaN outside `use` (n,); unchanged where it has other times."""
     if series.time.size != use.size:
         return series
     return TimeSeries(series.time, np.where(use, series.values, np.nan))
 
 
 EVIDENCE: Mapping[str, Callable[[Log], Log]] = {"dataflash": of_ardupilot, "ulog": of_px4, "tlog": of_mavlink}
-"""Kind of a log -> what is made of its own word."""
+"""Kind of a log -> the function that applies these facts."""

@@ -1,4 +1,4 @@
-"""What ArduPilot's SERVOn_FUNCTION says that an output moves, by name, and whether a mapping makes the surfaces of it.
+"""ArduPilot's SERVOn_FUNCTION by name, and mappings that derive a surface from an output with another function.
 
 Source: ArduPilot, SRV_Channel.h, `SRV_Channel::Function`.
 """
@@ -23,19 +23,19 @@ NAMES: Mapping[int, str] = {
     **{50 + n: f"RC {n} passed through" for n in range(1, 17)},
 }  # fmt: skip
 
-_BY_SURFACE: Mapping[str, tuple[int, ...]] = {
+_FUNCTIONS_BY_SURFACE: Mapping[str, tuple[int, ...]] = {
     "delta_a": (4, 16, 17, 24, 25, 77, 78, 86, 87),
     "delta_e": (16, 17, 19, 77, 78, 79, 80, 86, 87),
     "delta_r": (16, 17, 21, 26, 79, 80, 86, 87),
 }
-"""Surface -> functions of outputs that have a part in it."""
+"""Surface -> functions of the outputs that move it."""
 OUTPUT = re.compile(
     r"RCOU\.C\d+|actuator_outputs(\[\d+\])?\.output\[\d+\]|actuator_servos\.control\[\d+\]"
     r"|SERVO_OUTPUT_RAW(\[\d+\])?\.servo\d+_raw|\S*/rc/out\.channels\[\d+\]"
 )
-"""ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVO_OUTPUT_RAW, what mavros makes of it."""
+"""ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVO_OUTPUT_RAW, and its form in mavros."""
 ENDINGS = ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")  # ArduPilot's parameters of a servo output, SERVOn_
-_UNTOLD = frozenset({1, *range(51, 67)})  # functions that pass a stick on: what it moves is not said
+_PASSED_THROUGH = frozenset({1, *range(51, 67)})  # functions that pass on a stick: they do not show what it moves
 
 
 def function_name(function: float) -> str:
@@ -44,7 +44,7 @@ def function_name(function: float) -> str:
 
 
 def function_contradictions(log: Log, chosen: Map) -> Iterator[Contradiction]:
-    """Surfaces that a mapping makes of outputs which, by the log's own parameters, move something else."""
+    """Surfaces of a mapping that are derived from outputs which, by the log's parameters, move something else."""
     for column, sources in chosen.columns.items():
         if not column.startswith(("delta_", "cmd_")) or not sources:
             continue
@@ -54,7 +54,11 @@ def function_contradictions(log: Log, chosen: Map) -> Iterator[Contradiction]:
             output = chosen.servos[name].column if name in chosen.servos else term.column
             parameter = parameter_of(output, "FUNCTION")
             function = log.parameters.get(parameter) if parameter else None
-            if function is None or round(function) in _UNTOLD or round(function) in _BY_SURFACE.get(surface, ()):
+            if (
+                function is None
+                or round(function) in _PASSED_THROUGH
+                or round(function) in _FUNCTIONS_BY_SURFACE.get(surface, ())
+            ):
                 continue
             part = function_name(function)
             text = (

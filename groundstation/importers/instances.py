@@ -1,4 +1,4 @@
-"""Which of several sensors of one kind an autopilot flew by: by its own word (Pri), by use, by health; and whether they agree."""
+"""The sensor in use, of several of one kind: by the log's primary (Pri), by use, by health; and whether they agree."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,15 +9,19 @@ import numpy as np
 from groundstation.flight.contradictions import Contradiction
 from groundstation.importers.series import Array, TimeSeries
 
-ALL_OF_ONE_KIND = ("ARSP", "GPS", "BARO", "IMU", "MAG")
-"""Messages of ArduPilot that come from several sensors and say which is in use."""
-AGREE = 0.08  # of the median of a quantity, by which two sensors of it may differ: pitots differ by 3 %
-COMPARED: Mapping[str, str] = {"ARSP": "DiffPress", "BARO": "Press"}  # what of a message is compared between instances
+REDUNDANT_MESSAGES = ("ARSP", "GPS", "BARO", "IMU", "MAG")
+"""Messages of ArduPilot that may come from several sensors, and state which is in use."""
+TOLERANCE = 0.08  # relative difference of two sensors' medians: pitots differ by 3 %
+COMPARED: Mapping[str, str] = {
+    "ARSP": "DiffPress",
+    "BARO": "Press",
+}  # message -> field that is compared between instances
 
 
 @dataclass(frozen=True)
 class ChosenInstances:
-    """series: those of the instance in use, under the plain name of the message, and of the first under its number."""
+    """series: of the instance in use without a number ('ARSP.Airspeed'), and of the first with its number; notes: on the choice;
+    contradictions: between instances."""
 
     series: Mapping[str, TimeSeries]
     notes: tuple[str, ...] = ()
@@ -25,11 +29,11 @@ class ChosenInstances:
 
 
 def with_primaries(series: Mapping[str, TimeSeries]) -> ChosenInstances:
-    """The series with the plain name (`ARSP.Airspeed`) standing for the instance in use; each stays under its number, too."""
+    """The series with those of the instance in use under the name without a number, and each instance under its number, too."""
     primaries = dict(series)
     notes: list[str] = []
     contradictions: list[Contradiction] = []
-    for message in ALL_OF_ONE_KIND:
+    for message in REDUNDANT_MESSAGES:
         instances = _instances(series, message)
         if len(instances) < 2:
             continue
@@ -50,7 +54,7 @@ def with_primaries(series: Mapping[str, TimeSeries]) -> ChosenInstances:
 
 
 def _instances(series: Mapping[str, TimeSeries], message: str) -> dict[int, dict[str, TimeSeries]]:
-    """Instance number -> field -> series."""
+    """Instance number -> field -> series, of one message."""
     instances: dict[int, dict[str, TimeSeries]] = {}
     label = series.get(f"{message}.I")
     numbers = label.values[np.isfinite(label.values)] if label is not None else np.zeros(0)
@@ -64,7 +68,7 @@ def _instances(series: Mapping[str, TimeSeries], message: str) -> dict[int, dict
 
 
 def _primary(instances: Mapping[int, Mapping[str, TimeSeries]]) -> tuple[int | None, str]:
-    """The instance in use and why; None where it changes, as each says at its own time."""
+    """The instance in use and why; None where the log's primary changes in flight."""
     priorities = [fields["Pri"].values for fields in instances.values() if "Pri" in fields]
     if priorities:
         numbers = np.unique(np.concatenate(priorities))
@@ -85,13 +89,13 @@ def _primary(instances: Mapping[int, Mapping[str, TimeSeries]]) -> tuple[int | N
 
 
 def mean_of_first(series: Mapping[str, TimeSeries], names: Sequence[str]) -> float | None:
-    """Mean of the first of some series that is there."""
+    """Mean of the first of the named series that exists and is not empty; None without one."""
     values = next((series[n].values for n in names if n in series), None)
     return float(np.nanmean(values)) if values is not None and values.size else None
 
 
 def _by_time(instances: Mapping[int, Mapping[str, TimeSeries]]) -> dict[str, TimeSeries]:
-    """Samples of each instance from the times at which it was the primary."""
+    """Field -> the samples of each instance while it was the primary, in order of time."""
     in_use = {n: f["Pri"].values == n for n, f in instances.items() if "Pri" in f}
     merged = {}
     for name in next(iter(instances.values())):
@@ -106,24 +110,25 @@ def _by_time(instances: Mapping[int, Mapping[str, TimeSeries]]) -> dict[str, Tim
 def _disagreements(
     message: str, instances: Mapping[int, Mapping[str, TimeSeries]], primary: int | None, why: str
 ) -> Iterator[Contradiction]:
-    """What two instances show of one quantity, where they differ beyond what two sensors do."""
+    """Contradictions between the instance in use and the others, where they differ by more than TOLERANCE. why: of its choice."""
     field = COMPARED.get(message, "")
-    against = primary if primary is not None else next(iter(instances))
-    reference = instances[against].get(field)
+    used = primary if primary is not None else next(iter(instances))
+    reference = instances[used].get(field)
     for number, fields in instances.items():
-        if number == against or field not in fields or reference is None:
+        if number == used or field not in fields or reference is None:
             continue
         ratio = _ratio(fields[field], reference)
-        if ratio is None or abs(ratio - 1.0) <= AGREE:
+        if ratio is None or abs(ratio - 1.0) <= TOLERANCE:
             continue
         sure = not why.startswith("nothing")
-        first, second = f"{message}[{number}].{field}", f"{message}[{against}].{field}"
+        first, second = f"{message}[{number}].{field}", f"{message}[{used}].{field}"
         text = f"{first} is {ratio:.3g} times {second}; {second} is taken, {why}"
         moves = f"every derivative by {abs(ratio - 1.0):.0%}, if it were the other" if message == "ARSP" else "density"
         yield Contradiction((first, second), text, ratio, favoured=second if sure else "", moves=moves, stops=not sure)
 
 
 def _ratio(first: TimeSeries, second: TimeSeries) -> float | None:
+    """Median of first over second, where the second is not small; None where they have no common time."""
     values: Array = np.interp(first.time, second.time, second.values) if second.time.size > 1 else np.zeros(0)
     if not np.isfinite(values).any():
         return None

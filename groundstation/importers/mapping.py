@@ -1,4 +1,4 @@
-"""The mapping file: which foreign column becomes which flight column, in which unit and with which sign.
+"""The mapping file: the flight columns and the foreign columns they are taken from, with unit and sign.
 
 format = 1
 [time]
@@ -25,7 +25,7 @@ from groundstation.importers.servos import ServoMap
 from groundstation.importers.units import conversion
 
 MAPS = Path(__file__).parent / "maps"
-MOST_LINES_ABOVE = 1_000_000  # lines before the first row of numbers; no file of 16 MiB has as many that say something
+MOST_LINES_ABOVE = 1_000_000  # before the first row of numbers; a file of 16 MiB has fewer that are not almost empty
 
 
 class _MapTable(BaseModel):
@@ -33,7 +33,7 @@ class _MapTable(BaseModel):
 
 
 Kind = Literal["measured", "computed", "assumed"]
-"""Where numbers come from: a sensor, a program that makes them of others, or a person (or a board beside the sensor)."""
+"""Origin of numbers: a sensor; a program that calculates them from others; or a person, or a board next to the sensor."""
 
 
 class ColumnTerm(_MapTable):
@@ -44,12 +44,11 @@ class ColumnTerm(_MapTable):
 
 
 class ColumnSource(_MapTable):
-    """Where a flight column comes from: value = sign * factor * (sum of terms, or expression) [unit] + offset [unit], turned
-    into SI.
+    """Source of a flight column: value = sign * factor * (sum of terms, or expression) [unit] + offset [unit], converted to SI.
 
-    unit: None where the file itself states it. hold: between samples the value is the last one (a command), not a straight line.
-    equivalent: an airspeed that refers to sea-level density, made true by the density of the flight. kind: where its numbers
-    come from, where the log does not tell.
+    unit: None where the file states it. hold: whether values hold between samples (a command), instead of linear interpolation.
+    equivalent: whether it is an airspeed at sea-level density, to be converted to true airspeed. kind: origin of its numbers,
+    where the log does not show it.
     """
 
     column: str | None = None
@@ -83,7 +82,7 @@ class ColumnSource(_MapTable):
 
     @property
     def formula(self) -> str:
-        """How the column is made, for a person."""
+        """The calculation of the column as text."""
         if self.expression is not None:
             text = self.expression if "`" in self.expression else self.expression.replace(" ", "")
         else:

@@ -1,4 +1,4 @@
-"""Names of flight modes, and what an autopilot's log says beside its samples, whatever the format.
+"""Names of flight modes, and the marks of an autopilot's log (modes, events, messages), for all formats.
 
 Sources: ArduPilot `mode.h` of Plane, Copter and Rover; PX4 `vehicle_status.msg` (nav_state) and `px4_custom_mode.h`; ArduPilot
 `AP_Logger/LogStructure.h` for MODE, MSG, ARM, EV and ERR; MAVLink common.xml for HEARTBEAT and STATUSTEXT.
@@ -43,7 +43,7 @@ _PX4_AUTO: Mapping[int, str] = {
     9: "AUTO_PRECLAND",
 }  # fmt: skip
 _VEHICLES = {"ArduCopter": COPTER, "ArduRover": ROVER, "APMrover": ROVER, "Rover": ROVER}
-"""What a log's own first message calls its firmware; an aeroplane in all other cases, for which this program is."""
+"""Firmware in a log's first message -> names of its modes; those of PLANE for any other."""
 _EVENTS: Mapping[int, str] = {
     10: "armed", 11: "disarmed", 15: "auto armed", 17: "land complete maybe", 18: "land complete",
     25: "home set", 28: "not landed",
@@ -61,7 +61,7 @@ Row = Mapping[str, object]
 
 
 def mark_text(value: object) -> str:
-    """Text of a field, without what fills it up."""
+    """Text of a field as one line, without padding."""
     raw = value.split(b"\0", 1)[0].decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
     return one_line(raw.strip(), LONGEST_TEXT)
 
@@ -84,18 +84,19 @@ def dataflash_marks(rows: Mapping[str, Sequence[tuple[float, Row]]], end: float)
 
 
 def _arming(rows: Mapping[str, Sequence[tuple[float, Row]]], row: Row) -> bool:
-    """Whether an event says what a message of its own (ARM) says too."""
+    """Whether an event repeats an ARM message of the log."""
     return "ARM" in rows and _number(row.get("Id")) in (10, 11)
 
 
 def _mode(row: Row, names: Mapping[int, str]) -> str:
-    """The mode of a MODE message: by number in a binary log, by name in some text ones."""
+    """The mode of a MODE message, which has a number in a binary log and a name in some text logs."""
     value = row.get("ModeNum", row.get("Mode"))
     number = _number(value)
     return mark_text(row.get("Mode", "")) or "unknown" if number is None else names.get(number, f"mode {number}")
 
 
 def _number(value: object) -> int | None:
+    """A field as an integer; None where it is no number."""
     try:
         return round(float(value))  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
@@ -103,6 +104,7 @@ def _number(value: object) -> int | None:
 
 
 def _named(names: Mapping[int, str], value: object, otherwise: str) -> str:
+    """The name of a number; `otherwise` with the value for an unknown one."""
     number = _number(value)
     return names.get(-1 if number is None else number, f"{otherwise} {mark_text(value)}")
 
@@ -118,7 +120,7 @@ def heartbeat_mode(vehicle: int, autopilot: int, custom: int) -> str:
 
 
 def armings(time: Iterable[float], armed: Iterable[bool]) -> tuple[Mark, ...]:
-    """An event for each change of the state of the motors, the first included."""
+    """An event "armed" or "disarmed" for the first state and each change. time: [s]; armed: at these times."""
     states = mode_changes(time, ("armed" if a else "disarmed" for a in armed), 0.0)
     return tuple(Mark(m.start, m.name) for m in states)
 
@@ -127,7 +129,7 @@ PX4_ARMED = 2  # vehicle_status.arming_state ARMING_STATE_ARMED
 
 
 def px4_marks(series: Mapping[str, TimeSeries], messages: Iterable[Mark] = ()) -> Marks:
-    """Modes and arming by PX4's vehicle_status; messages as they were logged."""
+    """Modes and arming from PX4's vehicle_status, with the logged messages."""
     mode, arming = series.get("vehicle_status.nav_state"), series.get("vehicle_status.arming_state")
     modes: tuple[FlightMode, ...] = ()
     if mode is not None:

@@ -1,7 +1,7 @@
-"""Who made the numbers of a series: a sensor, a program of the aircraft that computes them of others, or nobody that measured.
+"""Origin of a series: measured by a sensor, computed on board from other quantities, or assumed.
 
-An autopilot logs its own estimates beside its sensors, under names that do not say so. What is computed may be good (attitude
-is all the attitude there is), but it is never a measurement.
+An autopilot logs its estimates beside its sensors, under names that do not show the difference. A computed quantity may be good
+(attitude always is computed), but it is not a measurement.
 """
 
 import re
@@ -45,45 +45,45 @@ _BY_NAME: Mapping[str, tuple[tuple[str, Kind], ...]] = {
         ),
     ),
 }
-"""Format -> patterns of series and what they are; the first that fits counts. All others of a log are sensors' own."""
+"""Format -> patterns of series with their origin, of which the first match counts; all others of a log are measured."""
 _COMPILED = {kind: tuple((re.compile(p), k) for p, k in rows) for kind, rows in _BY_NAME.items()}
 
-_SAYS_SO = re.compile(
+_COMPUTED_NAME = re.compile(
     r"(?i)(^|[._ /])(ekf\d?|estimat\w*|filtered|fused|synthetic|setpoint|predicted|reconstructed)([._ /]|$)"
 )
-"""Names in tables that say themselves that a program made them."""
+"""Names in tables by which a column is computed."""
 
 _COMMANDS = re.compile(
     r"(.*:)?(RCOU\d?|RCO2|RCO3|RCIN|AETR|SERVO_OUTPUT_RAW|RC_CHANNELS\w*|ACTUATOR\w*|actuator_(outputs|servos|controls|motors)\w*"
     r"|input_rc|manual_control_setpoint|vehicle_(torque|thrust)_setpoint)(\[\d+\])?\..*"
 )
-"""Series of what was asked of servos and motors, by a person or a program."""
+"""Series of commands to servos and motors, by a pilot or a program."""
 
 
 def is_command(log: Log, series: str) -> bool:
-    """Whether a series is a command, which holds until the next one and has no noise."""
+    """Whether a series is a command, which holds between samples and has no noise."""
     return log.series[series].command or _COMMANDS.fullmatch(series) is not None
 
 
-_WORST: tuple[Kind, ...] = (MEASURED, COMPUTED, ASSUMED)
+_BY_QUALITY: tuple[Kind, ...] = (MEASURED, COMPUTED, ASSUMED)  # the best first
 
-NOT_FLOWN = ("V", "V_cas", "alpha", "beta")
-"""Columns that tell the air from the ground only where a sensor in the air measured them: computed ones are made of attitude and
-velocity with a wind that was guessed, and add nothing but that guess."""
+AIR_RELATIVE = ("V", "V_cas", "alpha", "beta")
+"""Columns of motion relative to the air. Computed ones follow from attitude and ground velocity with an estimated wind, and
+contain no further information."""
 
 
 def kind_of(log: Log, series: str) -> Kind:
-    """What a series of a log is."""
+    """Origin of a series of a log."""
     log_kind = log.kinds.get(series)
     if log_kind is not None:
-        return next(k for k in _WORST if k == log_kind)
+        return next(k for k in _BY_QUALITY if k == log_kind)
     if series.startswith(PREFIX):
-        return COMPUTED  # what was commanded, whatever the surface does
+        return COMPUTED  # a surface by its command
     if log.kind in _COMPILED:
         return next((kind for pattern, kind in _COMPILED[log.kind] if pattern.fullmatch(series)), MEASURED)
-    return COMPUTED if _SAYS_SO.search(series) else MEASURED
+    return COMPUTED if _COMPUTED_NAME.search(series) else MEASURED
 
 
 def kind_of_all(log: Log, series: Iterable[str]) -> Kind:
-    """What becomes of several: as sure as the worst of them."""
-    return max((kind_of(log, name) for name in series), key=_WORST.index, default=ASSUMED)
+    """Origin of a column that is calculated from several series: the least certain of theirs."""
+    return max((kind_of(log, name) for name in series), key=_BY_QUALITY.index, default=ASSUMED)

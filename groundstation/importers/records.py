@@ -1,8 +1,8 @@
-"""Records of a flight: a log cut where the autopilot's clock begins anew, tables of one flight joined on time, and several
-records in a row as one flight.
+"""Records of a flight: a log split where the autopilot was booted again, tables of one flight joined on time, and consecutive
+records as one flight.
 
-ulog2csv writes LOG_TOPIC_INSTANCE.csv with a column `timestamp` [us]; rosbag and loggers of one's own write a table for each
-sensor. Two tables are of one flight where they cover the same time and give different flight columns.
+ulog2csv writes LOG_TOPIC_INSTANCE.csv with a column `timestamp` [us]; rosbag and other loggers write a table for each sensor. Two
+tables are of one flight where they cover the same time and give different flight columns.
 """
 
 import re
@@ -25,20 +25,20 @@ from groundstation.importers.formats.tables import RECORD, read_table, table_log
 from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time, built_in_map
 from groundstation.importers.series import MESSAGE, Log, TimeSeries
 
-FALLS_BACK = 1.0
-"""[s] by which a message is earlier than the one before only after a restart: out of order they are by milliseconds."""
-OVERLAP = 0.5  # share of the shorter of two tables that the longer must cover for both to be of one flight
-APART = 1.0  # [s] put between records whose clocks begin anew
-_STAMP = b"timestamp,"
+CLOCK_BACK_S = 1.0
+"""[s] by which a message's time goes back after a restart only: messages out of order differ by milliseconds."""
+LEAST_OVERLAP = 0.5  # of two tables' times, over the shorter one, for both to be of one flight
+RECORD_GAP = 1.0  # [s] between records whose clocks were restarted
+_STAMP = b"timestamp,"  # first bytes of a table of ulog2csv
 
 
 # ------------------------------------------------------------------------------------------------------------------- boots
 
 
 def by_boot(log: Log) -> list[Log]:
-    """A log for each run of the clock, in the order of the file; the log itself where it never falls back.
+    """A log for each boot, in the order of the file; the log itself where its clock never goes back.
 
-    Messages that were not written in every run cannot be assigned by their order: they are left out, with a note.
+    Messages that were not written in every boot cannot be assigned to one; they are left out, with a note.
     """
     clocks = {id(s.time): s.time for s in log.series.values()}
     runs = {key: _clock_runs(time) for key, time in clocks.items()}
@@ -61,9 +61,9 @@ def by_boot(log: Log) -> list[Log]:
 
 
 def _clock_runs(time: Array) -> list[slice]:
-    """Ranges between falls of a clock; one that falls back for single samples only is damaged, and is one range."""
+    """Ranges of rows between steps back of a clock; one range where it only steps back from single damaged times."""
     with np.errstate(invalid="ignore"):
-        falls = np.flatnonzero(np.diff(time) < -FALLS_BACK) + 1
+        falls = np.flatnonzero(np.diff(time) < -CLOCK_BACK_S) + 1
     runs = [slice(a, b) for a, b in pairwise([0, *falls.tolist(), time.size])]
     damaged = any(
         following.stop - following.start < 2 or _ends_in_spike(time[previous]) for previous, following in pairwise(runs)
@@ -72,7 +72,7 @@ def _clock_runs(time: Array) -> list[slice]:
 
 
 def _ends_in_spike(time: Array) -> bool:
-    """Whether the last sample lies far above its own neighbour."""
+    """Whether the last time is far above the one before it."""
     steps = np.diff(time)
     return steps.size < 2 or bool(steps[-1] > 100.0 * max(float(np.median(steps)), 1e-3))
 
@@ -81,7 +81,7 @@ def _ends_in_spike(time: Array) -> bool:
 
 
 def topics_of_px4(paths: Sequence[Path]) -> Log | None:
-    """The topics that ulog2csv has written of one log, as the log itself; None where the files are others."""
+    """The log of which ulog2csv wrote these files, one for each topic; None for other files."""
     if not paths or any(p.suffix.lower() != ".csv" or not p.is_file() for p in paths):
         return None
     if not all(read_bytes(p, error=ImportDataError).startswith(_STAMP) for p in paths):
@@ -103,7 +103,7 @@ def topics_of_px4(paths: Sequence[Path]) -> Log | None:
 
 
 def _px4_topic(stem: str) -> str:
-    """`vehicle_attitude` or `vehicle_attitude[1]` from the name of a file; the name itself for a topic that no mapping names."""
+    """Topic of a file by its name, `vehicle_attitude` or `vehicle_attitude[1]`; the name itself for a topic in no mapping."""
     names = {t.column.split(".")[0] for m in built_in_map("px4").columns.values() for s in m for t in s.parts}
     names |= {"actuator_outputs", "actuator_servos"}
     fitting = [t for t in names if re.search(rf"(^|_){t}_\d{{1,2}}$", stem)]
@@ -114,13 +114,15 @@ def _px4_topic(stem: str) -> str:
 
 
 def joined_topics(tables: Sequence[tuple[Path, Log, Map]]) -> tuple[Log, Map] | None:
-    """Tables of one flight as one log, each with times of its own; None where they are records of their own."""
+    """Tables of one flight as one log and its mapping; None where they are separate records. tables: path, log and mapping."""
     if len(tables) < 2 or any(not log.common or RECORD in log.series or not log.series for _, log, _ in tables):
         return None
     start = min(log.origin for _, log, _ in tables)
     times = [next(iter(log.series.values())).time + (log.origin - start) for _, log, _ in tables]
     columns = [_flight_columns(log, mapping) for _, log, mapping in tables]
-    of_topics = all(MESSAGE in log.detail for _, log, _ in tables)  # stamped by one clock: never records in a row
+    of_topics = all(
+        MESSAGE in log.detail for _, log, _ in tables
+    )  # these have one clock, and are not consecutive records
     if not all(columns) or (not of_topics and sum(map(len, columns)) > len(set().union(*columns))):
         return None
     if not all(_overlap(a, b) for a, b in combinations(times, 2)):
@@ -149,29 +151,28 @@ def joined_topics(tables: Sequence[tuple[Path, Log, Map]]) -> tuple[Log, Map] | 
 
 
 def _relabelled(source: ColumnSource, labels: Mapping[str, str]) -> ColumnSource:
-    """A source whose columns have other labels in the joined log; an expression as it is."""
+    """A source with the labels of its columns in the joined log; an expression is not changed."""
     terms = tuple(t.model_copy(update={"column": labels.get(t.column, t.column)}) for t in source.terms)
     return source.model_copy(update={"column": labels.get(source.column or "", source.column), "terms": terms})
 
 
 def _flight_columns(log: Log, mapping: Map) -> set[str]:
-    """Flight columns that a table gives."""
+    """The flight columns that a table contains by its mapping."""
     return {n for n, s in mapping.columns.items() if any(all(t.column in log.series for t in x.parts) for x in s)}
 
 
 def _overlap(first: Array, second: Array) -> bool:
+    """Whether two times (n,) [s] overlap by LEAST_OVERLAP of the shorter."""
     (a, b), (c, d) = ((float(np.nanmin(t)), float(np.nanmax(t))) for t in (first, second))
-    return min(b, d) - max(a, c) > OVERLAP * min(b - a, d - c)
+    return min(b, d) - max(a, c) > LEAST_OVERLAP * min(b - a, d - c)
 
 
 # ---------------------------------------------------------------------------------------------------------- flights in a row
 
 
 def joined_flights(flights: Sequence[Flight]) -> Flight:
-    """The records one after the other. Where one does not begin after the last has ended its time is moved, with a note.
-
-    A column that a record lacks is NaN in it.
-    """
+    """Consecutive records as one flight, each with its own segments. A record that begins before the last one has ended is
+    shifted in time, with a note. A column that a record lacks is NaN in it."""
     if len(flights) == 1:
         return flights[0]
     times, segments, marks = [], [], []
@@ -180,7 +181,7 @@ def joined_flights(flights: Sequence[Flight]) -> Flight:
     for flight in flights:
         time = flight.time
         if time[0] <= end:
-            time, shifted = time - time[0] + end + APART, shifted + 1
+            time, shifted = time - time[0] + end + RECORD_GAP, shifted + 1
         times.append(time)
         marks.append(marks_of(flight).moved(float(time[0] - flight.time[0])))
         segments.append(flight.segment + first_segment)
@@ -190,7 +191,7 @@ def joined_flights(flights: Sequence[Flight]) -> Flight:
     notes: list[Finding | str] = [n for f in flights for n in f.notes]
     notes.append(f"{len(flights)} records in a row, each with segments of its own")
     if shifted:
-        notes.append(f"{shifted} of them begin anew in time: moved to {APART:g} s after the one before")
+        notes.append(f"{shifted} of them begin anew in time: moved to {RECORD_GAP:g} s after the one before")
     provenance = flights[0].provenance
     files = {f.provenance.path: f.provenance.sha256 for f in flights}
     detail = {**provenance.detail, **joined_marks(marks).to_json(), **({"files": files} if len(files) > 1 else {})}
@@ -205,10 +206,8 @@ def joined_flights(flights: Sequence[Flight]) -> Flight:
 
 
 def with_aircraft(flight: Flight, aircraft: str) -> Flight:
-    """The flight under the name of a built-in aircraft, or with the aircraft file whose path is given, which travels with it.
-
-    Raises ImportDataError for a file that cannot be read as TOML.
-    """
+    """The flight with the name of a built-in aircraft, or with an embedded aircraft file, where `aircraft` is the path of one.
+    Raises ImportDataError for a file that is not TOML."""
     if not aircraft.endswith(".toml"):
         return replace(flight, provenance=replace(flight.provenance, aircraft=aircraft))
     text = read_text(Path(aircraft), "aircraft file", ImportDataError)

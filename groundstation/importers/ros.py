@@ -1,7 +1,7 @@
-"""Bags as logs: px4_msgs under the names of PX4's own topics, the standard messages in body axes x forward, y right, z down.
+"""Bags as logs: px4_msgs under the names of PX4's topics, standard messages in body axes x forward, y right, z down.
 
-ROS turns x forward, y left, z up, and world axes east, north, up (REP 103, REP 105); mavros follows. So y and z change sign, and
-attitude is turned from east-north-up to north-east-down.
+ROS and mavros have body axes x forward, y left, z up, and world axes east, north, up (REP 103, REP 105). So y and z change sign,
+and attitude is converted from east-north-up to north-east-down.
 """
 
 import re
@@ -23,16 +23,18 @@ from groundstation.importers.series import MESSAGE, Log, TimeSeries
 
 _PX4 = re.compile(r"px4_msgs/(\w+)")
 _PX4_TOPIC = re.compile(r".*/fmu/(?:in|out)/(\w+?)(?:_v\d+)?")
-"""A topic of PX4's bridge is called as its uORB topic; its kind may have another name (SensorGps of vehicle_gps_position)."""
-PX4_US = 1e-6
-_SIDE = {"x": 1, "y": -1, "z": -1}  # sign of a body axis of ROS in ours
+"""A topic of PX4's bridge, named as its uORB topic; the kind of message may have another name (SensorGps in
+vehicle_gps_position)."""
+PX4_US = 1e-6  # [s] of PX4's time stamps
+_SIDE = {"x": 1, "y": -1, "z": -1}  # ROS body axis -> its sign in our axes
+_UNIT_TOLERANCE = 0.1  # of a quaternion's norm about 1, in at least one message
 _ORIENTATIONS: Mapping[str, str] = {
     "geometry_msgs/PoseStamped": "pose.orientation",
     "geometry_msgs/PoseWithCovarianceStamped": "pose.pose.orientation",
     "nav_msgs/Odometry": "pose.pose.orientation",
     "geometry_msgs/QuaternionStamped": "quaternion",
 }
-"""Kind of message -> its field that is an attitude."""
+"""Kind of message -> its field with an attitude."""
 TURNED = "messages of ROS: axes turned from x forward, y left, z up and east, north, up to ours (REP 103)"
 _BY_FIELDS: Mapping[str, frozenset[str]] = {
     "sensor_msgs/msg/Imu": frozenset({"angular_velocity.x", "linear_acceleration.x"}),
@@ -44,20 +46,18 @@ _BY_FIELDS: Mapping[str, frozenset[str]] = {
     "sensor_msgs/msg/Temperature": frozenset({"temperature", "variance"}),
     "mavros_msgs/msg/VfrHud": frozenset({"airspeed", "groundspeed", "throttle", "climb"}),
 }
-"""Kind of message -> fields by which a table of it is known."""
-_FIELD = "field."  # what `rostopic echo -p` writes before the name of each
+"""Kind of message -> fields by which a table of such messages is recognised."""
+_FIELD = "field."  # prefix of the names that `rostopic echo -p` writes
 
 
 def read_ros(paths: Sequence[Path]) -> tuple[Log, Map]:
-    """A bag, of one file or several, as a log with the mapping that its kinds of messages make.
-
-    Raises ImportDataError where nothing can be read.
-    """
+    """A bag, of one file or several, as a log, with the mapping for its kinds of messages. Raises ImportDataError where it has no
+    numbers."""
     bag = read_bag(paths)
     px4 = {n: t for n, t in bag.topics.items() if _PX4.fullmatch(t.kind)}
     if px4:
-        found = with_attitudes(_px4_series(px4)) | _beside_px4(px4.values(), bag.topics.values())
-        log = Log("ulog", found, notes=tuple(bag.notes), marks=px4_marks(found))
+        px4_log = with_attitudes(_px4_series(px4)) | _other_series(px4.values(), bag.topics.values())
+        log = Log("ulog", px4_log, notes=tuple(bag.notes), marks=px4_marks(px4_log))
         return EVIDENCE["ulog"](log), built_in_map("px4")
     series: dict[str, TimeSeries] = {}
     columns: dict[str, list[ColumnSource]] = {}
@@ -65,7 +65,7 @@ def read_ros(paths: Sequence[Path]) -> tuple[Log, Map]:
     rotated = False
     for topic in bag.topics.values():
         topic_series = topic.series(topic.name)
-        rotated |= _standard(topic, topic_series, columns, kinds)
+        rotated |= _add_columns(topic, topic_series, columns, kinds)
         series |= topic_series
     if not series:
         raise ImportDataError(f"{paths[0]}: no numbers in the messages of this bag")
@@ -78,7 +78,7 @@ def read_ros(paths: Sequence[Path]) -> tuple[Log, Map]:
 
 
 def _mavros_marks(topics: Iterable[Topic], end: float) -> Marks:
-    """Modes and arming by mavros' State, messages by its StatusText."""
+    """Modes and arming from mavros' State, texts from its StatusText. end: of the bag [s]."""
     marks = Marks()
     for topic in topics:
         if topic.kind not in WORDS:
@@ -96,17 +96,17 @@ def _mavros_marks(topics: Iterable[Topic], end: float) -> Marks:
 
 
 def of_topic_table(path: Path, log: Log, mapping: Map) -> tuple[Log, Map]:
-    """A table that holds the messages of one topic (bagpy, `rostopic echo -p`), with the mapping that its kind of message makes
-    of the columns that no other gives; any other table as it is."""
+    """The log and mapping of a table with the messages of one topic (bagpy, `rostopic echo -p`), with sources for flight columns
+    that the mapping lacks; of any other table unchanged."""
     labels = {f"{path.stem}.{n.removeprefix(_FIELD)}": n for n in log.series}
     fields = {n.removeprefix(_FIELD) for n in log.series}
     kind = next((k for k, needed in _BY_FIELDS.items() if needed <= fields), None)
     if kind is None:
         return log, mapping
-    made = {n: log.series[label] for n, label in labels.items()}
+    series = {n: log.series[label] for n, label in labels.items()}
     columns: dict[str, list[ColumnSource]] = {}
     kinds: dict[str, str] = {}
-    rotated = _standard(Topic(path.stem, kind), made, columns, kinds)
+    rotated = _add_columns(Topic(path.stem, kind), series, columns, kinds)
     sources = {
         column: tuple(s.model_copy(update={"column": labels.get(s.column or "", s.column)}) for s in alternatives)
         for column, alternatives in columns.items()
@@ -116,7 +116,7 @@ def of_topic_table(path: Path, log: Log, mapping: Map) -> tuple[Log, Map]:
         return log, mapping
     log = replace(
         log,
-        series={**log.series, **{n: s for n, s in made.items() if n not in labels}},
+        series={**log.series, **{n: s for n, s in series.items() if n not in labels}},
         kinds={**log.kinds, **{labels.get(n, n): k for n, k in kinds.items()}},
         detail={**log.detail, MESSAGE: kind},
     ).with_notes(f"{path.name} holds {kind}, by its columns", *([TURNED] if rotated else []))
@@ -124,7 +124,7 @@ def of_topic_table(path: Path, log: Log, mapping: Map) -> tuple[Log, Map]:
 
 
 def _px4_series(topics: dict[str, Topic]) -> dict[str, TimeSeries]:
-    """Series under the names of uORB topics; a second topic of one kind is instance 1."""
+    """Series named by uORB topics; a second topic of one name is instance 1."""
     series: dict[str, TimeSeries] = {}
     counts: dict[str, int] = {}
     for topic in topics.values():
@@ -136,80 +136,85 @@ def _px4_series(topics: dict[str, Topic]) -> dict[str, TimeSeries]:
     return series
 
 
-def _beside_px4(px4: Iterable[Topic], topics: Iterable[Topic]) -> dict[str, TimeSeries]:
-    """Series of the other topics of a bag, under the names of their topics, on PX4's own clock: ROS' clock is later by what PX4's
-    messages came later than they were stamped."""
+def _other_series(px4: Iterable[Topic], topics: Iterable[Topic]) -> dict[str, TimeSeries]:
+    """Series of the other topics of a bag, on PX4's clock. The difference of the clocks is the median of the time received less
+    the time stamp of PX4's messages."""
     stamped = [t for t in px4 if len(t.columns.get("timestamp", ())) == len(t.time)]
     if not stamped:
         return {}
-    later = float(np.median([np.median(np.array(t.time) - PX4_US * np.array(t.columns["timestamp"])) for t in stamped]))
+    offset = float(
+        np.median([np.median(np.array(t.time) - PX4_US * np.array(t.columns["timestamp"])) for t in stamped])
+    )
     others = (t for t in topics if not _PX4.fullmatch(t.kind))
-    return {n: replace(s, time=s.time - later) for topic in others for n, s in topic.series(topic.name).items()}
+    return {n: replace(s, time=s.time - offset) for topic in others for n, s in topic.series(topic.name).items()}
 
 
-def _standard(
-    topic: Topic, made: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
+def _add_columns(
+    topic: Topic, series: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
 ) -> bool:
-    """Flight columns of a standard message; whether axes were turned. made: series of the topic, to which attitude is added."""
+    """Add sources for the flight columns of a standard message to `columns`; returns whether its axes were converted.
+
+    series: of the topic, to which the angles of an attitude are added; kinds: origin by series, added to, too.
+    """
     name = topic.name
 
-    def give(column: str, field: str, unit: str, sign: int = 1) -> None:
-        if f"{name}.{field}" in made:
+    def add_source(column: str, field: str, unit: str, sign: int = 1) -> None:
+        if f"{name}.{field}" in series:
             source = {"column": f"{name}.{field}", "unit": unit, "sign": sign}
             columns.setdefault(column, []).append(ColumnSource.model_validate(source))
 
     match topic.kind.replace("/msg/", "/"):
         case "sensor_msgs/Imu":
             for rate, force, axis in zip("pqr", ("ax", "ay", "az"), "xyz", strict=True):
-                give(rate, f"angular_velocity.{axis}", "rad/s", _SIDE[axis])
-                give(force, f"linear_acceleration.{axis}", "m/s2", _SIDE[axis])
-            _attitude(name, "orientation", made, columns, kinds)
+                add_source(rate, f"angular_velocity.{axis}", "rad/s", _SIDE[axis])
+                add_source(force, f"linear_acceleration.{axis}", "m/s2", _SIDE[axis])
+            _add_attitude(name, "orientation", series, columns, kinds)
             return True
         case "geometry_msgs/TwistStamped" | "geometry_msgs/TwistWithCovarianceStamped" as kind if "body" not in name:
             field = "twist.twist.linear" if "Covariance" in kind else "twist.linear"
-            give("vn", f"{field}.y", "m/s")
-            give("ve", f"{field}.x", "m/s")
-            give("vd", f"{field}.z", "m/s", -1)
+            add_source("vn", f"{field}.y", "m/s")
+            add_source("ve", f"{field}.x", "m/s")
+            add_source("vd", f"{field}.z", "m/s", -1)
             return True
         case kind if kind in _ORIENTATIONS:
-            _attitude(name, _ORIENTATIONS[kind], made, columns, kinds)
+            _add_attitude(name, _ORIENTATIONS[kind], series, columns, kinds)
             return True
         case "sensor_msgs/MagneticField":
             for field, axis in zip(("mx", "my", "mz"), "xyz", strict=True):
-                give(field, f"magnetic_field.{axis}", "T", _SIDE[axis])
+                add_source(field, f"magnetic_field.{axis}", "T", _SIDE[axis])
             return True
         case "sensor_msgs/NavSatFix" | "foxglove.LocationFix":
             for column, unit in (("latitude", "deg"), ("longitude", "deg"), ("altitude", "m")):
-                give("altitude_gnss" if column == "altitude" else column, column, unit)
+                add_source("altitude_gnss" if column == "altitude" else column, column, unit)
         case "sensor_msgs/FluidPressure":
-            give("p_dynamic" if re.search(r"diff|dyn|pitot", name) else "p_static", "fluid_pressure", "Pa")
+            add_source("p_dynamic" if re.search(r"diff|dyn|pitot", name) else "p_static", "fluid_pressure", "Pa")
         case "sensor_msgs/Temperature":
-            give("temperature", "temperature", "degC")
+            add_source("temperature", "temperature", "degC")
             kinds[f"{name}.temperature"] = "assumed"
         case "mavros_msgs/VfrHud":
-            give("V_cas", "airspeed", "m/s")
+            add_source("V_cas", "airspeed", "m/s")
         case "mavros_msgs/RCOut":
-            made |= {n: replace(s, command=True) for n, s in made.items()}
-            kinds |= dict.fromkeys(made, "computed")
+            series |= {n: replace(s, command=True) for n, s in series.items()}
+            kinds |= dict.fromkeys(series, "computed")
     return False
 
 
-@np.errstate(all="ignore")  # absurd values of a damaged message
-def _attitude(
-    name: str, field: str, made: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
+@np.errstate(all="ignore")  # for values of any size in a damaged message
+def _add_attitude(
+    name: str, field: str, series: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
 ) -> None:
-    """Angles of a quaternion from east-north-up and x forward, y left, z up, to ours, as series of the topic."""
+    """Add roll, pitch and yaw [rad] in our axes from a topic's quaternion in ROS axes. field: of the quaternion."""
     names = [f"{name}.{field}.{axis}" for axis in "wxyz"]
-    if not all(n in made for n in names):
+    if not all(n in series for n in names):
         return
-    parts = [made[n] for n in names]
+    parts = [series[n] for n in names]
     q = np.array([p.values for p in parts])
-    size = np.sqrt(np.sum(q**2, axis=0))
-    if not np.any(np.isfinite(size) & (np.abs(size - 1.0) < 0.1)):
+    norm = np.sqrt(np.sum(q**2, axis=0))
+    if not np.any(np.isfinite(norm) & (np.abs(norm - 1.0) < _UNIT_TOLERANCE)):
         return  # an IMU without attitude leaves it at zero
     angles = euler_from_quaternion(*q)
     angles |= {"pitch": -angles["pitch"], "yaw": (np.pi / 2 - angles["yaw"] + np.pi) % (2 * np.pi) - np.pi}
     for column, label in ANGLES.items():
-        made[f"{name}.{label}"] = TimeSeries(parts[0].time, np.asarray(angles[label]))
+        series[f"{name}.{label}"] = TimeSeries(parts[0].time, np.asarray(angles[label]))
         kinds[f"{name}.{label}"] = "computed"
         columns.setdefault(column, []).append(ColumnSource(column=f"{name}.{label}", unit="rad"))

@@ -1,4 +1,4 @@
-"""Named series with times of their own, and bringing them to one time base."""
+"""Time series of a foreign log, each with its own times, and their resampling to a common time base."""
 
 import math
 from collections.abc import Mapping
@@ -12,22 +12,26 @@ from groundstation.flight.flight import DATED_BACK
 from groundstation.flight.marks import Marks
 from groundstation.importers.errors import ImportDataError
 
-LONGEST_GRID = 4_000_000  # most samples of a common time base: eleven hours at 100 Hz
-SHORT_GRID = 100_000  # samples of a common time base that cost nothing, however empty: half an hour at 50 Hz
-EMPTIEST = 10  # times as many samples in a common time base as recorded: more come from damaged stamps, not from pauses
-LONGEST_STEP = 3.5  # median intervals; a longer step is a gap in a series: nothing is interpolated across
-PAUSE = 5.0  # [s]; a longer step is a pause in recording, no late delivery
-BURSTY = 2.0  # samples that come so many times slower over the whole than from one to the next come in bursts
-MESSAGE = "message"  # key of `Log.detail`: the kind of message of the topic that a table holds
+LONGEST_GRID = 4_000_000  # samples of a common time base, at most: eleven hours at 100 Hz
+SHORT_GRID = 100_000  # samples of a common time base that is accepted even if almost empty: half an hour at 50 Hz
+EMPTIEST = (
+    10  # samples of a longer time base over recorded ones, at most: more are due to damaged stamps, not to pauses
+)
+LONGEST_STEP = 3.5  # median intervals; a longer step is a gap of a series and is not interpolated
+PAUSE = 5.0  # [s]; a longer step is a pause in recording, not late delivery
+BURSTY = 2.0  # ratio of median to mean rate, from which samples are delivered in bursts
+MESSAGE = "message"  # key of `Log.detail`: kind of the messages in a table
 MOST_INSTANCES = 256  # of one sensor: ArduPilot numbers them in one byte
+TIME_QUANTILES, TIME_MARGIN = (2, 98), 60.0
+"""Percentiles of all times, and [s] which, with their distance, a time may lie outside them before it counts as damaged."""
 
 
 @dataclass(frozen=True)
 class TimeSeries:
-    """Samples of one quantity: time (n,) [s], values (n,), both in order.
+    """Samples of one quantity: time (n,) [s], in order, and values (n,).
 
-    command: what was asked of a servo, not what a sensor saw: it holds between samples, see `held_at`; lag: of the first-order
-    servo that follows it [s].
+    command: whether it is commanded, not measured, and so holds between samples (`held_at`); lag: time constant [s] of the servo
+    that follows it.
     """
 
     time: Array
@@ -37,15 +41,17 @@ class TimeSeries:
 
 
 Series = TimeSeries
-"""The name under which packages import it (docs/extending.md)."""
+"""The name for packages that add formats (docs/extending.md)."""
 
 
 @dataclass(frozen=True)
 class Log:
-    """What a foreign file holds: series by name, all on one clock [s].
+    """The content of a foreign file.
 
-    common: whether all series share one time column (a table), so that nothing needs to be interpolated. units: of series whose
-    file states one, as it spells them. parameters: the autopilot's own, as the log last states them.
+    kind: of the format. series: by name, all on one clock [s]. common: whether all share one time column (a table), so that
+    nothing needs interpolation. text_columns: columns of a table that are not numbers. detail: for the provenance. units: series
+    -> unit as the file spells it. parameters: of the autopilot, last values. kinds: series -> 'measured', 'computed' or
+    'assumed', where the file shows it. origin: [s] that was subtracted from the file's times. marks: modes, events and messages.
     """
 
     kind: str
@@ -62,12 +68,12 @@ class Log:
     marks: Marks = field(default_factory=Marks)
 
     def with_notes(self, *notes: str) -> "Log":
-        """The same with notes added."""
+        """A copy with notes added."""
         return replace(self, notes=(*self.notes, *notes))
 
 
 def instance_rows(topic: str, number: Array) -> dict[str, Mask]:
-    """Which messages of a topic are of each sensor: name (`GPS`, further ones `GPS[1]`) -> (N,). number: (N,) of the sensor."""
+    """Name of each sensor of a topic (`GPS`, further ones `GPS[1]`) -> its messages (N,). number: (N,) number of the sensor."""
     numbers = np.unique(number[np.isfinite(number)])
     if not 0 < numbers.size <= MOST_INSTANCES:
         return {topic: np.ones(number.size, bool)}
@@ -75,24 +81,25 @@ def instance_rows(topic: str, number: Array) -> dict[str, Mask]:
 
 
 def without_damaged_times(series: Mapping[str, TimeSeries]) -> tuple[dict[str, TimeSeries], int]:
-    """The series without samples whose time is far from all others (damaged stamps), and how many were left out."""
+    """The series without samples whose time is far from all others (damaged stamps), and the largest number removed from one."""
     clocks = {id(s.time): s.time for s in series.values()}  # fields of one message share their time
     times = np.concatenate(list(clocks.values())) if clocks else np.zeros(0)
     times = times[np.isfinite(times)]
     if not times.size:
         return dict(series), 0
-    low, high = np.percentile(times, [2, 98])
-    reach = 60.0 + (high - low)
-    kept_series, outliers = {}, 0
+    low, high = np.percentile(times, TIME_QUANTILES)
+    reach = TIME_MARGIN + (high - low)
+    sound, outliers = {}, 0
     for name, item in series.items():
         plausible = np.isfinite(item.time) & (item.time > low - reach) & (item.time < high + reach)
         outliers = max(outliers, int(np.sum(~plausible)))
-        kept_series[name] = item if plausible.all() else TimeSeries(item.time[plausible], item.values[plausible])
-    return kept_series, outliers
+        sound[name] = replace(item, time=item.time[plausible], values=item.values[plausible])
+    return sound, outliers
 
 
 def even_time_base(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
-    """Even time base from the earliest start to the latest end. Raises ImportDataError when that is too long."""
+    """Even time base (n,) [s] from the earliest to the latest sample. ImportDataError where it would be too long or mostly empty,
+    or there are no times."""
     if not rate_hz > 0:
         raise ImportDataError(
             "all samples have one and the same time; name another time column, or the rate: [time] rate_hz = 50"
@@ -116,7 +123,7 @@ def even_time_base(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
 
 
 def native_rate(series: TimeSeries) -> float:
-    """Median rate of a series [Hz], or how many samples come in a second where they come in bursts; 0 for fewer than two."""
+    """Median rate of a series [Hz], or the mean rate where samples are delivered in bursts; 0 for fewer than two samples."""
     steps = np.diff(series.time[np.isfinite(series.time)])
     steps = steps[steps > 1e-9]  # stamps are of a microsecond at best: what is closer is the same instant
     if not steps.size:
@@ -128,10 +135,10 @@ def native_rate(series: TimeSeries) -> float:
 
 
 def resample(series: TimeSeries, time: Array, *, hold: bool = False) -> Array:
-    """Values of a series at `time` (n,): NaN outside the series and inside its gaps.
+    """Values of a series at `time` (n,) [s]; NaN outside the series and in its gaps.
 
-    A series at least twice as fast as the grid is averaged over each grid interval, which keeps vibration from folding
-    into the motion; a slower one is interpolated along straight lines, with `hold` kept until the next as a command is.
+    A series at least twice as fast as `time` is averaged over each interval, against aliasing of vibration. A slower one is
+    linearly interpolated; with `hold` each value holds until the next, as of a command.
     """
     t, y = _finite_samples(series)
     rate = native_rate(TimeSeries(t, y))
@@ -149,19 +156,19 @@ def resample(series: TimeSeries, time: Array, *, hold: bool = False) -> Array:
 
 
 def _finite_samples(series: TimeSeries) -> tuple[Array, Array]:
-    """Times, each once and in order, and values of the samples that have both."""
+    """Increasing times and values of the finite samples, the first of each time."""
     finite = np.isfinite(series.values) & np.isfinite(series.time)
     t, first = np.unique(series.time[finite], return_index=True)
     return t, series.values[finite][first]
 
 
-SETTLED = 4.0  # lags after which 2 % are left of where a servo stood
+SETTLED = 4.0  # time constants after which a servo's initial position counts for 2 %
 
 
 def held_at(series: TimeSeries, time: Array) -> Array:
-    """Commands at `time` (n,), as the servo behind them shows them: each holds from half an interval before its record until half
-    an interval before the next. NaN outside the series, inside its gaps, and while a servo comes from wherever it stood
-    before the series began."""
+    """A command at `time` (n,) [s], after its servo's lag: each sample holds from DATED_BACK of an interval before its record
+    until the same before the next. NaN outside the series, in its gaps, and until a lagging servo has settled at its
+    beginning."""
     t, target = _finite_samples(series)
     if t.size < 2:
         return np.full_like(time, np.nan)
@@ -180,7 +187,8 @@ def held_at(series: TimeSeries, time: Array) -> Array:
 
 
 def lagged(time: Array, commanded: Array, lag: float) -> Array:
-    """What a first-order servo makes of commands that hold until the next; exact between samples."""
+    """(n,) response of a first-order servo of time constant `lag` [s] to commands (n,) that hold until the next; starts anew
+    where time (n,) [s] goes back."""
     response = np.empty_like(commanded)
     angle, last, previous_time = math.nan, math.nan, math.nan
     for k, (current_time, target) in enumerate(zip(time.tolist(), commanded.tolist(), strict=True)):
@@ -193,7 +201,7 @@ def lagged(time: Array, commanded: Array, lag: float) -> Array:
 
 
 def _mean_over(t: Array, y: Array, time: Array, step: float) -> Array:
-    """Mean of the piecewise straight line through (t, y) over time +- step/2."""
+    """(n,) mean over time +- step/2 [s] of the straight lines through (t, y)."""
     area = integral(t, y)
 
     def area_until(instant: Array) -> Array:

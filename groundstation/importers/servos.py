@@ -1,4 +1,4 @@
-"""Servo outputs of an autopilot as surface deflections: trim, travel on either side, and the servo's lag.
+"""Servo outputs of an autopilot as surface deflections: trim, travel on both sides, and the servo's lag.
 
 [servos.elevon_left]
 column = "RCOU.C1"
@@ -26,17 +26,17 @@ from groundstation.importers.units import conversion
 
 PREFIX = "servo."
 BEYOND = 0.5
-"""Outputs further outside the travel than this share of it are no position: autopilots write 0 (or 65535) for 'off'."""
+"""Share of the travel, beyond which an output outside it is no position: autopilots write 0 or 65535 for 'off'."""
 SAME_TRIM_US = 5.0  # trims closer than this [us] are the same: half a degree of a usual servo
 _OUTPUT = re.compile(r"(?:RCOU\.C|SERVO_OUTPUT_RAW\.servo)(\d+)(?:_raw)?")
-"""Outputs of ArduPilot, numbered as its parameters SERVOn_TRIM, _MIN, _MAX. PX4's trims are shares of travel, no pulses."""
+"""Outputs of ArduPilot, numbered as its parameters SERVOn_TRIM, _MIN, _MAX. PX4's trims are shares of the travel, not pulses."""
 LARGEST_DEFLECTION = math.radians(90.0)
 
 _Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class ServoMap(BaseModel):
-    """One servo: output -> deflection [unit], straight from either end of the travel to the trim."""
+    """One servo: output -> deflection [unit], linear from either end of the travel to the trim."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -76,8 +76,8 @@ class ServoMap(BaseModel):
             )
 
     def with_travel(self, name: str, parameters: Mapping[str, float]) -> "ServoMap":
-        """The same with the travel that the log states, where the mapping gives the throw alone. Raises ImportDataError where
-        the log does not state it, or its ends are in no order."""
+        """A copy with the travel by the log's parameters, where the mapping has the throw only. Raises ImportDataError where the
+        log lacks them, or MIN is not below MAX."""
         if self.travel is not None or self.throw is None:
             return self
         ends = [parameter_of(self.column, e) or "" for e in ("MIN", "MAX")]
@@ -96,13 +96,13 @@ class ServoMap(BaseModel):
 
     @property
     def ends(self) -> "tuple[tuple[float, float], tuple[float, float]]":
-        """Output and deflection at either end. Raises ImportDataError where `with_travel` has still to find them."""
+        """Output and deflection at either end. Raises ImportDataError before `with_travel` where the mapping has no travel."""
         if self.travel is None:
             raise ImportDataError(f"servo output {self.column}: its travel is not known")
         return self.travel
 
     def deflection(self, output: Array, trim: float) -> Array:
-        """(N,) [rad]; NaN where the output is no position. Beyond the travel the line goes on: a servo does, too."""
+        """(N,) deflection [rad] for an output (N,), extrapolated beyond the travel; NaN where the output is no position."""
         scale, _ = conversion(self.unit, "servo", "rad")
         (low, at_low), (high, at_high) = self.ends
         lower_slope, upper_slope = at_low / (low - trim), at_high / (high - trim)
@@ -113,15 +113,15 @@ class ServoMap(BaseModel):
 
 
 def parameter_of(output: str, ending: str) -> str | None:
-    """The autopilot's parameter of a servo output, as `SERVO1_TRIM` of `RCOU.C1`; None for an output that has none."""
+    """The autopilot's parameter of a servo output, `SERVO1_TRIM` for `RCOU.C1`; None for an output without parameters."""
     match = _OUTPUT.fullmatch(output)
     return f"SERVO{match[1]}_{ending}" if match else None
 
 
 def with_servos(log: Log, servos: dict[str, ServoMap]) -> tuple[Log, tuple[str, ...]]:
-    """The log with a series `servo.NAME` [rad] for each servo whose output is in it; and the names of the others' columns.
+    """The log with a series `servo.NAME` [rad] for each servo whose output it has; and the output columns of the other servos.
 
-    Raises ImportDataError where the trim of a servo is neither in the mapping nor among the parameters of the log.
+    Raises ImportDataError where the trim of a servo is neither in the mapping nor among the log's parameters.
     """
     series, notes = {}, []
     present = {n: s for n, s in servos.items() if s.column in log.series}
@@ -141,8 +141,8 @@ def with_servos(log: Log, servos: dict[str, ServoMap]) -> tuple[Log, tuple[str, 
 
 
 def outputs_elsewhere(log: Log, servos: dict[str, ServoMap]) -> list[str]:
-    """Notes on servos whose output is absent or off throughout, while the same output of another instance moves: autopilots drive
-    several sets of outputs (MAIN and AUX, IO and FMU)."""
+    """Notes on servos whose output is absent or off throughout; with the outputs of other instances that move, since autopilots
+    have several sets of outputs (MAIN and AUX, IO and FMU)."""
     notes = []
     for name, servo in servos.items():
         deflection = log.series.get(PREFIX + name)
@@ -165,7 +165,7 @@ def _moves(values: Array) -> bool:
 
 
 def _trim(name: str, servo: ServoMap, log: Log) -> tuple[float, str | None]:
-    """The output at which the surface stands at zero, and a note where a person should know of it."""
+    """Output at zero deflection, by the mapping or else by the log, and a note where the log is used or contradicts."""
     parameter = parameter_of(servo.column, "TRIM")
     logged = log.parameters.get(parameter) if parameter else None
     if servo.trim is not None:

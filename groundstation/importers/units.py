@@ -1,4 +1,4 @@
-"""Units people write in headers and mapping files, and how they become SI."""
+"""Units in headers and mapping files, with their usual spellings, and their conversion to SI."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ from groundstation.importers.errors import ImportDataError
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """value in SI = value * scale + offset; `si` is the SI unit it leads to."""
+    """value in `si` = value * scale + offset."""
 
     si: str
     scale: float
@@ -67,7 +67,7 @@ _ALIASES = {
 
 
 def find_unit(text: str) -> Unit | None:
-    """The unit a person wrote, None when it is not known."""
+    """The unit of a text in any usual spelling; None for an unknown one."""
     word = text.strip()
     for name in (word, _ALIASES.get(word, ""), _ALIASES.get(word.lower(), ""), word.lower()):
         if name in UNITS:
@@ -76,7 +76,7 @@ def find_unit(text: str) -> Unit | None:
 
 
 def conversion(text: str, column: str, si: str) -> tuple[float, float]:
-    """Scale and offset that bring `text` to the SI unit of a flight column.
+    """Scale and offset from the unit `text` to the SI unit of a flight column.
 
     Raises ImportDataError for an unknown unit or one of another quantity.
     """
@@ -91,5 +91,5 @@ def conversion(text: str, column: str, si: str) -> tuple[float, float]:
 
 
 def known_units(si: str) -> str:
-    """The units that lead to an SI unit, as a person would list them."""
+    """The units that can be converted to an SI unit, as a list for a message."""
     return ", ".join(n for n, u in UNITS.items() if u.si in (si, "rad" if si == "deg" else si))

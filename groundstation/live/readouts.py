@@ -1,7 +1,4 @@
-"""Digital read-outs: the numbers that somebody on the ground reads aloud, with units, and what is in alarm.
-
-A number is shown while it is fresh; after that a dash says that it is not known now.
-"""
+"""Digital read-outs of the viewer with units, and the banner of alarms. A number older than FRESH_S is shown as a dash."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,12 +7,12 @@ from dataclasses import dataclass
 from daq.utilities.constants import GRAVITY
 
 FRESH_S = 2.5
-"""Longest age [s] of a number that is shown: slow channels come about once a second, and one of them may be lost."""
+"""Largest age [s] of a number that is shown: slow channels are sent about once a second, and one sample may be lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class Readout:
-    """One number. shown = factor * column, in `unit` with `places` decimals; signed: with its sign always."""
+    """One number, factor * column, in `unit` with `places` decimals; signed: whether a plus is shown."""
 
     column: str
     title: str
@@ -43,38 +40,38 @@ READOUTS = (
 
 
 def readout_line(values: Mapping[str, float], link: str = "") -> str:
-    """All read-outs in one line of Markdown. values: columns in SI; one that is not there is not known."""
+    """All read-outs in one line of Markdown. values: columns in SI, without those that are not fresh; link: text at the end."""
     texts = [r.text(values.get(r.column, math.nan)) for r in READOUTS]
     return "## " + " · ".join([*texts, *([link] if link else [])])
 
 
 class FreshValues:
-    """The last value of each column of the read-outs, as long as it is fresh."""
+    """The last value of each column of the read-outs."""
 
     def __init__(self) -> None:
-        self._seen: dict[str, tuple[float, float]] = {}
+        self._last: dict[str, tuple[float, float]] = {}
 
     def update(self, time: float, values: Mapping[str, float]) -> None:
-        """Take in one sample; time [s] of the flight."""
+        """Add one sample. time: [s] of the flight; values: columns in SI."""
         for readout in READOUTS:
             value = values.get(readout.column, math.nan)
             if math.isfinite(value):
-                self._seen[readout.column] = (time, value)
+                self._last[readout.column] = (time, value)
 
     def at(self, time: float) -> dict[str, float]:
-        """Columns that are fresh at this time."""
-        return {c: value for c, (updated, value) in self._seen.items() if time - updated <= FRESH_S}
+        """The columns whose last value is no older than FRESH_S at `time` [s]."""
+        return {c: value for c, (updated, value) in self._last.items() if time - updated <= FRESH_S}
 
 
-LEVELS = ("WARN", "ERROR", "CRITICAL")
+LEVELS = ("WARN", "ERROR", "CRITICAL")  # of alarms, in rising order
 LARGE_BANNER = 45
-"""Letters that the pane of the banner holds as a heading on a page of 820 pixels; more are set as text, or cut off."""
+"""Characters of a heading that fit the pane of the banner on a page of 820 pixels; a longer text is set in bold."""
 
 
 def banner(in_force: Sequence[tuple[str, str, str]]) -> tuple[str, str]:
-    """(level, line of Markdown) of the alarms in force, given as (name, state, level); level "" without any.
+    """Level and line of Markdown for the alarms in force, each (name, state, level); level "" without an alarm.
 
-    The level is the highest of those that are active, or of the latched ones where none is active any more.
+    The level is the highest of the active alarms, or of the latched ones where none is active.
     """
     if not in_force:
         return "", "no alarm"

@@ -1,8 +1,8 @@
-"""Which scans can follow those before: number and time of an aircraft rise together, and no faster than its clock goes.
+"""Continuity of received scans: number and time must rise together, and no faster than the aircraft's clock.
 
-Nobody but the aircraft knows which run of its logger a scan belongs to, and without a key anybody can send one. A scan that
-does not go on from the last one is held back. If more follow it, and none goes on from the last one any more, the aircraft
-really is there: its logger has started anew, or this computer's clock stood still. Else what was held back is not believed.
+A scan does not show which run of the logger it belongs to, and without a signing key anybody can send one. A scan that does not
+continue the present run is held back. If more scans follow it, and none continues the present run, it begins a new run: the
+logger was restarted, or this computer was suspended. Otherwise the scans held back are rejected.
 """
 
 from bisect import bisect_left
@@ -13,29 +13,33 @@ from typing import NamedTuple
 from daq.contract.link.wire import SCAN_FAST_ID, ScanPart
 from groundstation.receiver.timeline import NS
 
-AHEAD_NS = 2 * NS
-"""A scan may be so much further on the aircraft's clock than this computer's says: more than any queue on the way holds."""
-DRIFT = 1.02
-"""Two clocks differ by less: quartz by 0.01 %, an uncalibrated oscillator by 1 %."""
+LARGEST_LEAD_NS = 2 * NS
+"""By which the aircraft's clock may be ahead of the time elapsed here since the last scan: no queue on the way holds more."""
+LARGEST_CLOCK_RATIO = 1.02
+"""Of two clocks' rates: quartz differs by 0.01 %, an uncalibrated oscillator by 1 %."""
 LATE_NS = 10 * NS
-"""Reordering and queues on the way are a matter of seconds; a scan older than that is of another run."""
+"""Largest age of a late scan: reordering and queues are a matter of seconds. An older one is of another run."""
 FASTEST_HZ = 2000.0
 """The highest scan rate that a logger's configuration allows."""
-SHORTEST_NS = 50_000
+SHORTEST_PERIOD_NS = 50_000
 """Between two scans: a tenth of the shortest period, for one that starts late."""
-USUAL_HZ = 100.0
-"""Believed of any logger, so that pauses in its scans do not make it look slow."""
-NUMBERS_AT_ONCE = 24
+LONGEST_PERIOD_NS = 10 * NS
+"""Between two scans: no logger scans more slowly."""
+LEAST_BELIEVED_HZ = 100.0
+"""Scan rate that is accepted of any logger, since its mean rate is too low after pauses."""
+NUMBER_MARGIN = 24  # scan numbers beyond those that the rate allows
 PROVEN_SCANS, PROVEN_NS = 4, NS
-"""So many scans of a new run, over so long, and none of the old: at the lowest downlink rate, 2 Hz, two would have come."""
+"""Scans of a new run, and the time they span, that prove it: at the lowest downlink rate, 2 Hz, the old run would have sent
+two."""
 _NEIGHBOURS = 4096
-"""Scans of a run whose numbers and times are known, for late ones to stand between: LATE_NS of them at 400 Hz."""
+"""Scans of a run whose numbers and times are stored, to check late ones against: LATE_NS of them at 400 Hz."""
 _MAX_CANDIDATES = 8
 _MAX_PARTS = 256
 
 
 class ScanRun:
-    """One run of scans: where it began, where it was last, and what can follow."""
+    """One run of the logger's scans: first and last number and time [ns, aircraft's clock], and which scans can follow. heard_ns:
+    arrival of the last scan on this computer's clock."""
 
     def __init__(self, part: ScanPart, now_ns: int) -> None:
         self.boot = part.boot
@@ -45,18 +49,18 @@ class ScanRun:
         self._numbers, self._times = [part.number], [part.time_monotonic_ns]  # of the last scans, both ascending
 
     def follows(self, part: ScanPart, now_ns: int) -> bool:
-        """Whether a part goes on from here, or belongs to a scan that came before."""
+        """Whether a part can belong to this run: after the last scan, to that scan, or late by at most LATE_NS."""
         number_step, time_step_ns = part.number - self.number, part.time_monotonic_ns - self.time_ns
         if part.boot != self.boot:
             return False
         if number_step > 0:
-            return number_step * SHORTEST_NS <= time_step_ns <= self._most_ns(now_ns) and self.in_step(part)
+            return number_step * SHORTEST_PERIOD_NS <= time_step_ns <= self._most_ns(now_ns) and self.in_step(part)
         if number_step == 0:
             return time_step_ns == 0
         return -LATE_NS <= time_step_ns < 0 and self._stands_between(part)
 
     def _stands_between(self, part: ScanPart) -> bool:
-        """Whether a late part's time lies between those of its neighbours by number, or is that of its own scan."""
+        """Whether a late part's time lies between those of its neighbours by number, or equals that of its scan."""
         place = bisect_left(self._numbers, part.number)
         if self._numbers[place] == part.number:
             return self._times[place] == part.time_monotonic_ns
@@ -64,18 +68,18 @@ class ScanRun:
         return after_earlier and part.time_monotonic_ns < self._times[place]
 
     def is_older(self, part: ScanPart) -> bool:
-        """Whether a part of the same boot was made before the last one, by number and by time."""
+        """Whether a part of the same boot precedes the last one, by number and by time."""
         return part.boot == self.boot and part.number < self.number and part.time_monotonic_ns < self.time_ns
 
     def in_step(self, part: ScanPart) -> bool:
-        """Whether the number has not risen faster than the time allows."""
-        if part.number - self.number <= NUMBERS_AT_ONCE:
+        """Whether the number has risen no faster than the run's scan rate allows."""
+        if part.number - self.number <= NUMBER_MARGIN:
             return True
         time_step_ns = part.time_monotonic_ns - self.time_ns
-        return part.number - self.number <= self._rate_hz() * time_step_ns / NS + NUMBERS_AT_ONCE
+        return part.number - self.number <= self._rate_hz() * time_step_ns / NS + NUMBER_MARGIN
 
     def advance(self, part: ScanPart, now_ns: int) -> None:
-        """A part that follows has come."""
+        """Take in a part that `follows`, received at `now_ns`."""
         if part.number > self.number:
             self.number, self.time_ns, self.heard_ns = part.number, part.time_monotonic_ns, now_ns
             self._numbers.append(part.number)
@@ -89,26 +93,28 @@ class ScanRun:
                 self._times.insert(place, part.time_monotonic_ns)
 
     def reach(self, now_ns: int) -> int:
-        """The highest number that the aircraft can have given by now."""
-        return self.number + NUMBERS_AT_ONCE + int(self._rate_hz() * self._most_ns(now_ns) / NS)
+        """The highest scan number that the aircraft can have reached at `now_ns`."""
+        return self.number + NUMBER_MARGIN + int(self._rate_hz() * self._most_ns(now_ns) / NS)
 
     def fits(self, number: int, time_ns: int) -> bool:
-        """Whether a scan of that number can have been made at that time, as far as this run is known."""
+        """Whether a scan of that number can have been made at `time_ns` in this run."""
         not_too_early = number < self.first or time_ns >= self.first_ns - LATE_NS
         not_too_late = number > self.number or time_ns <= self.time_ns + LATE_NS
-        slowest = self.time_ns + LATE_NS + max(0, number - self.number) * 10 * NS  # nobody scans less than every 10 s
-        return not_too_early and not_too_late and 0 <= time_ns <= slowest
+        latest = self.time_ns + LATE_NS + max(0, number - self.number) * LONGEST_PERIOD_NS
+        return not_too_early and not_too_late and 0 <= time_ns <= latest
 
     def _most_ns(self, now_ns: int) -> int:
-        return AHEAD_NS + int(DRIFT * max(0, now_ns - self.heard_ns))
+        """Largest step of the aircraft's clock since the last scan [ns]."""
+        return LARGEST_LEAD_NS + int(LARGEST_CLOCK_RATIO * max(0, now_ns - self.heard_ns))
 
     def _rate_hz(self) -> float:
+        """Highest credible scan rate: twice the mean of the run, or any within its first second."""
         span = self.time_ns - self.first_ns
-        return FASTEST_HZ if span < NS else max(USUAL_HZ, 2 * NS * (self.number - self.first) / span)
+        return FASTEST_HZ if span < NS else max(LEAST_BELIEVED_HZ, 2 * NS * (self.number - self.first) / span)
 
 
 class PendingScan(NamedTuple):
-    """A scan part that waits for others to prove it: with the component that sent it and the ground's clocks."""
+    """A scan part that is held back, with the component that sent it and the times of its arrival on the ground's clocks."""
 
     part: ScanPart
     component: int
@@ -127,24 +133,25 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class ConfirmedRun:
-    """A run that has proven itself: its parts in order, and the count of lost frames when it began."""
+    """A new run with enough scans: its parts in order, and the count of lost frames when it began."""
 
     parts: tuple[PendingScan, ...]
     lost: int
 
 
 class UnconfirmedRuns:
-    """Parts that follow nothing known, by run, a bounded number of them."""
+    """Scan parts held back, by possible run; their number is bounded."""
 
     def __init__(self) -> None:
         self.candidates: list[_Candidate] = []
 
     @property
     def count(self) -> int:
+        """Number of parts held back."""
         return sum(len(c.parts) for c in self.candidates)
 
     def hold(self, pending: PendingScan, lost_frames: int) -> tuple[ConfirmedRun | None, int]:
-        """Keep a part. Returns the run it proves, if it does, and how many other parts had to be given up for it."""
+        """Hold back a part. Returns the run that it confirms, or None, and the number of other parts that were dropped."""
         given_up = 0
         now_ns = pending.now_ns
         candidate = next((c for c in self.candidates if c.run.follows(pending.part, now_ns)), None)
@@ -165,7 +172,7 @@ class UnconfirmedRuns:
         return ConfirmedRun(tuple(candidate.parts), candidate.lost), given_up + self.clear()
 
     def clear(self) -> int:
-        """The known run goes on: what waits is not believed. Returns how many parts that were."""
+        """Reject all parts held back, since the present run continues. Returns their number."""
         count = self.count
         self.candidates.clear()
         return count

@@ -1,9 +1,9 @@
-"""What comes in and is not used, or not trusted, and what of the ground station itself fails: counted, and reported now and then.
+"""Received data that is not used or not trusted, and failing ports and files of the ground station: counted and reported.
 
-Findings are of four kinds. *Refused*: a frame that a signing key keeps out. *Doubted*: said by an aircraft, or by somebody in its
-place, and not believed. *Quarantined*: a value whose type or range is refused (a calibration fact `nan`), or whatever else fails
-while something of a sender is used; the second is the last line of defence, and a mistake of ours. *Contested*: a second sender
-speaks for an aircraft that is being heard from another.
+Findings are of four kinds. *Refused*: a frame without a valid signature. *Doubted*: a statement that an aircraft, or an impostor,
+cannot truthfully make. *Quarantined*: a value of a wrong type or range (a calibration fact `nan`), or data on which our own code
+failed; the latter is the last line of defence, and a mistake of ours. *Contested*: a frame of a second sender for an aircraft
+that another sender is already heard as.
 """
 
 from collections import Counter
@@ -18,6 +18,7 @@ from groundstation.receiver.timeline import NS
 
 REPORT_EVERY_NS = 5 * NS
 
+# Subjects of doubted data, as reports and `ground --json` show them:
 NUMBERS = "scans whose number or time it cannot have reached"
 REPORTS = "reports of scan numbers it cannot have reached"
 RESTARTS = "restarts, more than an aircraft makes"
@@ -29,17 +30,19 @@ TEXTS = "texts and events, more than there is time to read"
 EVENTS = "events, more than a flight has"
 
 NOBODY = 0
-"""System id for what is no aircraft's in particular."""
+"""System id of findings that concern no aircraft in particular."""
 MAX_NAMES = 200
-"""Quarantined things that are named, of all senders: each is a line in the log. What comes beyond is counted as OTHERS."""
+"""Quarantined subjects, of all senders, that are reported by name, a line in the log each; further ones count as OTHERS."""
 OTHERS = "further things of senders"
-LONGEST_WHY = 300  # characters
-_MAX_REFUSED = 256
-_MAX_SECOND_SENDERS = 16  # of one aircraft
+LONGEST_WHY = 300  # characters of a subject or reason
+_MAX_REFUSED = 256  # subjects, so that strangers cannot fill the memory
+_MAX_SECOND_SENDERS = 16  # of one aircraft, for the same reason
 
 
 @dataclass
 class _FindingRow:
+    """Count of one finding. unreported: of these, since the last report; reported_ns: time of that, None before the first."""
+
     subject: str
     detail: str
     used: bool = False
@@ -49,7 +52,7 @@ class _FindingRow:
 
 
 class ReceptionFindings:
-    """Counts by kind, system id and subject; each is in a report sooner or later, at most every five seconds."""
+    """Counts by kind, system id and subject. Each is reported at once, then at most every REPORT_EVERY_NS."""
 
     def __init__(self) -> None:
         self._rows: dict[ReceptionFindingKind, dict[tuple[int, str], _FindingRow]] = {
@@ -58,18 +61,18 @@ class ReceptionFindings:
         self._second_senders: Counter[int] = Counter()
 
     def doubt(self, system: int, what: str, count: int = 1) -> None:
-        """Something was not believed; with count 0 nothing was."""
+        """Count data that was not believed; a count of 0 does nothing."""
         if count:
             self._count(ReceptionFindingKind.DOUBTED, system, what, what, "", count)
 
     def refuse(self, system: int, component: int, message: str, why: str) -> None:
-        """A frame that is not used because of its signature."""
+        """Count a frame that is not used because of its signature."""
         rows, key = self._rows[ReceptionFindingKind.REFUSED], f"{component} {why}"
         if (system, key) in rows or len(rows) < _MAX_REFUSED:
             self._count(ReceptionFindingKind.REFUSED, system, key, message, why).subject = message
 
     def contest(self, system: int, sender: str, heard_from: str, *, used: bool) -> None:
-        """A frame of a second sender. used: all the same, because it came by another port."""
+        """Count a frame of a second sender. used: whether it was used, since it came by another port."""
         if (system, sender) not in self._rows[ReceptionFindingKind.CONTESTED]:
             if self._second_senders[system] < _MAX_SECOND_SENDERS:
                 self._second_senders[system] += 1
@@ -79,22 +82,22 @@ class ReceptionFindings:
         row.detail, row.used = heard_from, used
 
     def quarantine(self, system: int, what: str, why: str) -> None:
-        """Something of a sender that is not used, and why; reported the first time that it comes."""
+        """Count data of a sender that is not used, and why; reported the first time only."""
         rows, key = self._rows[ReceptionFindingKind.QUARANTINED], one_line(what, LONGEST_WHY)
         if (system, key) not in rows and len(rows) >= MAX_NAMES:
             key, why = OTHERS, f"more than {MAX_NAMES} of them were refused"
         self._count(ReceptionFindingKind.QUARANTINED, system, key, key, one_line(why, LONGEST_WHY))
 
     def quarantine_error(self, system: int, what: str, error: Exception) -> None:
-        """Something of a sender at which our own work failed."""
+        """Count data of a sender on which our own code raised `error`."""
         self.quarantine(system, what, f"{type(error).__name__}: {error}")
 
     @contextmanager
     def guard(self, system: int, what: str) -> Iterator[None]:
-        """Nothing that fails inside ends the session: it is quarantined, and the next thing is done."""
+        """A context in which every exception is quarantined, so that no received data ends the session."""
         try:
             yield
-        except Exception as error:  # noqa: BLE001  the edge of reception: no words of a sender end a flight
+        except Exception as error:  # noqa: BLE001  whatever a sender's data may cause
             self.quarantine_error(system, what, error)
 
     def _count(
@@ -106,7 +109,7 @@ class ReceptionFindings:
         return row
 
     def reports(self, now_ns: int, *kinds: ReceptionFindingKind) -> list[ev.ReceptionFinding]:
-        """What is due to be reported."""
+        """The findings of some kinds that are due at `now_ns`, with the counts since their last report."""
         reports = []
         for kind in kinds:
             for (system, _), row in self._rows[kind].items():
@@ -126,7 +129,7 @@ class ReceptionFindings:
         return reports
 
     def total_doubted(self, what: str) -> int:
-        """How often a kind of doubt has come."""
+        """Count of one subject of doubt, of all senders."""
         return sum(row.count for (_, key), row in self._rows[ReceptionFindingKind.DOUBTED].items() if key == what)
 
     def doubted(self) -> list[dict[str, str | int]]:
@@ -135,12 +138,12 @@ class ReceptionFindings:
         return [{"system": system, "what": what, "count": row.count} for (system, what), row in rows]
 
     def quarantined(self) -> list[dict[str, str | int]]:
-        """All quarantined things, as `ground --json` lists them."""
+        """All quarantined subjects, as `ground --json` lists them."""
         rows = self._rows[ReceptionFindingKind.QUARANTINED].items()
         return [{"system": s, "what": what, "why": row.detail, "count": row.count} for (s, what), row in rows]
 
     def second_senders(self, aircraft: int) -> list[dict[str, str | int | bool]]:
-        """Second senders of an aircraft as `ground --json` lists them; frames: how many were not used."""
+        """Second senders of an aircraft, as `ground --json` lists them; frames: number of unused ones."""
         return [
             {
                 "system": system,
@@ -155,22 +158,24 @@ class ReceptionFindings:
 
 
 class Faults:
-    """Ports and files of the ground station that fail at present, in the system's words; every change is one `Trouble` event."""
+    """Ports and files of the ground station that fail at present, with the system's message. Each change is one `Trouble`
+    event."""
 
     def __init__(self) -> None:
         self.present: dict[str, str] = {}
         self._reported: dict[str, str] = {}
 
     def note(self, what: str, error: OSError) -> None:
-        """Something fails."""
+        """Record that `what` fails with an error."""
         self.present[what] = error.strerror or str(error)
 
     def clear(self, what: str) -> None:
+        """Record that `what` works (again)."""
         self.present.pop(what, None)
 
     @contextmanager
     def watch(self, what: str) -> Iterator[None]:
-        """An OSError inside is noted, its absence clears."""
+        """A context that records an OSError inside, and clears `what` without one."""
         try:
             yield
         except OSError as error:
@@ -179,7 +184,7 @@ class Faults:
             self.clear(what)
 
     def changes(self, now_ns: int) -> list[ev.Trouble]:
-        """What has begun, changed or ended since the last call."""
+        """Events for the faults that began, changed or ended since the last call."""
         if self.present == self._reported:
             return []
         events = [ev.Trouble(what, None, now_ns) for what in self._reported if what not in self.present]
@@ -189,9 +194,6 @@ class Faults:
 
 
 def legible(text: str) -> str:
-    """One line of text from the air, fit for a terminal and a log.
-
-    Control characters (line breaks, escape sequences of a terminal) and invisible ones that turn the direction of reading
-    become a replacement character each.
-    """
+    """Received text as one line that is safe for a terminal and a log: each control character (line breaks, escape sequences) or
+    invisible one (of the direction of reading) becomes a replacement character."""
     return "".join(c if c.isprintable() else "\ufffd" for c in text)

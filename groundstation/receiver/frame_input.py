@@ -1,7 +1,7 @@
-"""Bytes of all ports in, sound frames out, and every byte taken into the telemetry log.
+"""Frames from the bytes of all ports, which are recorded in the telemetry log.
 
-Each port and sender has a decoder of its own: one that is damaged, or hostile, costs nobody else a frame. On ports that
-many can send to, senders that are no aircraft's have an allowance; what they send beyond it is counted and thrown away.
+Each port and sender has its own decoder, so that damaged or hostile bytes cost no other sender a frame. On network ports, senders
+that are not known as aircraft have an allowance of bytes; further ones are counted and dropped.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,23 +16,25 @@ from groundstation.receiver.storage.lasting_log import LastingLog
 from groundstation.receiver.timeline import Allowance
 from groundstation.receiver.tlog import TlogWriter
 
-_MAX_DECODERS = 32
+_MAX_DECODERS = 32  # so that strangers cannot fill the memory
 TELEMETRY_LOG = "telemetry log"
 
 
 class Sender(NamedTuple):
-    """Where frames come from: a port of the configuration, and who sent them there where the port knows."""
+    """Origin of frames: name of a port of the configuration, and address of the sender, empty for a serial port."""
 
     port: str
     source: str
 
     @property
     def name(self) -> str:
+        """Address and port as text for reports."""
         return f"{self.source} on {self.port}" if self.source else self.port
 
 
 class FrameInput:
-    """The receiving side of the ports. folder: where telemetry.tlog goes; None keeps nothing."""
+    """The receiving side of the ports, by name. folder: of telemetry.tlog; None for no log. faults: takes errors of ports and
+    log."""
 
     def __init__(self, ports: Mapping[str, BytePort], folder: Path | None, faults: Faults) -> None:
         self._ports = ports
@@ -45,7 +47,7 @@ class FrameInput:
         self._tlog = None if folder is None else TlogWriter(folder / "telemetry.tlog")
 
     def frames(self, now_ns: int, utc_ns: int) -> Iterator[tuple[Sender, MavlinkFrame]]:
-        """Everything that has arrived, with its sender."""
+        """All valid frames that have arrived, with their senders. now_ns, utc_ns: the ground's monotonic and UTC clocks."""
         for name, port in self._ports.items():
             for source, data in self._received(name, port):
                 sender = Sender(name, source)
@@ -58,12 +60,12 @@ class FrameInput:
                         yield sender, item
 
     def _allowed(self, port: BytePort, sender: Sender, size: int, now_ns: int) -> bool:
-        """Whether there is time to look at what a sender has sent; a listener for datagrams asks that by itself."""
+        """Whether `size` bytes of a sender are within its allowance; a UDP listener limits by itself."""
         unlimited = not isinstance(port, TcpServerPort) or sender in self._aircraft
         return unlimited or self._strangers[sender.port].spend(size, now_ns)
 
     def favour(self, sender: Sender) -> None:
-        """An aircraft speaks from here: strangers shall not crowd it out."""
+        """Mark a sender as an aircraft, which has no allowance."""
         if sender not in self._aircraft:
             self._aircraft.add(sender)
             port = self._ports[sender.port]
@@ -71,15 +73,16 @@ class FrameInput:
                 port.favour(sender.source)
 
     def forget(self, sender: Sender) -> None:
-        """No aircraft speaks from here any more."""
+        """Undo `favour`, since the sender is no aircraft any more."""
         self._aircraft.discard(sender)
         port = self._ports[sender.port]
         if isinstance(port, UdpListener):
             port.forget(sender.source)
 
     def _received(self, name: str, port: BytePort) -> list[tuple[str, bytes]]:
+        """(Sender's address, bytes) that have arrived; an error of the port becomes a fault."""
         try:
-            if isinstance(port, UdpPort | TcpServerPort):  # they know senders apart
+            if isinstance(port, UdpPort | TcpServerPort):  # ports that distinguish senders
                 datagrams = port.receive()
             else:
                 data = port.read(65536)
@@ -91,20 +94,21 @@ class FrameInput:
         return datagrams
 
     def _decoder(self, sender: Sender, utc_ns: int) -> FrameDecoder:
+        """The decoder of a sender; of too many, the least recently used one is retired, of strangers first."""
         decoder = self._decoders.pop(sender, None)
         if decoder is None:
             if len(self._decoders) >= _MAX_DECODERS:
                 strangers = (s for s in self._decoders if s not in self._aircraft)
                 self._retire(next(strangers, next(iter(self._decoders))), utc_ns)
             decoder = FrameDecoder()
-        self._decoders[sender] = decoder  # the latest one last
+        self._decoders[sender] = decoder  # in order of use
         return decoder
 
     def _log(self, item: MavlinkFrame | Junk, utc_ns: int) -> None:
         if self._tlog is not None:
             try:
                 self._tlog.write(item, utc_ns)
-            except OSError as error:  # cleared by `flush`, which says that the disk takes it again
+            except OSError as error:  # cleared by `flush` when the disk works again
                 self._faults.note(TELEMETRY_LOG, error)
 
     def _retire(self, sender: Sender, utc_ns: int) -> None:
@@ -119,7 +123,7 @@ class FrameInput:
 
     @property
     def refused_bytes(self) -> int:
-        """Bytes of strangers beyond what they are allowed: not looked at, not logged."""
+        """Bytes of strangers beyond their allowance, which were neither decoded nor logged."""
         listeners = (p for p in self._ports.values() if isinstance(p, UdpListener))
         return self._refused_bytes + sum(p.refused_bytes for p in listeners)
 
@@ -129,7 +133,7 @@ class FrameInput:
         return sum(p.dropped for p in self._ports.values() if isinstance(p, UdpListener))
 
     def flush(self) -> None:
-        """Hand the telemetry log to the operating system."""
+        """Write the telemetry log to the operating system."""
         if self._tlog is not None:
             with self._faults.watch(TELEMETRY_LOG):
                 self._tlog.look_after()
@@ -139,7 +143,7 @@ class FrameInput:
         return [] if self._tlog is None else [self._tlog.file]
 
     def close(self, utc_ns: int) -> None:
-        """Log what is still undecided, close the log."""
+        """Log the bytes that decoders still hold, and close the log."""
         for sender in list(self._decoders):
             self._retire(sender, utc_ns)
         if self._tlog is not None:

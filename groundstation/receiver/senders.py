@@ -1,11 +1,10 @@
-"""Who is believed on the ground end of the link: with a key good signatures only, without one whoever was heard first.
+"""Senders whose frames the ground station uses: with a signing key those with valid signatures, else the first of each aircraft.
 
-With a key set, a frame counts only with a good signature; RADIO_STATUS alone is excepted, because radios cannot sign it, and it
-feeds nothing but the display of signal strength. Without a key, a second sender of the same port is either somebody else, or the
-aircraft behind a new address. Its frames are kept in the telemetry log, counted and reported, but not used until the first has
-been silent for a while. Another port is another radio of this ground station: an aircraft may be heard by both, which is
-reported once. Components of an aircraft that send by themselves (an autopilot beside the logger) are distinguished; the logger's
-own messages have one sender on a port.
+With a key, frames need a valid signature; except RADIO_STATUS, which radios cannot sign and which affects the display of signal
+strength only. Without a key, a second sender on the same port is an impostor, or the aircraft with a new address. Its frames are
+logged, counted and reported, but not used until the first sender has been silent for SILENCE_NS. Another port is another radio
+of this ground station; an aircraft may be received by both, which is reported once. Components of an aircraft that send
+themselves (an autopilot beside the logger) may have different senders; the logger's own messages have one on each port.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -19,13 +18,13 @@ from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.timeline import NS, GroundClock
 
 SAVE_NS = NS
-"""Signing timestamps are on disk no later than this, and the time one save takes: so much recorded radio traffic counts
-once more after a crash of the ground station."""
+"""Between two saves of the signing timestamps. After a crash of the ground station, recorded frames of that time, and of the
+duration of a save, can be replayed."""
 SIGNING_STATE = "signing state"
 SILENCE_NS = 3 * NS
-"""So long an aircraft must not have been heard before another address is believed: three heartbeats."""
-_LOGGER = None  # the role of the logger's own messages, beside the components'
-_MAX_CONFIRMED = 64
+"""Without a frame of the first sender, after which another is accepted: three heartbeats."""
+_LOGGER = None  # role of the logger's own messages; the other roles are component ids
+_MAX_CONFIRMED = 64  # senders, so that strangers cannot fill the memory
 
 
 def make_signer(config: LinkConfig, clock: GroundClock) -> Signer | None:
@@ -37,7 +36,7 @@ def make_signer(config: LinkConfig, clock: GroundClock) -> Signer | None:
 
 
 class SignatureGate:
-    """Lets frames through or not."""
+    """Rejects frames without a valid signature, where there is a key. rejected: their number."""
 
     def __init__(self, signer: Signer | None, faults: Faults, findings: ReceptionFindings) -> None:
         self.signer = signer
@@ -49,6 +48,7 @@ class SignatureGate:
         self.rejected = 0
 
     def allows(self, frame: MavlinkFrame) -> bool:
+        """Whether a frame may be used; a rejected one is counted as a finding."""
         if self.signer is None or frame.msg_id == RADIO_STATUS_ID:
             return True
         verdict = self.signer.judge(frame.signed_part, (frame.system, frame.component), frame.signature)
@@ -59,7 +59,7 @@ class SignatureGate:
         return False
 
     def keep_state(self, now_ns: int) -> None:
-        """Save signing timestamps when it is time, in a thread: a disk may be slow, and nobody here waits for it."""
+        """Save signing timestamps every SAVE_NS, in a thread, since a disk may be slow."""
         if self.signer is None or now_ns < self._next_save_ns or not self._saved():
             return
         self._next_save_ns = now_ns + SAVE_NS
@@ -69,7 +69,7 @@ class SignatureGate:
             self._saving = self._worker.submit(self.signer.save)
 
     def _saved(self) -> bool:
-        """Whether the last save is over; what it met goes to the faults."""
+        """Whether no save is running; an error of the last one becomes a fault."""
         if self._saving is not None and self._saving.done():
             with self._faults.watch(SIGNING_STATE):
                 self._saving.result()
@@ -88,27 +88,31 @@ class SignatureGate:
 
 @dataclass
 class _Speaker:
+    """The accepted sender in a role, and when it was last heard [ns]."""
+
     sender: Sender
     heard_ns: int
 
 
 class Senders:
+    """The accepted senders of one aircraft, by role and port. contested: number of frames of others."""
+
     def __init__(self, system: int, findings: ReceptionFindings) -> None:
         self.system = system
         self._findings = findings
         self._speakers: dict[tuple[int | None, str], _Speaker] = {}  # by role and port; 257 roles at most
-        self._confirmed: dict[tuple[Sender, int, bool], tuple[_Speaker, ...]] = {}  # spoke before, and still may
+        self._confirmed: dict[tuple[Sender, int, bool], tuple[_Speaker, ...]] = {}  # cache of accepted frames' senders
         self.contested = 0
 
     def confirmed(self, sender: Sender, component: int, is_own_message: bool, now_ns: int) -> bool:
-        """Whether a frame is of who has spoken in this role and still may."""
+        """Whether a frame is of the accepted sender in its roles, by the cache; else ask `allows`."""
         speakers = self._confirmed.get((sender, component, is_own_message), ())
         for speaker in speakers:
             speaker.heard_ns = now_ns
         return bool(speakers)
 
     def allows(self, sender: Sender, component: int, is_own_message: bool, now_ns: int) -> bool:
-        """Whether a frame of one not yet confirmed may be used. is_own_message: it is one of the logger's own messages."""
+        """Whether a frame of a sender that is not `confirmed` may be used. is_own_message: whether it is one of the logger's."""
         port = sender.port
         roles = ((component, port), (_LOGGER, port)) if is_own_message else ((component, port),)
         speakers = [self._speakers.get(role) for role in roles]
@@ -122,7 +126,7 @@ class Senders:
         for role, speaker in zip(roles, speakers, strict=True):
             if speaker is None or speaker.sender != sender:
                 self._speakers[role] = _Speaker(sender, now_ns)
-                self._confirmed.clear()  # who is replaced may not speak any more
+                self._confirmed.clear()  # the replaced sender is no longer accepted
             else:
                 speaker.heard_ns = now_ns
         if len(self._confirmed) < _MAX_CONFIRMED:
@@ -130,16 +134,17 @@ class Senders:
         return True
 
     def speaks(self, sender: Sender, now_ns: int) -> None:
-        """Its signature says who it is: no question."""
+        """Accept a sender of the logger's messages by its signature."""
         self._speakers[_LOGGER, sender.port] = _Speaker(sender, now_ns)
         self._confirmed.clear()
 
     def speaker(self, port: str) -> Sender | None:
-        """Who sends the logger's own messages by a port at present."""
+        """The accepted sender of the logger's messages on a port; None without one."""
         speaker = self._speakers.get((_LOGGER, port))
         return None if speaker is None else speaker.sender
 
     def _report_second_port(self, sender: Sender, now_ns: int) -> None:
+        """Report a sender that is heard on another port than the present one."""
         for (role, _), speaker in self._speakers.items():
             if role is _LOGGER and now_ns - speaker.heard_ns < SILENCE_NS:
                 self._findings.contest(self.system, sender.name, speaker.sender.name, used=True)

@@ -1,5 +1,5 @@
-"""Quantities of a flight that say the same twice, and by how much they contradict each other: for import, check, preflight,
-recipe and estimate alike."""
+"""Contradictions of a flight: quantities that were measured in two ways, and do not agree. Used by import, check, preflight,
+recipe and estimate."""
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -17,7 +17,7 @@ from groundstation.flight.stretches import airborne
 __all__ = ["CONTRADICTIONS", "Contradiction", "contradictions", "contradictions_of", "no_airspeed"]
 
 CONTRADICTIONS = "contradictions"
-"""Key of a provenance's detail: those that an import saw in the log itself, which the columns of the flight no longer show."""
+"""Key of a provenance's detail: contradictions that an import found in the log, and that the columns no longer show."""
 
 COMPARISONS: tuple[Callable[[Array, Columns], Iterator[Contradiction]], ...] = (
     air.pitot_against_ground,
@@ -32,36 +32,37 @@ COMPARISONS: tuple[Callable[[Array, Columns], Iterator[Contradiction]], ...] = (
     motion.command_and_surface,
     motion.magnetic_field,
 )
-"""Each compares two ways to one quantity; all see the same measured columns."""
+"""Each compares two measurements of one quantity, in the columns without the samples of failed sensors."""
 
 
 def contradictions_of(time: Array, columns: Mapping[str, Array]) -> tuple[Contradiction, ...]:
-    """What arrays contradict of each other. time: (N,) [s]; columns: name -> (N,), SI, named as in `daq.contract.channels`;
-    NaN and columns without a value count as not measured."""
+    """The contradictions between columns, sensors that failed in flight first. time: (N,) [s]; columns: name -> (N,), SI, named
+    as in `daq.contract.channels`; NaN is not measured."""
     time = np.asarray(time, float)
-    with _absurd_values():
+    with _numpy_warnings_off():
         failures, sound = failing_sensors(time, _measured(columns))
         measured = _measured(sound)
         return (*failures, *(c for compare in COMPARISONS for c in compare(time, measured)))
 
 
 @contextmanager
-def _absurd_values() -> Iterator[None]:
-    """Without warnings of absurd values, which are contradictions themselves or named elsewhere, and of stretches without any."""
+def _numpy_warnings_off() -> Iterator[None]:
+    """No warnings of numpy for implausible values, which are reported as such, and for stretches without values."""
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         yield
 
 
 def _measured(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """The columns with enough finite values for a comparison."""
     return {n: np.asarray(v, float) for n, v in columns.items() if np.isfinite(v).sum() >= FEWEST_BLOCKS}
 
 
 def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
-    """Those of a flight: what its import saw in the log, and what its columns show.
+    """The contradictions of a flight: those that its import found in the log, then those of its columns.
 
-    An airspeed that was reconstructed is not held against what it was made from: the measured one is. At rest before and after a
-    flight a pitot reads its noise and the wind on the ground, so that is left out.
+    Reconstructed columns are not compared, in place of a reconstructed airspeed the measured one is. Times on the ground are left
+    out, where a pitot reads its noise and the wind.
     """
     phase = airborne(flight)
     rows = phase.flying if phase.stood else np.ones(len(flight), bool)
@@ -79,9 +80,10 @@ def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
 
 
 def no_airspeed(flight: Flight) -> str:
-    """Why a flight's V is none, for the end of a sentence; empty where the rest of the flight does not tell."""
+    """Why a flight's V is not its airspeed, as the end of a sentence, beginning with '; '; empty where no other column shows
+    it."""
     columns = _measured(flight.columns)
-    with _absurd_values():
+    with _numpy_warnings_off():
         lost = [c for c in failing_sensors(flight.time, columns)[0] if c.between[0] in PITOT]
         contradiction = next(iter([*lost, *air.pitot_against_ground(flight.time, columns)]), None)
     return "" if contradiction is None else f"; {contradiction.text}"

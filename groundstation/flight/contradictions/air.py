@@ -1,4 +1,7 @@
-"""Contradictions of air data: pressures, airspeeds, density, altitude, and what the motion says of the scale of V."""
+"""Contradictions of air data: pressures, airspeeds, density and altitude with each other and with the ground velocity.
+
+Each function takes time (N,) [s] and the measured columns (N,), SI, and yields nothing where a column that it compares is
+missing."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,19 +24,19 @@ from groundstation.flight.atmosphere import (
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Array, Columns, FitWithError, ratio_of, scale_by_ground
 
-PRESSURE_TOLERANCE = 0.08  # of 2 p/(rho V^2): density of a guessed temperature is 5 % off, a pitot of its own 3 %
-SCALE_TOLERANCE = 0.08  # of V by motion: a pitot reads 3 % wrong, slips and lags of the fix make up some 3 %
-DENSITY_TOLERANCE = 0.08  # between two densities: 25 K of temperature, or a day of strange pressure and 10 K
-SIGMAS = 4.0
-TELLS_APART = 9.0  # difference of chi-square by which the motion favours one scale of V over another: three sigmas
-CREDIBLE_SCALE = 0.1  # A scale of V further than this from the motion's (and its 2 sigma) is not the one it favours
+PRESSURE_TOLERANCE = 0.08  # of 2 p/(rho V^2): a guessed temperature makes 5 % of density, the pitot 3 %
+SCALE_TOLERANCE = 0.08  # of V by ground velocity: 3 % error of a pitot, some 3 % by sideslip and delay of the fix
+DENSITY_TOLERANCE = 0.08  # between two densities: 25 K of temperature, or a day of unusual pressure and 10 K
+SIGMAS = 4.0  # by chance once in 16000 comparisons
+LEAST_CHI_SQUARE = 9.0  # difference by which the ground velocity favours one scale of V over another: three sigmas
+CREDIBLE_SCALE = 0.1  # a scale further than this, and 2 sigma, from that of the ground velocity is not favoured
 LEAST_FAST = 0.1  # of a flight: fewer fast samples may be a taxi run, or errors of the fix
 PRESSURE_ALTITUDE = 600.0  # [m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes
 
 
 @dataclass(frozen=True)
 class AirDensity:
-    """values: (N,) density [kg/m3]; source: what it is from; guesses: whether its temperature is a guess."""
+    """values: (N,) density [kg/m3]; source: columns it is calculated from; guesses: whether its temperature is a guess."""
 
     values: Array
     source: str
@@ -41,12 +44,12 @@ class AirDensity:
 
 
 def air_density(c: Columns) -> AirDensity | None:
-    """Density of a flight's air: rho, else `independent_density`; None where nothing tells."""
+    """Density of a flight's air: rho, else `independent_density`; None without either."""
     return AirDensity(c["rho"], "rho") if "rho" in c else independent_density(c)
 
 
 def independent_density(c: Columns) -> AirDensity | None:
-    """What pressure or altitude, with a credible temperature, give, whatever a column rho says (`atmosphere.DENSITY_WAYS`)."""
+    """Density by pressure or altitude with a credible temperature (`atmosphere.DENSITY_WAYS`), without use of a column rho."""
     able = (w for w in DENSITY_WAYS if all(n in c for n in w.needs))
     way = next((w for w in able if w.credible(*(c[n] for n in w.needs))), None)
     if way is None:
@@ -81,7 +84,8 @@ def speed_and_pressure(time: Array, c: Columns) -> Iterator[Contradiction]:
 
 
 def _favoured(scale: tuple[FitWithError, FitWithError] | None, name: str, ratio: float) -> tuple[str, str]:
-    """The side that the motion favours, and why. ratio: dynamic pressure of V over the one measured."""
+    """The side that the ground velocity favours, empty where neither, and the evidence as text. scale: as of `scale_by_ground`.
+    ratio: dynamic pressure of V over the one measured."""
     if scale is None:
         return "", "nothing else in the flight tells which is right: check the pitot's ratio and the density"
     fit = scale[0]
@@ -91,13 +95,13 @@ def _favoured(scale: tuple[FitWithError, FitWithError] | None, name: str, ratio:
     closest, further = sorted(sigmas, key=lambda side: abs(sigmas[side]))
     chi_square = sigmas[further] ** 2 - sigmas[closest] ** 2
     tolerance = max(CREDIBLE_SCALE * scales[closest], 2.0 * fit.std)
-    if chi_square < TELLS_APART or abs(fit.value - scales[closest]) > tolerance:
+    if chi_square < LEAST_CHI_SQUARE or abs(fit.value - scales[closest]) > tolerance:
         return "", f"{evidence}, which does not tell which is right: check the pitot's ratio and the density"
     return closest, f"{evidence}, which favours {closest}"
 
 
 def scale_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
-    """V against ground velocity on several headings, which tells its scale from the wind."""
+    """V against ground velocity; several headings separate a scale of V from the wind."""
     scale = scale_by_ground(time, c)
     if scale is None or not scale[0].differs_from(1.0, SCALE_TOLERANCE, SIGMAS):
         return
@@ -111,7 +115,7 @@ def scale_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
 
 
 def pitot_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
-    """Dynamic pressure where the ground speed is that of flight: negative from swapped tubes, next to none under a cover."""
+    """Dynamic pressure at a ground speed of flight: negative with swapped tubes, almost zero under a cover."""
     if not {"p_dynamic", "vn", "ve"} <= c.keys():
         return
     speed = np.hypot(c["vn"], c["ve"])
@@ -141,20 +145,20 @@ def _median(values: Array) -> float:
 
 
 def _looks_equivalent(c: Columns, fit: FitWithError) -> str:
-    """A hint that an airspeed which is too small by the root of the density is equivalent, not true."""
+    """A hint that V is equivalent airspeed, where it is too small by the root of the density ratio; else empty."""
     dense = air_density(c)
     if dense is None:
         return ""
-    middle = _median(dense.values)
-    factor = float(np.sqrt(SEA_LEVEL_DENSITY / middle))
+    density = _median(dense.values)
+    factor = float(np.sqrt(SEA_LEVEL_DENSITY / density))
     agrees = abs(fit.value / factor - 1.0) < 0.5 * SCALE_TOLERANCE + 2.0 * fit.std
     if factor < 1.0 + 0.5 * SCALE_TOLERANCE or not agrees:
         return ""
-    return f"; it looks like equivalent airspeed, which at {middle:.3g} kg/m3 is {1 / factor:.2f} of the true one"
+    return f"; it looks like equivalent airspeed, which at {density:.3g} kg/m3 is {1 / factor:.2f} of the true one"
 
 
 def density_twice(time: Array, c: Columns) -> Iterator[Contradiction]:
-    """A column rho against static pressure with temperature, or altitude."""
+    """A column rho against the density by static pressure or altitude, with temperature."""
     independent = independent_density({n: v for n, v in c.items() if n != "altitude"}) if "rho" in c else None
     if independent is None:
         return
@@ -170,7 +174,7 @@ def density_twice(time: Array, c: Columns) -> Iterator[Contradiction]:
 
 
 def pressure_and_height(time: Array, c: Columns) -> Iterator[Contradiction]:
-    """Static pressure, or the altitude by it, against the height above the sea by GNSS."""
+    """Static pressure, or the pressure altitude, against the height above mean sea level by GNSS."""
     side = next((n for n in ("p_static", "altitude") if n in c), "")
     if not side or "altitude_gnss" not in c:
         return
@@ -188,7 +192,8 @@ def pressure_and_height(time: Array, c: Columns) -> Iterator[Contradiction]:
 
 
 def _weather(dense: AirDensity, implied: float) -> str:
-    """Which air would make pitot and a density of guessed temperature agree, where weather can; else nothing."""
+    """The air temperature that would make pitot and V agree, where the temperature is a guess and weather can be the cause; else
+    empty. implied: density by pitot and V [kg/m3]."""
     share = implied / _median(dense.values)
     if not dense.guesses or not GUESSED_DENSITY[0] < share < GUESSED_DENSITY[1]:
         return ""

@@ -1,4 +1,4 @@
-"""One contradiction: two quantities of a flight that say the same thing differently."""
+"""One contradiction: two measurements of the same quantity in a flight that do not agree."""
 
 import math
 from collections.abc import Mapping
@@ -11,12 +11,12 @@ from daq.utilities.plain_words import one_line
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """Both sides, by how much they differ, whom the rest of the data favour, and what it does to derivatives.
+    """Both sides, their difference, the side that other data favour, and the effect on derivatives.
 
-    between: columns, or series of a log. ratio: of the first side over the second; None where they differ by an offset [unit].
-    std: 1 sigma of ratio or offset. favoured: the side to believe, `neither known` as an empty string. moves: what it does to
-    derivatives, empty where nothing. stops: whether no estimate of the flight as it stands is to be recommended. spans: begin and
-    end [s] of each time in which a sensor failed, where the rest of the flight is sound.
+    between: columns, or series of a log. text: a sentence for a person. ratio: of the first side over the second; None where they
+    differ by an offset [unit]. std: 1 sigma of ratio or offset. favoured: the side to believe, empty where unknown. moves: effect
+    on derivatives, empty where none. stops: whether no estimate from the unchanged flight is recommended. spans: begin and end
+    [s] of each time in which a sensor failed, where the rest of the flight is sound.
     """
 
     between: tuple[str, ...]
@@ -32,11 +32,11 @@ class Contradiction:
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """Columns of the sensor that failed; none where nothing did."""
+        """Columns of the sensor that failed in `spans`; none without such a time."""
         return tuple(n for n in self.between if n not in self.favoured.split(", ")) if self.spans else ()
 
     def to_json(self) -> dict[str, Any]:
-        """As in the JSON of `import`, `check` and `analyse`."""
+        """An entry of `contradictions` in the JSON of `import`, `check` and `analyse`."""
         names = ("ratio", "offset", "unit", "std", "favoured", "moves", "stops", "text")
         values = {name: getattr(self, name) for name in names}
         values["spans"] = [list(span) for span in self.spans]
@@ -44,7 +44,7 @@ class Contradiction:
 
 
 def contradiction_from_json(content: object) -> Contradiction | None:
-    """A contradiction as a flight file carries it; None for what is none."""
+    """The contradiction of an entry in a flight file's provenance, without its spans; None where the entry is not valid."""
     if not isinstance(content, Mapping):
         return None
     sides = tuple(one_line(name) for name in as_texts(content.get("between")))

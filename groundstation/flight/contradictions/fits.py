@@ -1,4 +1,4 @@
-"""How one signal follows others, with a bound that counts the colour of what is left."""
+"""Least-squares fits of one signal to others, with a standard error that allows for coloured residuals."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,9 +9,10 @@ from groundstation.flight.arrays import Array
 
 Columns = Mapping[str, Array]
 
-BLOCK = 1.0  # [s] over which signals are averaged: slower than a Dutch roll's half period, faster than a turn
-WINDOW = 60.0  # [s] within which wind and slow errors are taken for constant
-FEWEST_BLOCKS = 8
+BLOCK = 1.0  # [s] over which signals are averaged: longer than half a Dutch roll, shorter than a turn
+WINDOW = 60.0  # [s] within which wind and slow errors are taken as constant
+FEWEST_BLOCKS = 8  # of a fit; also the fewest values of a column that counts as measured
+LARGEST_CORRELATION = 0.9  # of neighbouring residuals; it widens a variance by (1 + 0.9) / (1 - 0.9) = 19
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,13 +23,14 @@ class FitWithError:
     std: float
 
     def differs_from(self, other: float, tolerance: float, sigmas: float) -> bool:
-        """Whether it is further from another number than a tolerance and than chance."""
+        """Whether it is further from another number than a tolerance, and than `sigmas` standard deviations."""
         distance = abs(self.value - other)
         return distance > tolerance and distance > sigmas * self.std
 
 
 def block_means(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]:
-    """Means over blocks of BLOCK seconds in which all is measured: window number of each block, and the means (m,) of each."""
+    """Window number (m,) of each block of BLOCK seconds, and the means (m,) of each signal (N,), over the samples at which all
+    signals are finite."""
     finite = np.all([np.isfinite(s) for s in signals], axis=0) & np.isfinite(time)
     if finite.sum() < FEWEST_BLOCKS:
         return np.zeros(0), tuple(np.zeros(0) for _ in signals)
@@ -42,16 +44,14 @@ def block_means(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]
 
 
 def within_windows(window: Array, *values: Array) -> tuple[Array, ...]:
-    """The values less their mean over each window, so that a constant of its own goes with each."""
+    """The values (m,) less their mean over each window, which removes a constant for each. window: (m,) number."""
     _, label, count = np.unique(window, return_inverse=True, return_counts=True)
     return tuple(v - (np.bincount(label, v) / count)[label] for v in values)
 
 
 def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Array] | None:
-    """Coefficients (k,) and their covariance (k, k), widened by the colour of the residuals; None where undetermined.
-
-    windows: how many constants have been taken out before.
-    """
+    """Coefficients (k,) and their covariance (k, k), widened by the correlation of neighbouring residuals; None where
+    undetermined. design: (m, k); target: (m,); windows: number of constants already removed from both."""
     rows, unknown = design.shape
     free = rows - unknown - windows
     if free < FEWEST_BLOCKS // 2 or np.linalg.matrix_rank(design) < unknown:
@@ -61,19 +61,20 @@ def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Ar
     residual = target - design @ solved
     spread = float(residual @ residual)
     neighbours = float(residual[1:] @ residual[:-1]) / spread if spread > 0 else 0.0
-    rho = min(max(neighbours, 0.0), 0.9)
+    rho = min(max(neighbours, 0.0), LARGEST_CORRELATION)
     variance = spread / free * (1.0 + rho) / (1.0 - rho)
     return np.asarray(solved, float), np.asarray(variance * np.linalg.inv(normal), float)
 
 
 def horizontal_airspeed(c: Columns) -> Array:
-    """Share [m/s] of V that is horizontal, by the climb that GNSS gives or, without, by pitch; no vertical wind."""
+    """(N,) horizontal component of V [m/s], by the sink rate of GNSS or, without it, by pitch; no vertical wind."""
     climb = c["vd"] if "vd" in c else c["V"] * np.sin(c["theta"]) if "theta" in c else np.zeros_like(c["V"])
     return np.asarray(np.sqrt(np.maximum(c["V"] ** 2 - climb**2, 0.0)))
 
 
 def scale_by_ground(time: Array, c: Columns) -> tuple[FitWithError, FitWithError] | None:
-    """Factor on V, and turn of psi [rad], that make ground velocity less a constant wind: over flight on several headings."""
+    """Factor on V and turn added to psi [rad] that best give the ground velocity, less a constant wind in each window. None where
+    columns are missing or the headings do not determine it."""
     if not all(n in c for n in ("V", "psi", "vn", "ve")):
         return None
     speed = horizontal_airspeed(c)
@@ -97,7 +98,8 @@ def scale_by_ground(time: Array, c: Columns) -> tuple[FitWithError, FitWithError
 
 
 def ratio_of(first: Array, second: Array) -> FitWithError | None:
-    """Median of first over second and its 1 sigma, of samples that are measured and of which the second is not small."""
+    """Median of first / second and its 1 sigma, over the finite samples at which the second exceeds 0.3 of its median; None for
+    too few of them."""
     if not np.isfinite(second).any():
         return None
     with np.errstate(divide="ignore", invalid="ignore"):

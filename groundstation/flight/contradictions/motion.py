@@ -1,4 +1,8 @@
-"""Contradictions of motion: gyros, attitude, accelerations, velocity, course, commands and the magnetic field."""
+"""Contradictions of the motion: gyros against attitude, accelerations against velocity, heading against course, commands against
+surfaces, and the strength of the magnetic field.
+
+Each function takes time (N,) [s] and the measured columns (N,), SI, and yields nothing where a column that it compares is
+missing."""
 
 from collections.abc import Iterator
 
@@ -11,24 +15,28 @@ from groundstation.flight.kinematics import EULER_RATES, GYROS, earth_accelerati
 
 Pairs = list[tuple[Array, Array]]
 
-AGREEMENT = 0.9  # share of a motion that has to be explained before its scale is judged
+AGREEMENT = 0.9  # least share of one signal's variance that the other explains, before the scale is judged
+COMMAND_AGREEMENT = 0.8  # the same of a surface by its command, whose servo lags
+COMMAND_SCALE = (0.8, 1.25)  # of a surface over its command: play and load of a servo's linkage lie within
+LEAST_COMMAND = np.radians(0.5)  # std of a command in a window, below which a surface shows its own noise
 SCALE_TOLERANCE = 0.12
 """Of an angle by its gyro, of velocity by acceleration: scale errors of uncalibrated sensors stay within 3 %, lags within 5 %."""
-BY_CHANCE = 2.0  # sigmas of a scale over all windows that chance is given beside the tolerance
-MOST_SCALE = 2.0  # A scale beyond it is another unit, which `quality.plausibility` names
+SCALE_SIGMAS = 2.0  # of a slope's own error, that a scale must exceed, too
+LARGEST_SCALE = 2.0  # a scale beyond it, or below its inverse, is another unit, which `quality.plausibility` reports
 HEADING_TOLERANCE = np.radians(12.0)
-"""Between heading and course: declination that was not allowed for, or a compass beside a current."""
+"""Between heading and course: more is a declination that was not corrected, or a compass near a current."""
 FIELD = (2.2e-5, 6.7e-5)  # strength of the magnetic field on Earth [T] (IGRF-13)
-FIELD_TOLERANCE = 0.15
-SIGMAS = 4.0
-RECEIVER_LATE = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
-"""[s] by which a receiver's velocity may be late: they filter, and are logged when they have come."""
-RECEIVER_SMOOTHS = 1.0
-"""[s] over which both sides are averaged: fixes of 5 Hz and a receiver's filter lose a fifth of a Dutch roll of 1 Hz."""
+TYPICAL_FIELD = 4.5e-5  # [T] the middle of these
+FIELD_TOLERANCE = 0.15  # relative scatter of the strength: a calibrated magnetometer turned in a uniform field has less
+HEADING_SIGMAS = 4.0  # of the fitted turn: by chance once in 16000 flights
+RECEIVER_DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
+"""[s] that a receiver's velocity may be late: receivers filter, and fixes are logged when they arrive."""
+RECEIVER_AVERAGE = 1.0
+"""[s] over which both sides are averaged: 5 Hz fixes and a receiver's filter lose a fifth of a Dutch roll of 1 Hz."""
 
 
 def gyros_and_attitude(time: Array, c: Columns) -> Iterator[Contradiction]:
-    """Each angle of attitude against what the gyros turn."""
+    """Each angle of attitude against the integral of its rate by the gyros."""
     if not all(n in c for n in ("p", "q", "r", "phi", "theta", "psi")):
         return
     for angle, gyro in GYROS.items():
@@ -43,24 +51,25 @@ def gyros_and_attitude(time: Array, c: Columns) -> Iterator[Contradiction]:
 
 
 def _wrong_scale(slope: float, agreement: float, std: float) -> bool:
-    """Whether a scale is none of a sensor, nor of chance: a flight of some seconds is one window, and a share that is not
-    explained there may lie in the slope."""
+    """Whether a slope of 1 is excluded by more than a sensor's scale error and the slope's own error `std`, which is large where
+    the flight is a single window."""
     off = abs(slope - 1.0)
-    return agreement > AGREEMENT and off > max(SCALE_TOLERANCE, BY_CHANCE * std) and 1 / MOST_SCALE < slope < MOST_SCALE
+    significant = off > max(SCALE_TOLERANCE, SCALE_SIGMAS * std)
+    return agreement > AGREEMENT and significant and 1 / LARGEST_SCALE < slope < LARGEST_SCALE
 
 
 def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction]:
-    """Specific force turned by attitude, with gravity, against the change of velocity by GNSS."""
+    """The integral of specific force in earth axes, with gravity, against the change of velocity by GNSS."""
     velocities = ("vn", "ve", "vd")
     if not all(n in c for n in ("ax", "ay", "az", "phi", "theta", "psi", *velocities)):
         return
     parts = [
         part
         for name, acceleration in zip(velocities, earth_acceleration(c), strict=True)
-        for t, speed, push in windows(time, c[name], acceleration)
-        if (part := _smoothed(t, integral(t, push), speed)) is not None
+        for t, speed, earth in windows(time, c[name], acceleration)
+        if (part := _smoothed(t, integral(t, earth), speed)) is not None
     ]
-    slope, agreement, pairs = max((_as_late(parts, delay) for delay in RECEIVER_LATE), key=lambda fit: fit[1])
+    slope, agreement, pairs = max((_fit_delayed(parts, delay) for delay in RECEIVER_DELAYS), key=lambda fit: fit[1])
     std = _slope_std(slope, agreement, pairs)
     if _wrong_scale(slope, agreement, std):
         text = (
@@ -71,25 +80,25 @@ def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction
         yield Contradiction((*velocities, "ax", "ay", "az"), text, slope, std=std, moves=moves, stops=True)
 
 
-def _smoothed(t: Array, push: Array, speed: Array) -> tuple[Array, Array, Array, int] | None:
-    """Time, what pushes, velocity without what a receiver cannot follow, and samples of that mean; None where it is too short."""
-    width = max(1, round(RECEIVER_SMOOTHS / float(np.median(np.diff(t)))))
-    return (t, push, np.convolve(speed, np.full(width, 1.0 / width), "valid"), width) if t.size > 2 * width else None
+def _smoothed(t: Array, change: Array, speed: Array) -> tuple[Array, Array, Array, int] | None:
+    """Time, integrated acceleration, running mean of the velocity and the samples of that mean; None for too short a window."""
+    width = max(1, round(RECEIVER_AVERAGE / float(np.median(np.diff(t)))))
+    return (t, change, np.convolve(speed, np.full(width, 1.0 / width), "valid"), width) if t.size > 2 * width else None
 
 
-def _as_late(parts: list[tuple[Array, Array, Array, int]], late: float) -> tuple[float, float, Pairs]:
-    """Slope, agreement and their pairs for a receiver so many seconds late, both sides without what it cannot follow."""
+def _fit_delayed(parts: list[tuple[Array, Array, Array, int]], delay: float) -> tuple[float, float, Pairs]:
+    """Slope, agreement and the averaged pairs, for a receiver that is `delay` [s] late. parts: as of `_smoothed`."""
     pairs = [
-        (np.convolve(np.interp(t - late, t, push), np.full(width, 1.0 / width), "valid"), speed)
-        for t, push, speed, width in parts
+        (np.convolve(np.interp(t - delay, t, change), np.full(width, 1.0 / width), "valid"), speed)
+        for t, change, speed, width in parts
     ]
     return (*slope_and_agreement(pairs), pairs)
 
 
 def heading_and_course(time: Array, c: Columns) -> Iterator[Contradiction]:
-    """Heading against the course over ground, wind taken out, on several headings."""
+    """Heading against the course over ground less a constant wind, flown on several headings."""
     fit = scale_by_ground(time, c)
-    if fit is None or not fit[1].differs_from(0.0, HEADING_TOLERANCE, SIGMAS):
+    if fit is None or not fit[1].differs_from(0.0, HEADING_TOLERANCE, HEADING_SIGMAS):
         return
     turn = fit[1]
     text = (
@@ -107,9 +116,9 @@ def command_and_surface(time: Array, c: Columns) -> Iterator[Contradiction]:
         command, surface = f"cmd_{axis}", f"delta_{axis}"
         if command not in c or surface not in c:
             continue
-        pairs = [(b, a) for _, a, b in windows(time, c[surface], c[command]) if np.std(b) > np.radians(0.5)]
+        pairs = [(b, a) for _, a, b in windows(time, c[surface], c[command]) if np.std(b) > LEAST_COMMAND]
         slope, agreement = slope_and_agreement(pairs)
-        if agreement > 0.8 and not 0.8 < slope < 1.25:
+        if agreement > COMMAND_AGREEMENT and not COMMAND_SCALE[0] < slope < COMMAND_SCALE[1]:
             text = f"{surface} moves {slope:.3g} times as far as {command} asks: trim and travel of the servo, or of the sensor"
             moves = f"control derivatives by {abs(slope - 1):.0%}, if the surface is wrong"
             std = _slope_std(slope, agreement, pairs)
@@ -117,21 +126,22 @@ def command_and_surface(time: Array, c: Columns) -> Iterator[Contradiction]:
 
 
 def magnetic_field(time: Array, c: Columns) -> Iterator[Contradiction]:
-    """Strength of the measured magnetic field against what there is on Earth, and its constancy."""
+    """The measured strength of the magnetic field against the Earth's, and its constancy over the flight."""
     if not all(n in c for n in ("mx", "my", "mz")):
         return
-    size = np.sqrt(c["mx"] ** 2 + c["my"] ** 2 + c["mz"] ** 2)
-    middle = float(np.nanmedian(size))
-    spread = float(np.nanmedian(np.abs(size - middle)))
-    if not middle > 0.0 or (FIELD[0] <= middle <= FIELD[1] and spread < FIELD_TOLERANCE * middle):
+    strength = np.sqrt(c["mx"] ** 2 + c["my"] ** 2 + c["mz"] ** 2)
+    median = float(np.nanmedian(strength))
+    spread = float(np.nanmedian(np.abs(strength - median)))
+    if not median > 0.0 or (FIELD[0] <= median <= FIELD[1] and spread < FIELD_TOLERANCE * median):
         return
     text = (
-        f"the magnetometer shows {middle * 1e6:.3g} +- {spread * 1e6:.2g} uT where the Earth has 22 to 67, and the same in any "
+        f"the magnetometer shows {median * 1e6:.3g} +- {spread * 1e6:.2g} uT where the Earth has 22 to 67, and the same in any "
         "attitude: it is not calibrated, and heading from it is not sure"
     )
-    yield Contradiction(("mx, my, mz", "magnetic field of the Earth"), text, middle / 4.5e-5, std=spread / 4.5e-5)
+    sides = ("mx, my, mz", "magnetic field of the Earth")
+    yield Contradiction(sides, text, median / TYPICAL_FIELD, std=spread / TYPICAL_FIELD)
 
 
 def _slope_std(slope: float, agreement: float, pairs: Pairs) -> float:
-    """1 sigma of a slope over windows, each of which counts for two."""
+    """1 sigma of a slope; each window counts as two independent samples."""
     return float(abs(slope) * np.sqrt(max(1.0 - agreement, 0.0) / max(agreement * 2 * len(pairs), 1.0)))

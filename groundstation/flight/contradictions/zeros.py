@@ -1,4 +1,4 @@
-"""Gyros beside the rates that turn the attitude: one whose zero jumps in flight, and axes that are exchanged."""
+"""Gyros against the body rates of the recorded attitude: a zero that jumps in flight, and axes that are exchanged."""
 
 from collections.abc import Iterator
 
@@ -10,31 +10,32 @@ from groundstation.flight.contradictions.fits import Columns
 from groundstation.flight.kinematics import GYROS
 
 BLOCK = 2.0  # [s] over which a rate and the change of its angle are averaged
-FEWEST = 5  # blocks on either side
-NEAR = 3  # blocks next to the jump, on either side, which must show it: a drift does not
-SMALLEST = 0.015  # [rad/s] that is told: zeros of gyros wander by a third of that in a flight
-SHARE_OF_TURN = 0.2
-"""Of the change of the mean rate: a scale error of 3 %, and an attitude that is wrong in turns, are no jump."""
-CLEAR = 4.0  # times the scatter of the blocks
-SMOOTHED = 0.3  # [s] over which rates are averaged before they are compared
-FOLLOWS, STRANGE = 0.8, 0.3
-"""Correlation of a gyro with the rate of another axis, and with that of its own, that tell an exchange: p and r of a Dutch roll
-follow each other, and each its own."""
+LEAST_BLOCKS = 5  # on either side of a jump
+BLOCKS_AT_JUMP = 3  # blocks next to the jump, on either side, which must show it: a drift does not
+LOCAL_SHARE = 0.7  # of the jump that these blocks must show
+LEAST_JUMP = 0.015  # [rad/s] that is reported: zeros of gyros drift by a third of that in a flight
+LEAST_JUMP_OVER_TURN = 0.2
+"""Of the change of the mean rate: a scale error of 3 %, or an attitude that is wrong in turns, is no jump."""
+LEAST_JUMP_OVER_SCATTER = 4.0  # standard deviations of the blocks
+AVERAGE = 0.3  # [s] over which rates are averaged before they are correlated
+LEAST_OTHER_AXIS, MOST_OWN_AXIS = 0.8, 0.3
+"""Correlation of a gyro with another axis of the attitude, and with its own, of exchanged axes: in a Dutch roll p and r correlate
+with each other, but each with its own axis as well."""
 
 
 def gyros_beside_attitude(time: Array, c: Columns) -> Iterator[Contradiction]:
-    """What gyros say otherwise than the attitude that they turn."""
+    """Contradictions between gyros and attitude. time: (N,) [s]; c: column -> (N,), SI; none without gyros and attitude."""
     if all(n in c for n in ("p", "q", "r", "phi", "theta", "psi")):
         rates = _rates_of_attitude(time, c)
-        yield from _that_jump(time, c, rates)
-        yield from _exchanged(time, c, rates)
+        yield from _jumped_zeros(time, c, rates)
+        yield from _exchanged_axes(time, c, rates)
 
 
-def _that_jump(time: Array, c: Columns, rates: Columns) -> Iterator[Contradiction]:
-    """Each gyro whose zero is another from some instant on, by its angle of attitude."""
+def _jumped_zeros(time: Array, c: Columns, rates: Columns) -> Iterator[Contradiction]:
+    """Each gyro whose zero changes at some instant, by its angle of attitude. rates: of the attitude, as p, q and r."""
     for angle, gyro in GYROS.items():
-        begins, turn, more = _blocks(time, rates[gyro], c[gyro] - rates[gyro])
-        jump = _jump(more, turn)
+        begins, turn, error = _blocks(time, rates[gyro], c[gyro] - rates[gyro])
+        jump = _jump(error, turn)
         if jump is None:
             continue
         k, step = jump
@@ -48,32 +49,32 @@ def _that_jump(time: Array, c: Columns, rates: Columns) -> Iterator[Contradictio
         yield Contradiction((gyro, angle), text, None, step, "rad/s", favoured=angle, moves=moves)
 
 
-def _exchanged(time: Array, c: Columns, rates: Columns) -> Iterator[Contradiction]:
-    """Each gyro that turns as another axis of the attitude does, and not as its own."""
-    each = max(round(SMOOTHED / float(np.median(np.diff(time)))), 1)
-    count = time.size // each
+def _exchanged_axes(time: Array, c: Columns, rates: Columns) -> Iterator[Contradiction]:
+    """Each gyro that correlates with another axis of the attitude, and not with its own. rates: of the attitude."""
+    width = max(round(AVERAGE / float(np.median(np.diff(time)))), 1)
+    count = time.size // width
     means = {
-        (kind, n): v[: count * each].reshape(count, each).mean(axis=1)
+        (kind, n): v[: count * width].reshape(count, width).mean(axis=1)
         for kind, signals in (("gyro", c), ("attitude", rates))
         for n, v in ((n, signals[n]) for n in "pqr")
     }
     known = np.all([np.isfinite(v) for v in means.values()], axis=0)
-    if known.sum() < FEWEST * NEAR or any(np.std(v[known]) == 0.0 for v in means.values()):
+    if known.sum() < LEAST_BLOCKS * BLOCKS_AT_JUMP or any(np.std(v[known]) == 0.0 for v in means.values()):
         return
-    table = np.corrcoef([means[kind, n][known] for kind in ("gyro", "attitude") for n in "pqr"])[:3, 3:]
+    correlation = np.corrcoef([means[kind, n][known] for kind in ("gyro", "attitude") for n in "pqr"])[:3, 3:]
     for i, gyro in enumerate("pqr"):
-        k = int(np.argmax(np.abs(table[i])))
-        if abs(table[i, i]) < STRANGE and abs(table[i, k]) > FOLLOWS:
+        k = int(np.argmax(np.abs(correlation[i])))
+        if abs(correlation[i, i]) < MOST_OWN_AXIS and abs(correlation[i, k]) > LEAST_OTHER_AXIS:
             text = (
-                f"{gyro} follows the rate about the axis of {'pqr'[k]} (correlation {table[i, k]:.2f}) and not about its own "
-                f"({table[i, i]:.2f}), by phi, theta and psi: are the axes of the gyros exchanged?"
+                f"{gyro} follows the rate about the axis of {'pqr'[k]} (correlation {correlation[i, k]:.2f}) and not about "
+                f"its own ({correlation[i, i]:.2f}), by phi, theta and psi: are the axes of the gyros exchanged?"
             )
             yield Contradiction((gyro, "phi, theta, psi"), text, moves="every derivative", stops=True)
 
 
 def _rates_of_attitude(time: Array, c: Columns) -> dict[str, Array]:
-    """Body rates (N,) that turn the attitude as it was recorded (Etkin, eq. 4.4): beside them the zero of a gyro is a constant in
-    any bank."""
+    """p, q, r (N,) [rad/s] of the recorded attitude (Etkin, eq. 4.4). A gyro's zero is its constant difference from them at any
+    bank, which it would not be from the slopes of the angles."""
     slope = {n: np.gradient(np.interp(time, *_known(time, c[n])), time) for n in GYROS}
     sf, cf, st, ct = np.sin(c["phi"]), np.cos(c["phi"]), np.sin(c["theta"]), np.cos(c["theta"])
     return {
@@ -84,35 +85,38 @@ def _rates_of_attitude(time: Array, c: Columns) -> dict[str, Array]:
 
 
 def _known(time: Array, angle: Array) -> tuple[Array, Array]:
+    """Times and unwrapped angles of the finite samples."""
     known = np.isfinite(angle)
     return time[known], np.unwrap(angle[known])
 
 
 def _blocks(time: Array, *signals: Array) -> tuple[Array, ...]:
-    """Of each block without a gap: where it begins [s], and the mean of each signal in it (m,)."""
+    """Begin [s] and mean of each signal, (m,) over the blocks without a gap or a missing value."""
     step = float(np.median(np.diff(time)))
     edges = np.searchsorted(time, np.arange(time[0], time[-1], BLOCK))
-    whole = np.diff(edges) > max(0.8 * BLOCK / step, 1.0)
+    complete = np.diff(edges) > max(0.8 * BLOCK / step, 1.0)
     means = [
-        np.add.reduceat(s, edges[:-1])[whole] / np.diff(edges)[whole] if whole.any() else np.zeros(0) for s in signals
+        np.add.reduceat(s, edges[:-1])[complete] / np.diff(edges)[complete] if complete.any() else np.zeros(0)
+        for s in signals
     ]
     known = np.all([np.isfinite(m) for m in means], axis=0)
-    return time[edges[:-1]][whole][known], *(m[known] for m in means)
+    return time[edges[:-1]][complete][known], *(m[known] for m in means)
 
 
 def _jump(zero: Array, turn: Array) -> tuple[int, float] | None:
-    """The block at which a jump begins and its size, where there is one."""
-    if zero.size < 2 * FEWEST:
+    """Number of the block at which the zero jumps, and the jump [rad/s]; None without a clear one. zero, turn: (m,) means of the
+    gyro's error and of the rate by attitude [rad/s]. The jump is where two constants leave the smallest sum of squares."""
+    if zero.size < 2 * LEAST_BLOCKS:
         return None
     count = np.arange(1, zero.size)
     sums, squares = np.cumsum(zero)[:-1], np.cumsum(zero**2)[:-1]
     rest, rest_squares = zero.sum() - sums, np.sum(zero**2) - squares
-    left = squares - sums**2 / count + rest_squares - rest**2 / (zero.size - count)
-    k = int(np.argmin(left[FEWEST - 1 : zero.size - FEWEST])) + FEWEST
+    residual_squares = squares - sums**2 / count + rest_squares - rest**2 / (zero.size - count)
+    k = int(np.argmin(residual_squares[LEAST_BLOCKS - 1 : zero.size - LEAST_BLOCKS])) + LEAST_BLOCKS
     before, after = zero[:k], zero[k:]
     step = float(np.median(after) - np.median(before))
     scatter = 1.4826 * float(np.median(np.abs(np.concatenate([before - np.median(before), after - np.median(after)]))))
-    local = float(np.median(after[:NEAR]) - np.median(before[-NEAR:]))
+    local = float(np.median(after[:BLOCKS_AT_JUMP]) - np.median(before[-BLOCKS_AT_JUMP:]))
     turned = abs(float(np.mean(turn[k:]) - np.mean(turn[:k])))
-    clear = abs(step) > max(SMALLEST, CLEAR * scatter, SHARE_OF_TURN * turned) and local / step > 0.7
-    return (k, step) if clear else None
+    least = max(LEAST_JUMP, LEAST_JUMP_OVER_SCATTER * scatter, LEAST_JUMP_OVER_TURN * turned)
+    return (k, step) if abs(step) > least and local / step > LOCAL_SHARE else None

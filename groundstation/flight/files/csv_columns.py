@@ -1,7 +1,7 @@
-"""The columns of a CSV file of numbers with a header line of names.
+"""Columns of a CSV file of numbers with a header line.
 
-The fast road is numpy's reader, some times as fast as cell by cell. What it does not take - words, quotes over lines, rows of
-other lengths - is left to the slow road, which knows what to say.
+Rows are read by numpy's reader, which is several times faster than reading cell by cell. A file that it refuses (words, quoted
+line breaks, rows of different lengths) is read cell by cell, for an error message with line and column.
 """
 
 import csv
@@ -26,7 +26,7 @@ _BLOCK = 2**22  # characters parsed at once
 
 
 def read_csv(path: Path, error: type[UserError]) -> dict[str, Array]:
-    """Columns by name (N,), NaN where a cell is empty. Raises `error` naming line and column of what is no number."""
+    """Column name -> (N,) values, NaN where a cell is empty. Raises `error` with line and column of a cell that is no number."""
     _check_length(path, error)
     try:
         with path.open(newline="", encoding="utf-8-sig") as handle:
@@ -34,7 +34,7 @@ def read_csv(path: Path, error: type[UserError]) -> dict[str, Array]:
             header = [h.strip() for h in next(rows, [])]
             _check_header(path, header, error)
             body, units = _without_units(path, header, rows, error)
-            # rows.line_num: a quoted name can stand on several lines
+            # a header with quoted line breaks has more than one line
             columns = plain_columns(path, header, skip_lines=1 + units) if rows.line_num <= 2 else None
             if columns is None:
                 cells = np.fromiter(itertools.chain.from_iterable(_numbers(path, header, body, error)), float)
@@ -47,8 +47,8 @@ def read_csv(path: Path, error: type[UserError]) -> dict[str, Array]:
 
 
 def _check_length(path: Path, error: type[UserError]) -> None:
-    """Raise `error` for more rows than of a Parquet file: at a microsecond a row and more, a file of two-letter lines takes
-    longer than anyone waits."""
+    """Raise `error` for more rows than are read of a Parquet file: a row takes over a microsecond, and a line may be two
+    bytes."""
     limit, lines = max(MOST_ROWS, path.stat().st_size // 4), 0
     with path.open("rb") as handle:
         while block := handle.read(2**20):
@@ -70,18 +70,15 @@ def _check_header(path: Path, header: list[str], error: type[UserError]) -> None
 def _without_units(
     path: Path, header: list[str], rows: Iterator[list[str]], error: type[UserError]
 ) -> tuple[Iterator[tuple[int, list[str]]], bool]:
-    """The rows with their line numbers, without a row of units below the header, as `sideslip export --units-row` writes it; and
-    whether there is one.
-
-    Raises `error` for units that are not those of a flight.
-    """
+    """The rows with their line numbers, without a row of units below the header (`sideslip export --units-row`); and whether
+    there is such a row. Raises `error` for units other than those of the flight columns."""
     numbered = enumerate(rows, start=2)
     first = next(numbered, None)
     if first is None:
         return numbered, False
     cells = [cell.strip() for cell in first[1]]
-    worded = [cell for cell in cells if cell and cell != _NUMBER]
-    if len(cells) != len(header) or not worded or any(map(is_number, worded)):
+    units = [cell for cell in cells if cell and cell != _NUMBER]
+    if len(cells) != len(header) or not units or any(map(is_number, units)):
         return itertools.chain([first], numbered), False
     for name, cell in zip(header, cells, strict=True):
         unit = _UNITS.get(name) or (COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else cell)
@@ -96,6 +93,7 @@ def _without_units(
 def _numbers(
     path: Path, header: list[str], rows: Iterator[tuple[int, list[str]]], error: type[UserError]
 ) -> Iterator[list[float]]:
+    """Each row that is not empty as numbers, NaN for an empty cell. Raises `error` with line and column."""
     for number, row in rows:
         if not any(cell.strip() for cell in row):
             continue
@@ -111,6 +109,7 @@ def _numbers(
 
 
 def is_number(cell: str) -> bool:
+    """Whether `float` reads a cell."""
     try:
         float(cell)
     except ValueError:
@@ -118,7 +117,7 @@ def is_number(cell: str) -> bool:
     return True
 
 
-# --------------------------------------------------------------------------------------------------------- the fast road
+# ------------------------------------------------------------------------------------------------------- numpy's reader
 
 
 def plain_columns(
@@ -130,10 +129,10 @@ def plain_columns(
     decimal: str = ".",
     empty: Sequence[str] = ("",),
 ) -> list[Array] | None:
-    """The columns (N,) of rows of numbers, NaN where a cell is one of `empty`; rows of such cells only are left out.
+    """The columns (N,) of rows of numbers, NaN where a cell is one of `empty`, without rows of such cells only. None where a row
+    has another number of cells than `names`, or a cell is no number.
 
-    source: a file, or the text itself. names: as many as a row has cells. skip_lines: of the source, before the first row. None
-    where a row has another number of cells, or one of them is no number.
+    source: a file, or a text. skip_lines: before the first row.
     """
     blank = _blank_cells(delimiter, empty)
     blocks: list[Array] = [np.zeros((0, len(names)))]
@@ -149,13 +148,14 @@ def plain_columns(
                 return None
             unmeasured = np.isnan(block).all(axis=1)
             if unmeasured.any() and "nan" not in empty and "nan" in text.lower():
-                return None  # a row of written NaN is one
+                return None  # a row with NaN written in it is not an empty one
             blocks.append(block[~unmeasured] if unmeasured.any() else block)
     return list(np.concatenate(blocks).T)
 
 
 def _block(text: str, width: int, delimiter: str) -> Array | None:
-    """Rows (N, width) of whole lines without empty cells. None where one has another number of cells, or no number in one."""
+    """Rows (N, width) of complete lines without empty cells; None where one has another number of cells, or a cell is no
+    number."""
     if not text.strip():
         return np.zeros((0, width))
     try:
@@ -166,13 +166,13 @@ def _block(text: str, width: int, delimiter: str) -> Array | None:
 
 
 def _blank_cells(delimiter: str, empty: Sequence[str]) -> Callable[[str], str]:
-    """A function that writes nan into the empty cells of lines."""
-    part, words = re.escape(delimiter), "|".join(re.escape(word) for word in empty if word)
-    worded = re.compile(rf"(?<![^{part}\n])(?:{words})(?![^{part}\n])") if words else None
+    """A function that replaces the empty cells in lines by nan. empty: texts of an empty cell."""
+    separator, texts = re.escape(delimiter), "|".join(re.escape(text) for text in empty if text)
+    pattern = re.compile(rf"(?<![^{separator}\n])(?:{texts})(?![^{separator}\n])") if texts else None
 
     def filled(text: str) -> str:
-        if worded and worded.search(text):
-            text = worded.sub("nan", text)
+        if pattern and pattern.search(text):
+            text = pattern.sub("nan", text)
         for _ in range(2):  # neighbours share their delimiter
             text = text.replace(2 * delimiter, f"{delimiter}nan{delimiter}")
         text = text.replace(f"{delimiter}\n", f"{delimiter}nan\n").replace(f"\n{delimiter}", f"\nnan{delimiter}")

@@ -1,8 +1,8 @@
-"""Columns that stand for another axis than they claim: an IMU or gyro that sits turned in the aircraft, two columns exchanged.
+"""Columns in wrong axes: an IMU or gyro that is mounted turned in the aircraft, two columns exchanged, a reversed sign.
 
-Attitude, gyros and accelerometers of a turned IMU agree with each other. What tells is the airspeed, which vanes give in body
-axes: it changes as specific force, gravity and the turning of the axes make it change (Klein and Morelli, eq. 3.35). Each
-mistake that people make is undone in turn, and the one after which that holds is named.
+Attitude, gyros and accelerometers of a turned IMU agree with each other, but not with the airspeed vector, which vanes measure in
+body axes. Its change must be that by specific force, gravity and rotation (Klein and Morelli, eq. 3.35). Each common mistake is
+corrected in turn, and the one whose correction makes this hold is reported.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -17,26 +17,26 @@ from groundstation.flight.arrays import Array, integral, slope_and_agreement, wi
 from groundstation.flight.findings import Finding, FindingKind
 
 Axes = tuple[str, ...]
-"""Of a sensor, as recorded, that lie along body x, y and z."""
+"""The recorded axes of a sensor that lie along body x, y and z: ("+y", "-x", "+z")."""
 Columns = Mapping[str, Array]
 
 FORCE, RATES, ATTITUDE = ("ax", "ay", "az"), ("p", "q", "r"), ("phi", "theta")
 FLOW = ("V", "alpha", "beta")
 LARGEST_PITCH = 1.6
-"""[rad] A larger one is in degrees; so is a bank or a vane twice as large."""
-EXPLAINS, EXPLAINS_UPRIGHT = 0.5, 0.25
-"""Share of the airspeed's change that is explained once the mistake is undone, at least: 0.63 to 0.85 in light gusts with
-attitude of a filter. In rough air chance explains up to 0.29. Less is enough where the columns as they are have the aircraft on
-its side or back: 0.3 where a filter was misled by an IMU on its back."""
-SOUND = 0.8
-"""Share that the columns explain as they are, above which nothing is asked."""
-LESS, UNDONE = 0.5, 1.0 / 3.0
-"""A mistake is clear where the columns as they are explain less than half of what is explained once it is undone (0 to 0.38 of
-0.85 in light gusts), or where a third of what they leave is left then."""
-RUNNER_UP = 0.9
-"""As LESS, of undoing another mistake: 0.86 where a gyro that is turned is taken for two columns exchanged."""
-UPRIGHT = 0.5  # cosine of the mean tilt: no flight is on its side or back from end to end
-SLOPE = (0.7, 1.4)  # of what is explained: scales of uncalibrated vanes lie within
+"""[rad]; a larger theta is in degrees, and so is a bank angle beyond twice that, or a vane beyond it."""
+LEAST_SHARE, LEAST_SHARE_INVERTED = 0.5, 0.25
+"""Least share of the airspeed's change that is explained after the correction: it is 0.63 to 0.85 in light gusts with the
+attitude of a filter, and in rough air up to 0.29 by chance. Less is enough where the recorded attitude has the aircraft on its
+side or back throughout: it is 0.3 where an IMU on its back misled the filter."""
+SUFFICIENT_SHARE = 0.8
+"""Share explained by the recorded columns, from which no mistake is looked for."""
+UNCORRECTED_OVER_CORRECTED, MOST_REMAINING = 0.5, 1.0 / 3.0
+"""A mistake is clear where the recorded columns explain less than half of the share after the correction (0 to 0.38 against 0.85
+in light gusts), or where the correction leaves less than a third of what was unexplained."""
+SECOND_OVER_BEST = 0.9
+"""As UNCORRECTED_OVER_CORRECTED, for the second best correction: 0.86 for an exchange of columns where a gyro is turned."""
+LEAST_UPRIGHT = 0.5  # mean cosine of the tilt: no flight is on its side or back throughout
+CREDIBLE_SLOPE = (0.7, 1.4)  # of measured over explained change: scale errors of uncalibrated vanes lie within
 EXCHANGES = (
     ("alpha", "beta"),
     ("p", "q"),
@@ -56,13 +56,13 @@ REVERSALS = (
     ("theta",),
     *((n,) for n in (*RATES, *FORCE)),
 )
-"""Columns of a wrong sign, which `plausibility` asks for."""
+"""Columns whose signs are reversed together; `plausibility` reports these."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """columns: that stand for others. text: what happened, and what puts it right; empty of a sign. undo: the columns as they
-    should be. axes: how a sensor sits, where it is turned."""
+    """columns: those in error. text: the mistake and its remedy; empty for a sign. undo: recorded columns -> corrected ones.
+    axes: the mounting of a turned sensor; empty for other mistakes."""
 
     columns: tuple[str, ...]
     text: str
@@ -71,32 +71,36 @@ class Mistake:
 
 
 def wrong_axes(time: Array, columns: Columns) -> Iterator[Finding]:
-    """The mistake in the axes of a flight that its motion gives away."""
+    """The mistake in the axes of a flight, where its motion shows one clearly. time: (N,) [s]; columns: name -> (N,), SI; nothing
+    without force, rates, attitude and the airspeed vector."""
     needed = (*FORCE, *RATES, *ATTITUDE, *FLOW)
     if not all(n in columns for n in needed) or not np.all([np.isfinite(columns[n]) for n in needed], axis=0).any():
         return
     if _in_degrees(columns):
         return
     upright = _upright(columns)
-    claimed = explained(time, columns) if upright else 0.0
-    if claimed > SOUND:
+    uncorrected = explained(time, columns) if upright else 0.0
+    if uncorrected > SUFFICIENT_SHARE:
         return
-    shares = {m: explained(time, undone) for m in MISTAKES if _upright(undone := m.undo(columns))}
+    shares = {m: explained(time, corrected) for m in MISTAKES if _upright(corrected := m.undo(columns))}
     if not shares:
         return
     best = max(shares, key=lambda m: shares[m])
     others = max((s for m, s in shares.items() if m is not best and (m.axes != best.axes or not m.axes)), default=0.0)
-    clear = _beyond(shares[best], claimed, LESS) and _beyond(shares[best], others, RUNNER_UP)
-    if best.text and clear and shares[best] > (EXPLAINS if upright else EXPLAINS_UPRIGHT):
+    clear = _clearly_better(shares[best], uncorrected, UNCORRECTED_OVER_CORRECTED)
+    clear = clear and _clearly_better(shares[best], others, SECOND_OVER_BEST)
+    if best.text and clear and shares[best] > (LEAST_SHARE if upright else LEAST_SHARE_INVERTED):
         yield Finding(FindingKind.UNLIKELY, f"{', '.join(best.columns)}: {best.text}", columns=best.columns)
 
 
-def _beyond(best: float, other: float, share: float) -> bool:
-    return other < share * best or 1.0 - best < UNDONE * (1.0 - other)
+def _clearly_better(best: float, other: float, share: float) -> bool:
+    """Whether another explained share is below `share` of the best, or leaves three times as much unexplained."""
+    return other < share * best or 1.0 - best < MOST_REMAINING * (1.0 - other)
 
 
 def explained(time: Array, c: Columns) -> float:
-    """Share of the change of airspeed in body axes that specific force and gravity explain; 0 where the slope is not about 1."""
+    """Share of the variance of the airspeed vector's change, in body axes, that specific force, gravity and rotation explain;
+    0 where the slope between the two is not about 1."""
     (sa, sb, st, sf), (ca, cb, ct, cf) = (
         [f(c[n]) for n in ("alpha", "beta", "theta", "phi")] for f in (np.sin, np.cos)
     )
@@ -108,7 +112,7 @@ def explained(time: Array, c: Columns) -> float:
         for t, *rows in windows(time, *air, *force, *turning)
         for i in range(3)
     )
-    return share if SLOPE[0] < slope < SLOPE[1] else 0.0
+    return share if CREDIBLE_SLOPE[0] < slope < CREDIBLE_SLOPE[1] else 0.0
 
 
 def _in_degrees(c: Columns) -> bool:
@@ -117,20 +121,20 @@ def _in_degrees(c: Columns) -> bool:
 
 
 def _upright(c: Columns) -> bool:
-    return bool(np.nanmean(np.cos(c["phi"]) * np.cos(c["theta"])) > UPRIGHT)
+    return bool(np.nanmean(np.cos(c["phi"]) * np.cos(c["theta"])) > LEAST_UPRIGHT)
 
 
 def turned(c: Columns, axes: Axes, names: tuple[str, ...]) -> dict[str, Array]:
-    """Columns of a flight in body axes, with those of `names` from a sensor whose recorded axes lie so along body x, y, z."""
-    turn, found = TURNS[axes], dict(c)
+    """The columns with those of `names` turned to body axes, from a sensor whose recorded `axes` lie along body x, y and z."""
+    matrix, in_body_axes = TURNS[axes], dict(c)
     for triad in (FORCE, RATES):
         if triad[0] in names:
-            found.update(zip(triad, turn @ np.array([c[n] for n in triad]), strict=True))
+            in_body_axes.update(zip(triad, matrix @ np.array([c[n] for n in triad]), strict=True))
     if ATTITUDE[0] in names:
         sin, cos = (f(np.array([c["phi"], c["theta"]])) for f in (np.sin, np.cos))
-        down = turn @ np.array([-sin[1], sin[0] * cos[1], cos[0] * cos[1]])
-        found.update(phi=np.arctan2(down[1], down[2]), theta=-np.arcsin(np.clip(down[0], -1.0, 1.0)))
-    return found
+        down = matrix @ np.array([-sin[1], sin[0] * cos[1], cos[0] * cos[1]])
+        in_body_axes.update(phi=np.arctan2(down[1], down[2]), theta=-np.arcsin(np.clip(down[0], -1.0, 1.0)))
+    return in_body_axes
 
 
 def _exchanged(c: Columns, a: str, b: str) -> dict[str, Array]:
@@ -152,14 +156,14 @@ def boresight(axes: Axes) -> list[float]:
 
 
 def _turns() -> dict[Axes, Array]:
-    """Axes -> the matrix (3, 3) that gives body axes of the recorded ones: the 24 ways in which a box of right angles sits."""
-    found = {}
+    """Axes -> the matrix (3, 3) from recorded to body axes, for the 24 rotations by right angles."""
+    matrices = {}
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         matrix = np.zeros((3, 3))
         matrix[range(3), order] = signs
         if np.linalg.det(matrix) > 0.0:
-            found[tuple(f"{'+' if s > 0 else '-'}{'xyz'[i]}" for i, s in zip(order, signs, strict=True))] = matrix
-    return found
+            matrices[tuple(f"{'+' if s > 0 else '-'}{'xyz'[i]}" for i, s in zip(order, signs, strict=True))] = matrix
+    return matrices
 
 
 def _mistakes() -> Iterator[Mistake]:
@@ -185,5 +189,5 @@ def _mistakes() -> Iterator[Mistake]:
         yield Mistake(signs, "", partial(_reversed, names=signs))
 
 
-TURNS = _turns()  # the first is as claimed
+TURNS = _turns()  # the first is the identity
 MISTAKES = tuple(_mistakes())

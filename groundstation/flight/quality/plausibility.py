@@ -1,6 +1,7 @@
-"""Unit and sign mistakes that the data themselves give away: gravity, angles beyond pi, attitude against gyro, speeds.
+"""Mistakes of unit and sign that the data show: gravity, angles beyond pi, attitude against gyro, speeds.
 
-Each suspicion names the column, what is seen, and the unit or sign that would explain it.
+Each check takes time (N,) [s] and columns (N,), and yields a finding with the column, what is unusual, and the unit or sign that
+would explain it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,29 +17,34 @@ from groundstation.flight.quality.axes import wrong_axes
 
 Columns = Mapping[str, Array]
 Reversals = Mapping[tuple[str, ...], tuple[str, list[tuple[Array, Array]]]]
-"""Columns -> what they would agree with, and motion against its cause in every window, with their signs reversed."""
+"""Columns whose signs are reversed -> names of the columns that they would agree with, and in every window the motion and the
+integral of its cause (n,)."""
 
 
-AGREE = 0.85  # share of a motion that has to be explained with a sign turned
-LEFT = 1.0 / 3.0  # of what is not explained as it is, at most, may be left then
+REVERSED_AGREEMENT = 0.85  # least share of a motion's variance that is explained with the sign reversed
+MOST_REMAINING = (
+    1.0 / 3.0
+)  # of the variance that is unexplained with the recorded sign, at most, may then be unexplained
+SLOPE_TOLERANCE = 0.25  # of the slope about 1, with the sign reversed
+LEAST_AGREEMENT = 0.7  # share of an angle's variance that its rate explains, for their slope to count
+LARGEST_RADIANS = 1.6  # of theta, or a bank angle in ordinary flight: a larger one is in degrees
 
 _GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "mg (or cm/s2)": 990.0}
 _ANGLES = ("phi", "theta", "psi", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 _RADIANS = (0.5, 2.0)
-"""Slope of an angle in radians against what its gyro turns: 57 in degrees, and -1 of the wrong sign."""
+"""Slope of an angle in radians against the integral of its gyro; it is 57 for degrees, and -1 for the wrong sign."""
 
 _RATES = ("p", "q", "r")
-DAMAGED = 1e5  # times what is plausible: beyond degrees, hundredths of them and microseconds of a servo
+DAMAGED_FACTOR = 1e5  # times the plausible limit: beyond degrees, hundredths of them and microseconds of a servo
 DAY_NUMBERS = ((30_000.0, 80_000.0), (700_000.0, 800_000.0))
-"""Days of 1982-2119: of Excel since 1899-12-30, of MATLAB's datenum since the year 0."""
+"""Day numbers of the years 1982 to 2119: Excel's since 1899-12-30, MATLAB's datenum since the year 0."""
 _LONG_UNITS = {"min": 60.0, "h": 3600.0, "days (of Excel or MATLAB)": 86400.0}
-_USUAL_STEP = (0.004, 1.0)  # s between samples of flight dynamics
+_USUAL_STEP = (0.004, 1.0)  # [s] between samples of flight dynamics
 _SPEED_UNITS = {"knots": 3600 / NAUTICAL_MILE, "km/h": 3.6, "mph": 1 / MILE_PER_HOUR, "ft/s": 1 / FOOT, "cm/s": 100.0}
 
 _FAST_UNITS = {"knots, ft/s or km/h": 3.6, "cm/s": 100.0, "mm/s": 1000.0}
-"""Units of an airspeed that is too fast in m/s -> the largest of their numbers in one m/s."""
+"""Groups of units for an airspeed that is too large in m/s -> the largest number of them in one m/s."""
 
-# column -> (unit, lowest and highest median that this unit gives)
 _OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "p_static": (("hPa", 200, 1100), ("kPa", 20, 110), ("inHg", 6, 19.9), ("psi", 3, 5.9)),
     "temperature": (("degC", -60, 60), ("degF", 60, 130)),
@@ -50,30 +56,27 @@ _OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "latitude": (("degE7", 1e6, 9e8),),
     "longitude": (("degE7", 1e6, 1.8e9),),
 }
+"""Column -> units, with the lowest and highest median that a flight has in each."""
 
-
-NO_OFFSET = 10.0
-"""[Pa] by which a dynamic pressure below nothing is more than the offset of a pitot's zero: 4 m/s."""
-PULL_AGREES = 0.25
-"""Of the normal force that pitch rate, speed and attitude make, by which az may differ: angle of attack, and its change."""
+LARGEST_ZERO_ERROR = 10.0  # [Pa] of a pitot, the dynamic pressure of 4 m/s: one that is more negative has another cause
+NORMAL_FORCE_TOLERANCE = 0.25
+"""Relative difference of az from the normal force by pitch rate, speed and attitude, for angle of attack and its change."""
 
 
 def suspicions(time: Array, columns: Columns) -> list[Finding]:
-    """What is odd about columns (N,) whose values look like another unit or sign; empty when nothing is suspicious."""
+    """Findings on columns that look like another unit, sign or axis. time: (N,) [s]; columns: name -> (N,), as recorded."""
     present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
     units = (_time, _gravity, _angles, _rates, _speed, _others, _pressure_speed, _ground_speed)
     signs = (_gravity_sign, _attitude_rate, _sideways, _upwards)
-    with np.errstate(
-        over="ignore", divide="ignore", invalid="ignore"
-    ):  # of absurd values, which the checks themselves find
-        mixed = list(wrong_axes(time, present))  # explains every sign that would be asked for
-        return [*mixed, *(f for check in (*units, *(() if mixed else signs)) for f in check(time, present))]
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # the checks report such values
+        axes = list(wrong_axes(time, present))  # explain every wrong sign, too
+        return [*axes, *(f for check in (*units, *(() if axes else signs)) for f in check(time, present))]
 
 
-def _suspect(columns: str | tuple[str, ...], what: str) -> Finding:
-    """what: is seen, and what would explain it."""
+def _suspect(columns: str | tuple[str, ...], text: str) -> Finding:
+    """The finding on some columns. text: what is unusual, and what would explain it."""
     columns = (columns,) if isinstance(columns, str) else columns
-    return Finding(FindingKind.UNLIKELY, f"{', '.join(columns)}: {what}", columns=columns)
+    return Finding(FindingKind.UNLIKELY, f"{', '.join(columns)}: {text}", columns=columns)
 
 
 def _median(values: Array) -> float:
@@ -88,7 +91,7 @@ def _time(time: Array, c: Columns) -> Iterator[Finding]:
     steps = steps[steps > 0]
     if backwards > 0.02:
         yield _suspect("time", f"runs backwards from {backwards:.0%} of the rows to the next; is this the time column?")
-        return  # the steps of a column that is not time, or of shuffled rows, say nothing of its unit
+        return  # the steps of shuffled rows, or of a column that is not time, do not show a unit
     if not steps.size:
         return
     interval = float(np.median(steps))
@@ -110,7 +113,7 @@ def _time(time: Array, c: Columns) -> Iterator[Finding]:
 
 
 def _shuffled(time: Array) -> bool:
-    """Whether the rows are those of an even clock in another order: sorting them is then right."""
+    """Whether the times, when sorted, are evenly spaced, so that only the order of the rows is wrong."""
     finite = time[np.isfinite(time)]
     if finite.size < 20:
         return False
@@ -139,7 +142,7 @@ def _gravity_sign(time: Array, c: Columns) -> Iterator[Finding]:
 
 
 def _pulled(c: Columns) -> bool:
-    """Whether the aircraft turned its flight path as az says: a trim that pulls two g is no other unit."""
+    """Whether the flight path turned as az requires: a trimmed pull of two g is no mistake of the unit."""
     if not all(n in c for n in ("q", "V", "phi", "theta")):
         return False
     with np.errstate(invalid="ignore"):
@@ -148,7 +151,7 @@ def _pulled(c: Columns) -> bool:
     if not finite.any():
         return False
     ratio = float(np.median(c["az"][finite])) / (float(np.median(normal_force[finite])) or np.nan)
-    return abs(ratio - 1.0) < PULL_AGREES
+    return abs(ratio - 1.0) < NORMAL_FORCE_TOLERANCE
 
 
 def _angles(time: Array, c: Columns) -> Iterator[Finding]:
@@ -166,10 +169,8 @@ def _angles(time: Array, c: Columns) -> Iterator[Finding]:
 
 
 def is_unwrapped(time: Array, c: Columns, name: str) -> bool:
-    """Whether an angle (N,) beyond its range is one that was not wrapped: in radians by what the gyros turn.
-
-    False without gyros, or where they turn too little to tell the unit.
-    """
+    """Whether an angle beyond its range was not wrapped, since it is in radians by the integral of its gyro; False without a
+    gyro, or with too little motion."""
     if name not in ("phi", "psi") or not all(n in c for n in (name, GYROS[name])):
         return False
     slope = _angle_slope(time, c, name)
@@ -188,12 +189,12 @@ def _rates(time: Array, c: Columns) -> Iterator[Finding]:
 
 
 def _damaged(values: Array, high: float) -> str:
-    """Words on values that no unit makes; empty where there are none. values: (N,); high: the largest that are plausible."""
-    absurd = np.abs(values) > DAMAGED * high
-    if not absurd.any():
+    """A text on values that are too large for any unit; empty without such values. values: (N,); high: their plausible limit."""
+    damaged = np.abs(values) > DAMAGED_FACTOR * high
+    if not damaged.any():
         return ""
     largest = np.nanmax(np.abs(values))
-    return f"shows {largest:.2g} at {int(absurd.sum())} samples, which no sensor does: damaged values; leave their times out"
+    return f"shows {largest:.2g} at {int(damaged.sum())} samples, which no sensor does: damaged values; leave their times out"
 
 
 def _speed(time: Array, c: Columns) -> Iterator[Finding]:
@@ -222,8 +223,8 @@ def _others(time: Array, c: Columns) -> Iterator[Finding]:
 
 
 def _attitude_rate(time: Array, c: Columns) -> Iterator[Finding]:
-    """Attitude against what the gyro turns: their ratio is 1, or 57.3 where one is in degrees, or -1; one ratio of all three that
-    is another is the clock's."""
+    """Attitude against the integrated gyros. The slope is 1, 57.3 or its inverse where one is in degrees, or -1 for a wrong sign;
+    another slope that all three share is an error of the clock."""
     slopes = {a: _angle_slope(time, c, a) for a, rate in GYROS.items() if a in c and rate in c}
     ratio = _clock_ratio([s or 0.0 for s in slopes.values()])
     if ratio is not None:
@@ -243,8 +244,8 @@ def _attitude_rate(time: Array, c: Columns) -> Iterator[Finding]:
 
 
 def _clock_ratio(slopes: Sequence[float]) -> float | None:
-    """How many times too fast time runs by the slopes of every angle against its gyro alike; None where they do not agree on one,
-    or it is a ratio that another unit of the angles makes."""
+    """Factor by which the clock runs too fast, from the slopes of the angles against their gyros; None where these differ, or are
+    explained by the units of the angles."""
     positive = [s for s in slopes if s > 0.0]
     if len(positive) < 2 or max(positive) > 1.2 * min(positive):
         return None
@@ -254,18 +255,19 @@ def _clock_ratio(slopes: Sequence[float]) -> float | None:
 
 
 def _angle_slope(time: Array, c: Columns, angle: str) -> float | None:
-    """Slope of phi, theta or psi against what its gyro turns; psi against r alone without attitude in rad."""
+    """Slope of phi, theta or psi against the integral of its gyro; None without motion. psi: against the heading rate, or r where
+    q and an attitude in radians are missing."""
     in_radians = all(n in c for n in ("q", "phi", "theta")) and all(
-        np.nanmax(np.abs(c[n])) <= 1.6 for n in ("phi", "theta")
+        np.nanmax(np.abs(c[n])) <= LARGEST_RADIANS for n in ("phi", "theta")
     )
     rate = heading_rate(c) if angle == "psi" and in_radians else c[GYROS[angle]]
     return _integral_slope(time, c[angle], rate)
 
 
 def _sideways(time: Array, c: Columns) -> Iterator[Finding]:
-    """Sideways motion: V beta grows by p w - r u + g sin(phi) cos(theta) + ay. Tells the unit of V, and a sign."""
+    """Sideways motion, d(V beta)/dt = p w - r u + g sin(phi) cos(theta) + ay: the unit of V, and signs of beta, phi and r."""
     measured = all(n in c for n in ("ay", "p", "r", "phi", "theta", "beta", "V"))
-    if not measured or float(np.nanmax(np.abs(c["phi"]))) > 1.6:
+    if not measured or float(np.nanmax(np.abs(c["phi"]))) > LARGEST_RADIANS:
         return
     alpha = c["alpha"] if "alpha" in c and float(np.nanmax(np.abs(c["alpha"]))) < 1 else np.zeros_like(c["V"])
     v, force, weight = c["V"] * c["beta"], c["ay"], GRAVITY * np.sin(c["phi"]) * np.cos(c["theta"])
@@ -282,7 +284,7 @@ def _sideways(time: Array, c: Columns) -> Iterator[Finding]:
             return
     bank: tuple[str, ...] = ("phi", "p") if (_integral_slope(time, c["phi"], c["p"]) or 0.0) >= 0.0 else ("phi",)
     roll_sign = -1.0 if "p" in bank else 1.0
-    reversals: Reversals = {  # the force is the smallest part, and tells no sign of its own
+    reversals: Reversals = {  # without ay, which is too small a part to show its sign
         ("beta",): ("ay, r and phi", [(integral(t, r - p) - v, integral(t, f + g)) for t, v, r, p, f, g in parts]),
         bank: (
             "ay, r and beta",
@@ -294,12 +296,12 @@ def _sideways(time: Array, c: Columns) -> Iterator[Finding]:
 
 
 def _upwards(time: Array, c: Columns) -> Iterator[Finding]:
-    """Motion along z: V alpha grows by q u - p v + g cos(phi) cos(theta) + az. Tells the sign of a vane and of a gyro."""
+    """Motion along z, d(V alpha)/dt = q u - p v + g cos(phi) cos(theta) + az: the signs of alpha and q."""
     if not all(n in c for n in ("az", "q", "theta", "alpha", "V")):
         return
     zero = np.zeros_like(c["V"])
     bank, rolling, slip = (c.get(n, zero) for n in ("phi", "p", "beta"))
-    if any(float(np.nanmax(np.abs(angle))) > 1.6 for angle in (c["theta"], c["alpha"], bank)):
+    if any(float(np.nanmax(np.abs(angle))) > LARGEST_RADIANS for angle in (c["theta"], c["alpha"], bank)):
         return
     w, pitching = c["V"] * np.sin(c["alpha"]), c["V"] * np.cos(c["alpha"]) * c["q"]
     force = c["az"] + GRAVITY * np.cos(c["theta"]) * np.cos(bank) - rolling * c["V"] * slip
@@ -314,21 +316,22 @@ def _upwards(time: Array, c: Columns) -> Iterator[Finding]:
 
 
 def _wrong_signs(motion: str, agreement: float, reversals: Reversals) -> Iterator[Finding]:
-    """The columns that, turned, would make a motion agree. agreement: share of it explained as it is. An angle and its rate that
-    agree with each other, as of a left-handed roll, are turned together."""
+    """The columns whose reversed sign would make a motion agree with its cause. motion: its name for the text; agreement: share
+    of its variance that is explained with the recorded signs."""
     fits = [(columns, reference, *slope_and_agreement(pairs)) for columns, (reference, pairs) in reversals.items()]
-    columns, reference, slope, share = max(fits, key=lambda fit: fit[3] if abs(fit[2] - 1.0) < 0.25 else 0.0)
-    if share > AGREE and abs(slope - 1.0) < 0.25 and (1.0 - share) < LEFT * (1.0 - agreement):
+    columns, reference, slope, share = max(fits, key=lambda fit: fit[3] if abs(fit[2] - 1.0) < SLOPE_TOLERANCE else 0.0)
+    clear = share > REVERSED_AGREEMENT and (1.0 - share) < MOST_REMAINING * (1.0 - agreement)
+    if clear and abs(slope - 1.0) < SLOPE_TOLERANCE:
         question = "is its sign" if len(columns) == 1 else f"are the signs of {' and '.join(columns)}"
         text = f"turned, it would agree with the {motion} motion that {reference} make; {question} wrong (sign = -1)?"
         yield _suspect(columns, text)
 
 
 def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
-    """Slope of the angle against the integrated rate over windows of 4 s with their lines removed; None without motion."""
+    """Slope of an angle against the integral of a rate, over windows of 4 s less a straight line; None without common motion."""
     pairs = [(integral(t, b), np.unwrap(a) if np.ptp(a) < 7 else a) for t, a, b in windows(time, angle, rate)]
     slope, agreement = slope_and_agreement(pairs)
-    return slope if agreement >= 0.7 else None  # else the two do not show the same motion
+    return slope if agreement >= LEAST_AGREEMENT else None
 
 
 def _pressure_speed(time: Array, c: Columns) -> Iterator[Finding]:
@@ -337,7 +340,7 @@ def _pressure_speed(time: Array, c: Columns) -> Iterator[Finding]:
     ground = np.hypot(c["vn"], c["ve"]) if "vn" in c and "ve" in c else c["V"]  # V of swapped tubes is noise
     speed = np.where(np.isfinite(c["p_dynamic"]), ground if np.isfinite(ground).any() else c["V"], np.nan)
     fast = speed > 0.5 * np.max(speed, where=np.isfinite(speed), initial=0.0)
-    if fast.any() and _median(c["p_dynamic"][fast]) < -NO_OFFSET:
+    if fast.any() and _median(c["p_dynamic"][fast]) < -LARGEST_ZERO_ERROR:
         yield _suspect("p_dynamic", "negative in flight: are the tubes of the pitot swapped? turn it with sign = -1")
     rho = c.get("rho", np.full_like(c["V"], 1.2))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -351,12 +354,13 @@ def _ground_speed(time: Array, c: Columns) -> Iterator[Finding]:
     ground = np.hypot(c["vn"], c["ve"])
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.where(ground > 5, c["V"] / ground, np.nan)
-    # wind makes the ratio wander: only a ratio far beyond what wind does is a mistake
+    # wind changes the ratio, so that only one far beyond its effect is a mistake
     if np.isfinite(ratio).sum() > 20 and _median(ratio) > 1.7:
         yield from _speed_ratio(ratio, "GPS gives", 0.15)
 
 
 def _speed_ratio(ratio: Array, source: str, tolerance: float) -> Iterator[Finding]:
+    """The unit of V that explains the median of V over another speed, within a relative tolerance. source: of that speed."""
     if np.isfinite(ratio).sum() < 5:
         return
     middle = _median(ratio)

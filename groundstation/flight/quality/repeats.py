@@ -1,12 +1,12 @@
-"""Repeated values of a channel, classified by what the motion must have done to it: a coarse step, a slow or a stuck sensor.
+"""Repeated values of a channel, classified as those of a coarse, a slow or a stuck sensor; and flights that share samples.
 
-A quantised channel repeats while the aircraft hardly moves it; a slow one repeats in step, and jumps by many quanta where
-a new value comes; a stuck one repeats though its own noise, or the motion that the other channels show, must have moved it
-by several quanta. The quantum is read off the data. Values closer than `SAME` of the range count as equal, so that dither
-far below the quantum changes nothing.
+A coarsely quantised channel repeats while the motion is small. A slow one repeats regularly, and jumps by many quanta at each new
+value. A stuck one repeats although its noise, or the motion by other channels, must have moved it by several quanta. The quantum
+is estimated from the data. Values closer than `SAME` of the range count as equal, so that dither far below the quantum has no
+effect.
 
-Whole records repeat, too: sensors have noise, so two flights never show the same numbers for a second. Where they do, a joint
-fit counts them twice, and a flight held out proves nothing.
+Sensors have noise, so two flights never have the same numbers for a second. Where they do, they are one record: a joint fit would
+count it twice, and as a holdout it would prove nothing.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,32 +22,32 @@ from groundstation.flight.kinematics import EULER_RATES
 from groundstation.flight.manoeuvres import CONTROLS
 
 SAME = 1e-9  # of the range: four orders above the rounding of doubles, far below a step of 24 bit (6e-8)
-STUCK = 1.0  # s of one value, at least
-STUCK_SAMPLES = 20
-SEVERAL = 5.0  # quanta: rounding alone moves a channel by one, a bad quantum estimate by two
-BIG = 3.0  # quanta: a step that is no flicker between two neighbouring levels
-SLOW_RUNS = 20  # new values by big steps, at least, before a channel is called slow
-SLOW_SHARE = 1 / 3  # of those new values that are held for more than one sample (three new values in four samples)
-LONGEST_HOLD = 0.6  # s: slower channels (1 Hz GNSS and less) are sampled too rarely to be called measured in between
-EVEN = 0.8  # share of holds within one sample of the usual: an ideal step command holds its values unevenly
-LATE = 0.05  # share of holds of more than two in a row: a slow sensor may lose a value, two one after the other seldom
-BEYOND_ERROR = 4.0  # times the usual error of the prediction that a predicted movement must exceed
-FEWEST = 40  # samples from which any of this can be told
+STUCK = 1.0  # [s] of one value, at least
+STUCK_SAMPLES = 20  # of one value, at least
+SEVERAL = 5.0  # quanta of missed movement: rounding moves a channel by one, a wrong quantum by two
+BIG = 3.0  # quanta of a step that is more than a change between neighbouring levels
+SLOW_RUNS = 20  # new values by big steps, at least, for a channel to be slow
+SLOW_SHARE = 1 / 3  # of those values, at least, that last for more than one sample (three new values in four samples)
+LONGEST_HOLD = 0.6  # [s]; slower channels (1 Hz GNSS and less) are too rare to be interpolated
+EVEN = 0.8  # share of holds, at least, within one sample of the median: those of a commanded step are uneven
+LATE = 0.05  # share of holds, at most, beyond twice the median: a slow sensor seldom loses two values in a row
+BEYOND_ERROR = 4.0  # times the usual error of a prediction, that a predicted movement must exceed
+FEWEST = 40  # finite values of a channel, below which its repeats are not judged
 GAUSSIAN = 0.6744897501960817  # median of the absolute value of a standard normal variable
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
-SMOOTHED = 5  # samples of a running mean over slopes of an attitude
+SMOOTHED = 5  # samples of the running mean over slopes of an attitude
 
 MOVING = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V")
-"""Columns that change from sample to sample in flight: a repeated value there is an old value."""
+"""Columns that change from sample to sample in flight, so that a repeated value is an old one."""
 SENSED = (*MOVING, "altitude", "p_static", "p_dynamic")  # columns of sensors that the motion of the aircraft moves
 
 
 @dataclass(frozen=True)
 class RepeatedValues:
-    """What the repeated values of one column are. quantum: smallest step [column's unit], 0 where it has none.
+    """The repeated values of one column, by cause. quantum: smallest step [column's unit], 0 without one.
 
-    held: (N,) samples that repeat the last value of a slow sensor; rate: new values a second [Hz], 0 where it is not slow.
-    stuck: (N,) samples at which the sensor is stuck. at_rest: (N,) samples of a channel that stands still with all others.
+    held: (N,) samples that repeat the last value of a slow sensor; rate: of its new values [Hz], 0 where it is not slow.
+    stuck: (N,) samples at which the sensor is stuck. at_rest: (N,) samples at which all other channels stand still, too.
     """
 
     column: str
@@ -59,16 +59,16 @@ class RepeatedValues:
 
     @property
     def slow(self) -> bool:
-        """Whether new values come more slowly than samples."""
+        """Whether new values are rarer than samples."""
         return self.rate > 0.0
 
 
 def repeats(flight: Flight, column: str) -> RepeatedValues:
-    """Judge the repeated values of one column of a flight."""
+    """Classify the repeated values of one column of a flight; none of a command, or of too few values."""
     values = flight[column]
     no_samples = np.zeros(len(flight), bool)
     finite = values[np.isfinite(values)]
-    commanded = flight.held(column) is not None  # a command rests, and is no sensor
+    commanded = flight.held(column) is not None  # a command is not measured: it may rest
     if finite.size < FEWEST or np.ptp(finite) == 0.0 or commanded:
         return RepeatedValues(column, 0.0, no_samples, no_samples, no_samples, 0.0)
     step = quantum(finite)
@@ -85,10 +85,9 @@ def repeats(flight: Flight, column: str) -> RepeatedValues:
 
 
 def quantum(values: Array) -> float:
-    """Smallest step between the levels of a channel [its unit]; next to nothing for one without a visible quantum.
+    """Step between the levels of a channel [its unit]; almost zero for one without a visible quantum. values: (n,), finite.
 
-    The twentieth part of the gaps between neighbouring levels is below it: one rounded twice has a few odd ones. values:
-    finite.
+    It is the 0.05 quantile of the gaps between levels, since a channel that was rounded twice has a few smaller ones.
     """
     gaps = np.diff(np.unique(values))
     gaps = gaps[gaps > SAME * span_of(values)]
@@ -96,13 +95,13 @@ def quantum(values: Array) -> float:
 
 
 def span_of(values: Array) -> float:
-    """Range of a channel that one wild value in a hundred does not widen; all of it for one that mostly rests."""
+    """Range of a channel between its quantiles 0.01 and 0.99; the full range where they are equal. values: (n,), finite."""
     low, high = np.quantile(values, [0.01, 0.99]).tolist()
     return float(high - low) or float(np.ptp(values))
 
 
 def _same(flight: Flight, values: Array) -> Mask:
-    """(N,) whether a sample shows the value of the one before, of the same segment."""
+    """(N,) whether a sample repeats the value of the one before it in its segment."""
     span = span_of(values[np.isfinite(values)])
     repeated = np.zeros(values.size, bool)
     with np.errstate(invalid="ignore"):
@@ -111,13 +110,14 @@ def _same(flight: Flight, values: Array) -> Mask:
 
 
 def _long_runs(flight: Flight, same: Mask) -> list[tuple[int, int]]:
-    """[start, stop) of values repeated for as long as a stuck sensor would."""
+    """[start, stop) of each run of one value that is long enough for a stuck sensor."""
     runs = [(a - 1, b) for a, b in true_runs(same)]
     return [(a, b) for a, b in runs if b - a >= STUCK_SAMPLES and flight.time[b - 1] - flight.time[a] >= STUCK]
 
 
 def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask, float]:
-    """Repeats of a slow sensor, and its rate [Hz]; none and 0 where it is as fast as the samples, or only coarse."""
+    """(N,) repeats of a slow sensor, and its rate [Hz]; none and 0 where it is as fast as the samples, or only coarse.
+    step: its quantum."""
     none = np.zeros(values.size, bool)
     starts = np.flatnonzero(~same & np.isfinite(values))
     if starts.size <= SLOW_RUNS:
@@ -125,7 +125,7 @@ def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask,
     length = np.diff(starts)
     jump = np.abs(np.diff(values[starts]))  # into the next value
     big = jump >= BIG * step
-    # a value between two big steps: what was held there was moved meanwhile
+    # a value between two big steps was held while the quantity moved
     complete = big[:-1] & big[1:] & (length[1:] * flight.sample_interval <= LONGEST_HOLD)
     holds = length[1:][complete]
     if holds.size < SLOW_RUNS or float(np.mean(holds >= 2)) < SLOW_SHARE:
@@ -137,7 +137,10 @@ def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask,
 
 
 class _StuckEvidence:
-    """Whether the sensor of one column is stuck in a long run of one value. runs: all of them."""
+    """Tests of whether the sensor of one column is stuck in a long run of one value.
+
+    same: (N,) repeated samples; held: (N,) those of a slow sensor; step: quantum; runs: [start, stop) of all long runs.
+    """
 
     def __init__(
         self, flight: Flight, column: str, same: Mask, held: Mask, step: float, runs: list[tuple[int, int]]
@@ -149,16 +152,16 @@ class _StuckEvidence:
         live = ~self.still & ~held
         self.alive = self.values[live & np.isfinite(self.values)]
         self.repeated = float(np.mean(same[live])) if self.alive.size else 0.0
-        self.shadow = predicted_channel(flight, column, ~self.still) if runs else None
+        self.prediction = predicted_channel(flight, column, ~self.still) if runs else None
         self._flicker: dict[str, float] = {}
         self.others = [c for c in SENSED if c != column and flight.measured(c)]
 
     def all_rest(self, a: int, b: int) -> bool:
-        """Whether everything that is measured stands still in a run, or repeats itself: nothing says that it moved."""
+        """Whether all other channels stand still in a run, too."""
         return bool(self.others) and not any(self._moves(c, a, b) for c in self.others)
 
     def _moves(self, column: str, a: int, b: int) -> bool:
-        """Whether another column moves by more than the flicker of its last digit in a run."""
+        """Whether another column moves by more than a few of its quanta in a run."""
         if column not in self._flicker:
             finite = self.flight[column][np.isfinite(self.flight[column])]
             self._flicker[column] = max(SAME * span_of(finite), BIG * quantum(finite))
@@ -167,7 +170,7 @@ class _StuckEvidence:
         return bool(values.size > 1 and np.ptp(values) > self._flicker[column])
 
     def noise_stopped(self) -> bool:
-        """Whether noise of at least one quantum, which the channel shows elsewhere, is missing in the runs."""
+        """Whether the channel has noise of at least one quantum outside the long runs."""
         if self.alive.size < STUCK_SAMPLES or self.repeated > REPEATED:
             return False
         third = np.diff(self.alive, 3)
@@ -175,32 +178,32 @@ class _StuckEvidence:
         return level >= max(self.step, SAME * span_of(self.alive)) and alternates(third)
 
     def motion_missed(self, a: int, b: int) -> bool:
-        """Whether the other channels say that the run must have seen several quanta of movement."""
-        if self.shadow is None:
+        """Whether the channel must have moved by several quanta in a run, as predicted from the others."""
+        if self.prediction is None:
             return False
-        predicted = self.shadow[a:b]
+        predicted = self.prediction[a:b]
         if not np.isfinite(predicted).all():
             return False
         movement = float(np.ptp(predicted))
         return movement > SEVERAL * self.step and movement > BEYOND_ERROR * self._usual_error(b - a)
 
     def _usual_error(self, length: int) -> float:
-        """Movement within a stretch of that length that prediction and channel disagree on where it does not stand still."""
-        assert self.shadow is not None
-        error = np.where(self.still, np.nan, self.values - self.shadow)
+        """Median range of the prediction's error within stretches of `length` samples outside the runs; infinite for too few."""
+        assert self.prediction is not None
+        error = np.where(self.still, np.nan, self.values - self.prediction)
         stretches = [error[k : k + length] for k in range(0, error.size - length, max(1, length // 2))]
         errors = [float(np.ptp(stretch)) for stretch in stretches if np.isfinite(stretch).all()]
         return float(np.median(errors)) if len(errors) >= 3 else np.inf
 
 
-# ------------------------------------------------------------------------------- what the other channels say of a channel
+# ------------------------------------------------------------------------------------- a channel predicted from the others
 
 
 def predicted_channel(flight: Flight, column: str, trusted: Mask) -> Array | None:
-    """(N,) the channel as the others show it, up to constants and slow drift; None where they cannot. trusted: (N,) samples
-    that may be learnt from.
+    """(N,) the channel by the other channels, but for constants and slow drift; None where they do not determine it.
 
-    Attitude from the rates and rates from the attitude, by kinematics; other channels by regression on the rest.
+    Attitude from rates and rates from attitude, by kinematics; other channels by regression on the rest, fitted to the samples
+    `trusted` (N,).
     """
     kinematics = _KINEMATICS.get(column)
     if kinematics is not None and all(flight.measured(c) for c in kinematics[0]):
@@ -217,12 +220,13 @@ def predicted_channel(flight: Flight, column: str, trusted: Mask) -> Array | Non
 
 
 def _standardised(values: Array) -> Array | None:
+    """(N,) values less their mean, over their standard deviation; None for a constant."""
     spread = float(np.nanstd(values))
     return (values - float(np.nanmean(values))) / spread if spread > 0.0 else None
 
 
 def _angle(name: str, flight: Flight) -> Array:
-    """An angle of attitude by what the gyros turn, from zero in each segment."""
+    """(N,) an angle of attitude [rad] as the integral of its rate by the gyros, from zero in each segment."""
     rate = EULER_RATES[name](flight)
     angle = np.full(rate.size, np.nan)
     for part in flight.segments:
@@ -231,7 +235,7 @@ def _angle(name: str, flight: Flight) -> Array:
 
 
 def _angle_slope(name: str, flight: Flight) -> Array:
-    """Slope [rad/s] of an angle of attitude, over a few samples."""
+    """(N,) rate of an angle of attitude [rad/s], averaged over SMOOTHED samples."""
     slope = np.full(len(flight), np.nan)
     kernel = np.full(SMOOTHED, 1.0 / SMOOTHED)
     for part in flight.segments:
@@ -263,19 +267,19 @@ _KINEMATICS: Mapping[str, tuple[tuple[str, ...], Callable[[Flight], Array]]] = {
     "q": (_ATTITUDE, _q),
     "r": (_ATTITUDE, _r),
 }
-"""Column -> the columns that kinematics make it of, and how."""
+"""Column -> the columns from which kinematics give it, and the function that does."""
 
 
-# -------------------------------------------------------------------------------------------------- flights that are one record
+# ------------------------------------------------------------------------------------------------ flights that share samples
 
-ROWS_IN_A_ROW = 20  # rows in a row that have to be the same
-ROWS_MOVING = 0.5  # of them have to differ from the row before: aircraft at rest and simulated trims look alike
-SHARED = 0.25  # of the shorter flight: flights simulated without noise may begin alike
-FEWEST_COLUMNS = 3  # that all have measured
+ROWS_IN_A_ROW = 20  # consecutive rows that must be equal
+ROWS_MOVING = 0.5  # of them must differ from the row before: all aircraft at rest, and simulated trims, are alike
+SHARED = 0.25  # of the shorter flight: flights simulated without noise may have the same beginning
+FEWEST_COLUMNS = 3  # that all flights have measured
 
 
 def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:
-    """Indices of the first two flights that share a quarter of the shorter one's samples; None where no two do."""
+    """Indices of the first two flights that share at least a quarter of the shorter one's samples; None without such a pair."""
     columns = [c for c in SENSED if all(f.measured(c) for f in flights)]
     if len(columns) < FEWEST_COLUMNS:
         return None
@@ -288,8 +292,8 @@ def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:
 
 
 def _fingerprints(flight: Flight, columns: Sequence[str]) -> set[int]:
-    """A number for the contents of every window of rows that move."""
-    # single precision, so that a file of seven digits is the same; bits, so that what is not measured is; zero and minus zero are
+    """A hash of every window of ROWS_IN_A_ROW rows in which the values move."""
+    # Single precision, so that a file with seven digits is equal; as bits, so that NaN equals NaN; + 0.0 makes -0.0 equal 0.0.
     rows = np.column_stack([flight[c].astype(np.float32) + np.float32(0.0) for c in columns]).view(np.uint32)
     changes = np.concatenate([[0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1))])
     return {

@@ -1,7 +1,7 @@
-"""Quality report of a flight: each check has a verdict and a sentence that says what to do.
+"""Quality report of a flight: each check is one finding, with a severity and a sentence on what to do.
 
-Nothing here needs a model of the aircraft: time base, repeated and missing values, clipping, spikes, time skew between
-channels, noise, and how far the controls were moved. Thresholds are stated beside each check.
+No check needs a model of the aircraft: time base, missing and repeated values, clipping, spikes, time skew between channels,
+noise, contradictions, and how far the controls were moved.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,26 +22,33 @@ from groundstation.flight.quality.plausibility import is_unwrapped, suspicions
 from groundstation.flight.quality.repeats import BIG, MOVING, quantum, repeats
 from groundstation.flight.quality.skew import Skew, attitude_skew, control_skew
 
-SLOW = ("latitude", "longitude", "altitude_gnss", "vn", "ve", "vd")
-"""Columns that carry a value only where there was a fix."""
+FIX_COLUMNS = ("latitude", "longitude", "altitude_gnss", "vn", "ve", "vd")
+"""Columns with a value only at each fix of a receiver."""
 
 SENSOR_NOISE = {
     **dict.fromkeys(("ax", "ay"), 0.05), "az": 0.08, **dict.fromkeys(("p", "q"), 0.007), "r": 0.0052,
     **dict.fromkeys(("phi", "theta", "alpha"), 0.0052), "psi": 0.0105, "beta": 0.0044, "V": 0.15,
     **dict.fromkeys(CONTROLS, 0.0012),
 }  # fmt: skip
-"""Noise of sound sensors of this class [column's unit], one sigma; a flight may carry its own in its provenance."""
+"""Noise of sound sensors of this class [column's unit], one sigma; a flight's provenance may state that of its sensors."""
 
 ATTITUDE_LATE = 0.025
-"""Delay of an attitude behind the gyro [s] worth a warning; slow corrections of its filter look like up to 15 ms."""
-COARSE = 0.2  # share of samples that equal the one before from which a channel's step is told
-MOST_SENTENCES = 6  # of one check; how many more there are is told
-STILLRADIAN = 0.1  # rms of a control that moves less than this tells nothing
-MOVED = 10.0  # rms movement, in noise levels, that counts though it stays within 1 deg
+"""Delay of an attitude behind the gyro [s] that is warned of; slow corrections of its filter look like up to 15 ms."""
+SERVO_DELAY = (-0.01, 0.2)  # [s] of a surface behind its command that a servo can have, less the error of the estimate
+COARSE_SHARE = 0.2  # of samples that equal the one before, from which a channel's step is reported
+MOST_SENTENCES = 6  # of one check; the number of further ones follows
+LEAST_RMS_DEG = 0.1  # of a control, below which its derivatives cannot be identified
+LEAST_RMS_OVER_NOISE = 10.0  # movement that suffices although it stays within 1 deg
+MOST_CORRELATION = 0.9  # of two controls, beyond which their derivatives cannot be separated
+LARGEST_MISSING = 0.1  # of the time span, beyond which gaps make the check fail
+LARGEST_EXTRAPOLATED = 0.01  # of the samples, beyond which an extrapolated calibration is warned of
+SINGLE_MISSING, LARGEST_JITTER = 0.02, 0.1  # of the samples, and of the sample interval, that are warned of
+SPIKE_SIGMAS = 10  # of a channel's noise, from both neighbours
+NOISE_RATIO = 4  # of measured over sensor noise, from which vibration or a bad contact is likely
 
 
 def quality_report(flight: Flight, contradicted: Sequence[Contradiction] | None = None) -> tuple[Finding, ...]:
-    """All checks of a flight, in a fixed order. contradicted: what `contradictions` says of it, where that is known already."""
+    """All checks of a flight, in a fixed order. contradicted: result of `contradictions`, where it is at hand."""
     checks: tuple[Callable[[Flight], Finding], ...] = (
         *(time_order, time_gaps, sample_interval, dropouts, stale_samples, clipping, spikes, plausible_values),
         *(calibrated_range, time_skew, noise_level, excitation),
@@ -51,7 +58,7 @@ def quality_report(flight: Flight, contradicted: Sequence[Contradiction] | None 
 
 
 def _finding(check: str, sentences: Sequence[str], good: str, severity: Severity = "warn") -> Finding:
-    """One finding of all that a check has to say; `good` where that is nothing."""
+    """The finding of a check: its sentences with a severity, or `good` with severity "ok" where there are none."""
     return Finding(check, "; ".join(sentences), severity) if sentences else Finding(check, good, "ok")
 
 
@@ -65,7 +72,7 @@ def time_order(flight: Flight) -> Finding:
 
 
 def time_gaps(flight: Flight) -> Finding:
-    """Steps in time of more than GAP_FACTOR sample intervals; fail when a tenth of the span is missing."""
+    """Steps in time of more than GAP_FACTOR sample intervals; fail beyond LARGEST_MISSING of the span."""
     steps = np.diff(flight.time)
     interval = flight.sample_interval
     gaps = np.flatnonzero(steps > GAP_FACTOR * interval)
@@ -78,11 +85,11 @@ def time_gaps(flight: Flight) -> Finding:
         f"{gaps.size} gap{'s' if gaps.size > 1 else ''}, together {missing:.3g} s ({share:.1%}), the longest "
         f"{steps[longest]:.3g} s at t = {flight.time[longest]:.2f} s: the flight is split there and never integrated across"
     )
-    return Finding("time gaps", text, "fail" if share > 0.1 else "warn")
+    return Finding("time gaps", text, "fail" if share > LARGEST_MISSING else "warn")
 
 
 def sample_interval(flight: Flight) -> Finding:
-    """Single missing samples and jitter: warn beyond 2 % missing or 10 % jitter."""
+    """Single missing samples, and jitter of the sample interval."""
     steps = np.diff(flight.time)
     interval = flight.sample_interval
     steps = steps[steps <= GAP_FACTOR * interval]
@@ -90,9 +97,9 @@ def sample_interval(flight: Flight) -> Finding:
     regular = steps[steps < 1.5 * interval]
     jitter = float(np.std(regular)) / interval if regular.size else 0.0
     sentences = []
-    if missing > 0.02 * len(flight):
+    if missing > SINGLE_MISSING * len(flight):
         sentences.append(f"{missing} single samples missing ({missing / len(flight):.1%})")
-    if jitter > 0.1:
+    if jitter > LARGEST_JITTER:
         sentences.append(f"the sample interval varies by {jitter:.0%}; interpolate to an even one or record its cause")
     summary = f"{1 / interval:.2f} Hz, jitter {jitter:.1%}, {missing} single samples missing"
     return _finding("sample interval", sentences, summary)
@@ -102,15 +109,15 @@ def sample_interval(flight: Flight) -> Finding:
 
 
 def dropouts(flight: Flight) -> Finding:
-    """Stretches without a value in columns that are otherwise measured; fail when a third of a moving column is gone.
+    """Stretches without a value in measured columns; fail where a third of a column of `MOVING` is missing.
 
-    Values that begin late or end early (sensors starting up) are reported, but are no dropout.
+    Values that begin late or end early (sensors starting up) are reported, but are not dropouts.
     """
     sentences: list[str] = []
     severity: Severity = "warn"
     outside = 0.0
     for name, values in _measured(flight):
-        if name in SLOW:
+        if name in FIX_COLUMNS:
             continue
         missing = ~np.isfinite(values)
         first, last = np.flatnonzero(~missing)[[0, -1]]
@@ -129,9 +136,9 @@ def dropouts(flight: Flight) -> Finding:
 
 
 def stale_samples(flight: Flight) -> Finding:
-    """Columns slower than their clock, and sensors stuck while the motion must have moved them (see `quality.repeats`).
+    """Columns slower than the samples, and sensors stuck while the motion must have moved them (see `quality.repeats`).
 
-    Fails when a column that moves in flight never changes. A coarse step in steady flight is no fault, and only reported.
+    Fail where a column of `MOVING` never changes. A coarse step is reported without a warning.
     """
     sentences, coarse = [], []
     severity: Severity = "warn"
@@ -157,17 +164,17 @@ def stale_samples(flight: Flight) -> Finding:
             sentences.append(
                 f"{name} stands still for {longest:.2g} s while it must have moved: stuck sensor or old values"
             )
-        elif repeat_share > COARSE:
+        elif repeat_share > COARSE_SHARE:
             coarse.append(f"{name} in steps of {repeated.quantum:.2g} {_unit(name)}".rstrip())
     summary = "no column repeats old values" + (f"; coarse: {', '.join(coarse)}" if coarse else "")
     return _finding("stale samples", _shortened(sentences), summary, severity)
 
 
 def clipping(flight: Flight) -> Finding:
-    """Values cut off at the largest or smallest one while they moved: three or more in a row, or flagged by the calibration.
+    """Values cut off at the largest or smallest one while they moved: at least three in a row, or reported by the calibration.
 
-    The flat top of a coarse channel is entered in steps of its quantum, and a control that rests, or holds what was
-    commanded, stands still without a stop; a surface is at a stop where its command goes on.
+    A coarse channel reaches a flat top in steps of its quantum and is not clipped. A surface is at a stop only where its command
+    moves on.
     """
     clipped = _counts(flight, "clipped")
     sentences = [f"{c}: {n} samples at the end of the sensor's range" for c, n in clipped.items()]
@@ -176,7 +183,7 @@ def clipping(flight: Flight) -> Finding:
         if name not in (*MOVING, *CONTROLS) or finite.size < 20 or np.ptp(finite) == 0:
             continue
         inner = finite[(finite > finite.min()) & (finite < finite.max())]
-        # a coarse or resting channel repeats itself everywhere; a clipped one only at the end of its range
+        # a coarse or resting channel repeats values everywhere, a clipped one at the end of its range only
         typical = longest_run(np.diff(inner) == 0) + 1
         for extreme, side in ((finite.max(), "largest"), (finite.min(), "smallest")):
             at_end = finite == extreme
@@ -189,7 +196,7 @@ def clipping(flight: Flight) -> Finding:
 
 
 def _cut_off(flight: Flight, name: str, at_end: Mask) -> bool:
-    """Whether the longest stay of a column at an end of its range ends its movement. at_end: of its finite samples."""
+    """Whether a column's longest run at an end of its range cuts off a movement. at_end: (n,), of its finite samples."""
     rows = np.flatnonzero(np.isfinite(flight[name]))
     values = flight[name][rows]
     first, stop = max(true_runs(at_end), key=lambda run: run[1] - run[0])
@@ -205,7 +212,7 @@ def _cut_off(flight: Flight, name: str, at_end: Mask) -> bool:
 
 
 def spikes(flight: Flight) -> Finding:
-    """Single samples far from both neighbours: more than 10 sigma of the column's own sample-to-sample noise."""
+    """Single samples further than SPIKE_SIGMAS of the column's noise from both neighbours."""
     sentences = []
     for name, values in _measured(flight):
         if name in MOVING and (rows := _spikes(values)).size:
@@ -217,19 +224,18 @@ def spikes(flight: Flight) -> Finding:
 
 
 def _spikes(values: Array) -> NDArray[np.int64]:
-    """Rows whose value is off from both neighbours to the same side by more than 10 sigma of the noise."""
+    """Rows whose value is beyond both neighbours, to the same side, by more than SPIKE_SIGMAS and the usual change of a step."""
     level = noise(values)
     if not level:
         return np.zeros(0, np.int64)
     rise, fall = values[1:-1] - values[:-2], values[1:-1] - values[2:]
-    scale = max(10 * level, 6 * float(np.nanpercentile(np.abs(np.diff(values)), 95)))
+    scale = max(SPIKE_SIGMAS * level, 6 * float(np.nanpercentile(np.abs(np.diff(values)), 95)))
     wild = (rise * fall > 0) & (np.minimum(np.abs(rise), np.abs(fall)) > scale)
     return np.asarray(np.flatnonzero(wild) + 1)
 
 
 def plausible_values(flight: Flight) -> Finding:
-    """Values outside what the column can be, and what looks like another unit or sign: a specific force that is not one g,
-    an attitude that moves 57 times as far as the gyro turns."""
+    """Values outside a column's plausible range, and those that look like another unit, sign or axis (`quality.plausibility`)."""
     suspected = suspicions(flight.time, flight.columns)
     sentences = [s.text for s in suspected]
     names = {name for s in suspected for name in s.columns}
@@ -243,11 +249,11 @@ def plausible_values(flight: Flight) -> Finding:
 
 
 def calibrated_range(flight: Flight) -> Finding:
-    """Samples for which the calibration was extrapolated; warn beyond 1 %."""
+    """Samples for which the calibration was extrapolated."""
     sentences = [
         f"{instrument}: {count} samples ({count / len(flight):.1%}) outside the calibrated range"
         for instrument, count in _counts(flight, "extrapolated").items()
-        if count > 0.01 * len(flight)
+        if count > LARGEST_EXTRAPOLATED * len(flight)
     ]
     return _finding("calibrated range", _shortened(sentences), "readings within the calibrated range, or not stated")
 
@@ -256,10 +262,10 @@ def calibrated_range(flight: Flight) -> Finding:
 
 
 def time_skew(flight: Flight) -> Finding:
-    """Attitude against integrated gyro, measured against commanded surfaces.
+    """Delay of attitude behind the integrated gyros, and of surfaces behind their commands.
 
-    Warns when an attitude lags or leads the gyro by more than ATTITUDE_LATE and three of its bounds, when a surface moves
-    before its command by more than two bounds, or follows it by more than 0.2 s.
+    Warn where an attitude lags or leads the gyro by more than ATTITUDE_LATE and three standard deviations, or the delay of a
+    surface is outside SERVO_DELAY, and before its command by more than two.
     """
     sentences = []
     attitudes, surfaces = attitude_skew(flight), control_skew(flight)
@@ -270,7 +276,7 @@ def time_skew(flight: Flight) -> Finding:
                 f"(+-{skew.std * 1e3:.0f}); correct its delay in the calibration file"
             )
     for skew in surfaces:
-        if skew.delay < -max(0.01, 2 * skew.std) or skew.delay > 0.2:
+        if skew.delay < min(SERVO_DELAY[0], -2 * skew.std) or skew.delay > SERVO_DELAY[1]:
             sentences.append(
                 f"{skew.late} follows {skew.early} by {skew.delay * 1e3:.0f} ms (+-{skew.std * 1e3:.0f}), which no servo does"
             )
@@ -283,7 +289,7 @@ def _skew_words(skew: Skew) -> str:
 
 
 def contradiction_findings(contradicted: Sequence[Contradiction]) -> tuple[Finding, ...]:
-    """What a flight says twice and differently, one finding each: fail where it moves derivatives. None where nothing does."""
+    """One finding for each contradiction; fail where no estimate is recommended because of it."""
     return tuple(
         Finding("contradictions", f"{c.text}{f' (moves {c.moves})' if c.moves else ''}", "fail" if c.stops else "warn")
         for c in contradicted
@@ -291,7 +297,7 @@ def contradiction_findings(contradicted: Sequence[Contradiction]) -> tuple[Findi
 
 
 def noise_level(flight: Flight) -> Finding:
-    """Sample-to-sample noise against that of the sensor itself; warn beyond four times (vibration, bad contact)."""
+    """White noise of each column against that of its sensor."""
     sensor_noise = {**SENSOR_NOISE, **_counts(flight, "sensor_noise")}
     sentences, levels = [], []
     for name, values in _measured(flight):
@@ -300,7 +306,7 @@ def noise_level(flight: Flight) -> Finding:
             continue
         levels.append(f"{name} {level:.2g}")
         sensor = sensor_noise[name]
-        if level > 4 * sensor:
+        if level > NOISE_RATIO * sensor:
             times = f"{level / sensor:.0f} times the sensor's own {sensor:.2g}"
             sentences.append(f"{name}: noise {level:.2g} {_unit(name)} is {times}")
     summary = "one sigma from sample to sample: " + ", ".join(levels) if levels else "nothing to judge"
@@ -310,8 +316,8 @@ def noise_level(flight: Flight) -> Finding:
 def excitation(flight: Flight) -> Finding:
     """Whether the controls were moved enough, and independently, to identify their derivatives.
 
-    Warns for a control that stays within 1 deg of trim and moves by less than ten times its noise (a large aeroplane
-    answers to half a degree), and for two that move in proportion (correlation beyond 0.9).
+    Warn for a control without a manoeuvre whose rms is below LEAST_RMS_DEG or LEAST_RMS_OVER_NOISE (a large aeroplane responds to
+    half a degree), and for two that move in proportion.
     """
     controls = [c for c in CONTROLS if flight.measured(c)]
     if not controls:
@@ -322,7 +328,7 @@ def excitation(flight: Flight) -> Finding:
         count = sum(name in m.controls for m in manoeuvres)
         rms = float(np.nanstd(flight[name])) * RADIAN
         movements.append(f"{name} {count} manoeuvres, {rms:.2g} deg rms")
-        if not count and rms < max(STILLRADIAN, MOVED * RADIAN * (noise(flight[name]) or 0.0)):
+        if not count and rms < max(LEAST_RMS_DEG, LEAST_RMS_OVER_NOISE * RADIAN * (noise(flight[name]) or 0.0)):
             sentences.append(
                 f"{name} is hardly moved ({rms:.2g} deg rms): its derivatives cannot be told from this flight"
             )
@@ -330,22 +336,23 @@ def excitation(flight: Flight) -> Finding:
         rows = np.isfinite(flight[first]) & np.isfinite(flight[second])
         if rows.sum() > 10 and np.std(flight[first][rows]) > 0 and np.std(flight[second][rows]) > 0:
             rho = float(np.corrcoef(flight[first][rows], flight[second][rows])[0, 1])
-            if abs(rho) > 0.9:
+            if abs(rho) > MOST_CORRELATION:
                 sentences.append(
                     f"{first} and {second} move together (correlation {rho:+.2f}): their derivatives cannot be told apart"
                 )
     return _finding("excitation", sentences, ", ".join(movements))
 
 
-# ------------------------------------------------------------------------------------------------------------ pieces
+# ----------------------------------------------------------------------------------------------------------- helpers
 
 
 def _measured(flight: Flight) -> Iterator[tuple[str, Array]]:
+    """Name and values (N,) of the columns with at least one value."""
     return ((name, values) for name, values in flight.columns.items() if np.isfinite(values).any())
 
 
 def _counts(flight: Flight, key: str) -> dict[str, float]:
-    """Numbers by instrument or column that the calibration left in the flight's provenance."""
+    """Numbers by instrument or column under a key of the provenance's detail, as the calibration states them."""
     counts = flight.provenance.detail.get(key, {})
     return dict(counts) if isinstance(counts, dict) else {}
 
@@ -355,5 +362,6 @@ def _unit(name: str) -> str:
 
 
 def _shortened(sentences: list[str]) -> list[str]:
+    """The first MOST_SENTENCES, and how many more there are."""
     excess = len(sentences) - MOST_SENTENCES
     return sentences if excess <= 0 else [*sentences[:MOST_SENTENCES], f"{excess} more"]

@@ -1,4 +1,4 @@
-"""What decodes the messages of a bag, by the schemas it carries: ROS 2 (CDR), ROS 1, protobuf and JSON."""
+"""Decoders for the messages of a bag, by the schemas in it: ROS 2 (CDR), ROS 1, protobuf and JSON."""
 
 import contextlib
 import io
@@ -10,19 +10,19 @@ from daq.contract.recordings.expand import expand_within
 from groundstation.importers.formats.ros1_messages import ros1_decoder
 from groundstation.importers.formats.ros_definitions import STANDARD
 
-LONGEST_DEFINITION = 1 << 16  # bytes of the definition of a message, with those it uses: px4_msgs' longest has 10 kB
+LONGEST_DEFINITION = 1 << 16  # bytes of a message's definition, with those it uses: the longest of px4_msgs has 10 kB
 ZSTD = b"\x28\xb5\x2f\xfd"
-"""What a message begins with that rosbag2 has packed by itself (compression_mode: message); CDR begins with 0, 0 or 0, 1."""
+"""First bytes of a message that rosbag2 compressed (compression_mode: message); CDR begins with 0, 0 or 0, 1."""
 DEFINITIONS = ("ros2msg", "ros1msg")
 Decode = Callable[[bytes], Any]
 
 
 class UnknownSchemaError(Exception):
-    """Messages of a kind that nothing here decodes."""
+    """Messages for which there is no decoder."""
 
 
 def mcap_decoder(channel: Any, schema: Any) -> Decode:
-    """Of the messages of a channel of an MCAP file. Raises UnknownSchemaError."""
+    """The decoder for the messages of an MCAP channel. Raises UnknownSchemaError."""
     encoding, kind = channel.message_encoding, schema.encoding if schema else "no"
     if encoding == "json":
         return json.loads
@@ -30,7 +30,9 @@ def mcap_decoder(channel: Any, schema: Any) -> Decode:
         raise UnknownSchemaError(f"a definition of {len(schema.data)} letters; at most {LONGEST_DEFINITION} are read")
     if encoding == "cdr" and kind == "ros2msg":
         return _cdr(schema.name, schema.data.decode())
-    if encoding == "cdr" and schema is not None and schema.name in STANDARD:  # whatever language defines it there
+    if (
+        encoding == "cdr" and schema is not None and schema.name in STANDARD
+    ):  # in whichever language the file defines it
         return _cdr(schema.name, STANDARD[schema.name])
     if encoding == "ros1" and kind == "ros1msg":
         return ros1_decoder(schema.name, schema.data.decode())
@@ -43,7 +45,8 @@ def mcap_decoder(channel: Any, schema: Any) -> Decode:
 
 
 def sqlite_decoder(kind: str, definitions: Mapping[str, str]) -> Decode:
-    """Of the messages of a kind in an SQLite bag, by its own definitions or the standard one. Raises UnknownSchemaError."""
+    """The decoder for a kind of message in an SQLite bag, by the bag's definitions or the standard one. Raises
+    UnknownSchemaError."""
     text = definitions.get(kind) or STANDARD.get(kind)
     if text is None:
         raise UnknownSchemaError(
@@ -55,7 +58,7 @@ def sqlite_decoder(kind: str, definitions: Mapping[str, str]) -> Decode:
 
 
 def unpacked(data: bytes, most: int) -> bytes:
-    """A message as it was before rosbag2 packed it. Raises `Bad` beyond `most` bytes."""
+    """A message, decompressed where rosbag2 compressed it. Raises `Bad` beyond `most` bytes."""
     if not data.startswith(ZSTD):
         return data
     from zstandard import get_frame_parameters
@@ -67,7 +70,7 @@ def unpacked(data: bytes, most: int) -> bytes:
 def _cdr(name: str, definition: str) -> Decode:
     from mcap_ros2.decoder import generate_dynamic
 
-    with contextlib.redirect_stderr(io.StringIO()):  # it says there what it raises
+    with contextlib.redirect_stderr(io.StringIO()):  # it prints there what it raises as well
         decoders: Mapping[str, Decode] = generate_dynamic(name, definition)
     return decoders[name] if name in decoders else decoders[name.replace("/msg/", "/")]
 

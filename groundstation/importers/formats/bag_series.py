@@ -1,4 +1,4 @@
-"""Messages of a bag as series: every number of every message, under the name of its topic and field."""
+"""Messages of a bag as time series: every number of every message, named by topic and field."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -9,16 +9,19 @@ import numpy as np
 
 from groundstation.importers.series import Array, TimeSeries
 
-LONGEST = 32  # elements of an array that become series: 32 outputs of an autopilot; longer ones are images and clouds
-DEEPEST = 8  # messages within messages
-MOST = 2_000  # numbers of one message
+LONGEST_ARRAY = (
+    32  # elements of an array that becomes series (32 outputs of an autopilot); longer ones are images and clouds
+)
+MOST_LEVELS = 8  # of nested messages
+MOST_NUMBERS = 2_000  # of one message
 STAMPS = (("header.stamp.sec", "header.stamp.nanosec"), ("timestamp.seconds", "timestamp.nanos"))
-"""Seconds and nanoseconds of the sender's own stamp: of ROS, and of Foxglove's messages."""
+"""Fields with seconds and nanoseconds of the sender's time stamp, in ROS and in Foxglove's messages."""
 
 
 @dataclass
 class Topic:
-    """name, and kind of its messages (`sensor_msgs/Imu`); time received [s], numbers and words of each."""
+    """The messages of one topic. kind: of the messages (`sensor_msgs/Imu`); time: received [s]; columns: field -> numbers, which
+    may be fewer than messages; words: text of each message."""
 
     name: str
     kind: str
@@ -27,7 +30,7 @@ class Topic:
     words: list[str] = field(default_factory=list)
 
     def add_message(self, time: float, row: Mapping[str, float], words: str = "") -> None:
-        """Keep a message; NaN where it lacks a field that others have."""
+        """Add a message with its numbers `row` by field; a field that it lacks is NaN."""
         count = len(self.time)
         for name, value in row.items():
             column = self.columns.setdefault(name, [])
@@ -37,10 +40,8 @@ class Topic:
         self.words.append(words)
 
     def series(self, prefix: str, unit_of_stamp: float | None = None) -> dict[str, TimeSeries]:
-        """Series by `prefix.field`, by the sender's stamp where it has one, else by the time received [s].
-
-        unit_of_stamp: of a field `timestamp`, of kinds that have their own.
-        """
+        """Series by `prefix.field`, in order of time. unit_of_stamp: [s] of a field `timestamp` that is the time; else
+        `stamps`."""
         count = len(self.time)
         columns = {n: np.array([*v, *[np.nan] * (count - len(v))]) for n, v in self.columns.items()}
         time = self.stamps()
@@ -51,7 +52,7 @@ class Topic:
         return {f"{prefix}.{n}": TimeSeries(time[order], v[order]) for n, v in columns.items()}
 
     def stamps(self) -> Array:
-        """Time [s] of each message (N,): the sender's own where each has one, else that of its arrival."""
+        """(N,) time [s] of each message: the sender's stamps where all messages have one, else the times received."""
         for seconds, nanoseconds in STAMPS:
             parts = [np.array(self.columns.get(n, ())) for n in (seconds, nanoseconds)]
             if all(p.size == len(self.time) for p in parts) and np.all(parts[0] + parts[1] > 0):
@@ -60,11 +61,12 @@ class Topic:
 
 
 def numbers_of(message: Any) -> dict[str, float]:
-    """Every number in a message, by the path of its fields: `linear_acceleration.x`, `channels[3]`."""
-    return dict(islice(_walk("", message, DEEPEST), MOST))
+    """Every number in a message by its path, `linear_acceleration.x` or `channels[3]`; at most MOST_NUMBERS."""
+    return dict(islice(_walk("", message, MOST_LEVELS), MOST_NUMBERS))
 
 
 def _walk(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
+    """Path and value of each number in `value`, down to `depth` levels."""
     if isinstance(value, bool | int | float | np.number):
         yield name, float(value)
     elif isinstance(value, str | bytes | None) or depth == 0:
@@ -73,7 +75,7 @@ def _walk(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
         for key, part in value.items():
             yield from _walk(f"{name}.{key}" if name else str(key), part, depth - 1)
     elif hasattr(value, "__len__") and hasattr(value, "__getitem__"):
-        for i in range(min(len(value), LONGEST)) if len(value) <= LONGEST else ():
+        for i in range(len(value)) if len(value) <= LONGEST_ARRAY else ():
             yield from _walk(f"{name}[{i}]", value[i], depth - 1)
     else:
         for key in _fields(value):
@@ -81,6 +83,7 @@ def _walk(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
 
 
 def _fields(message: Any) -> list[str]:
+    """Names of the fields of a decoded message, of protobuf or ROS."""
     descriptor = getattr(message, "DESCRIPTOR", None)
     if descriptor is not None:  # protobuf
         return [f.name for f in descriptor.fields]

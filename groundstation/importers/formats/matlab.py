@@ -1,8 +1,8 @@
-"""MATLAB files as tables: one for each record in them.
+"""MATLAB files as tables, one for each record.
 
-A record is a struct of vectors of one length, wherever it stands: the variables of the workspace themselves, one struct,
-several structs with the same fields, an array or a cell of structs. Vectors in structs within are called `air.alpha`,
-columns of a matrix `data[0]`, members of a list `signals[0].values`. A struct `units` beside the vectors says their units.
+A record is a set of vectors of one length: the variables of the workspace, a struct, each of several structs with the same
+fields, or each element of an array or a cell of structs. Vectors of nested structs are called `air.alpha`, columns of a matrix
+`data[0]`, elements of a list `signals[0].values`. A struct `units` among the vectors has their units.
 """
 
 import io
@@ -25,21 +25,21 @@ from groundstation.importers.formats.tables import ImportedTable
 from groundstation.importers.mapping import FileFormat
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_ASIDE = ("units", "meaning", "about")  # structs beside the vectors that `sideslip export` writes
+_DESCRIPTIONS = ("units", "meaning", "about")  # structs of texts, which `sideslip export` writes beside the vectors
 MOST_RECORDS = 1000  # of a file; each becomes a segment
 FEWEST_ROWS = 2
 LEAST_UNPACKED, MOST_TIMES_PACKED = 2**26, 16
-"""A file may unpack to 64 MiB, or to 16 times its length: numbers of flights pack to a half, constants to nothing."""
-SECONDS = 60  # for a file; 100 MB take some 2 s
+"""A file may unpack to 64 MiB, or to 16 times its length: flight data compresses to a half, constants to almost nothing."""
+LONGEST_READING = 60  # [s] for a file; 100 MB take some 2 s
 _CHILD = Path(__file__).with_name("matlab_child.py")
-_NO_PACKAGE = 3  # its exit status
+_NO_PACKAGE = 3  # exit status of the child without h5py
 
 
 def read_variables(path: Path) -> tuple[dict[str, Any], int]:
-    """Variables by name: dictionaries (structs), lists (cells, arrays of structs), texts and arrays of numbers; and how many
-    parts were left out.
+    """Variables by name: dictionaries (structs), lists (cells, arrays of structs), texts and arrays of numbers; and the number of
+    parts that were left out.
 
-    Read in a process of its own, whose memory and time are limited. Raises ImportDataError for a file that is none.
+    The file is read in a child process with limited memory and time. Raises ImportDataError for a damaged or another file.
     """
     data = read_bytes(path, error=ImportDataError)
     version = "7.3" if _HDF5 in (data[:8], data[512:520]) else "5"
@@ -50,10 +50,10 @@ def read_variables(path: Path) -> tuple[dict[str, Any], int]:
     most_bytes = max(LEAST_UNPACKED, MOST_TIMES_PACKED * len(data))
     child = [sys.executable, "-I", str(_CHILD), str(path.absolute()), str(most_bytes)]
     try:
-        process = subprocess.run(child, capture_output=True, timeout=SECONDS, check=False)
+        process = subprocess.run(child, capture_output=True, timeout=LONGEST_READING, check=False)
     except subprocess.TimeoutExpired:
         raise ImportDataError(
-            f"{path}: damaged MATLAB {version} file (no end after {SECONDS} s); save it anew"
+            f"{path}: damaged MATLAB {version} file (no end after {LONGEST_READING} s); save it anew"
         ) from None
     if process.returncode == _NO_PACKAGE:
         raise ImportDataError(
@@ -71,6 +71,7 @@ def read_variables(path: Path) -> tuple[dict[str, Any], int]:
 
 
 def _from_tree(node: Any, arrays: Any) -> Any:
+    """The variable that the child describes by a node of its JSON. arrays: of the child's .npz, by name."""
     match node:
         case {"array": str(name)}:
             return arrays[name]
@@ -84,7 +85,7 @@ def _from_tree(node: Any, arrays: Any) -> Any:
 
 
 def tables_of(path: Path, variables: Mapping[str, Any], left_out: int, layout: FileFormat) -> list[ImportedTable]:
-    """The records among the variables of a MATLAB file. Raises ImportDataError where there is none."""
+    """The records among the variables of a MATLAB file, at most MOST_RECORDS. Raises ImportDataError where there is none."""
     notes = (f"{left_out} variables that only MATLAB can read, or damaged, left out",) if left_out else ()
     records = _records(_chosen(path, variables, layout.variable))[:MOST_RECORDS]
     tables = [table for table in (_table(record, notes) for record in records) if table.numeric]
@@ -98,6 +99,7 @@ def tables_of(path: Path, variables: Mapping[str, Any], left_out: int, layout: F
 
 
 def _chosen(path: Path, variables: Mapping[str, Any], name: str | None) -> Any:
+    """The variable that a mapping names; all variables without a name."""
     if name is None:
         return variables
     if name not in variables:
@@ -107,19 +109,18 @@ def _chosen(path: Path, variables: Mapping[str, Any], name: str | None) -> Any:
     return variables[name]
 
 
-def _records(found: Any) -> list[Mapping[str, Any]]:
-    """The structs that hold vectors over time."""
-    if isinstance(found, list):
-        return [r for item in found for r in _records(item)]
-    if not isinstance(found, dict):
+def _records(variable: Any) -> list[Mapping[str, Any]]:
+    """The structs in a variable that hold vectors over time."""
+    if isinstance(variable, list):
+        return [r for item in variable for r in _records(item)]
+    if not isinstance(variable, dict):
         return []
-    if any(_is_vector(v) for n, v in found.items() if n not in _ASIDE):
-        return [found]
-    containers = {n: v for n, v in found.items() if n not in _ASIDE and isinstance(v, (dict, list))}
-    several = [r for v in containers.values() for r in _records(v)]
-    same_fields = len({frozenset(r) for r in several}) == 1
-    # structs of different fields are parts of one record, not records
-    return several if same_fields and several else [found]
+    if any(_is_vector(v) for n, v in variable.items() if n not in _DESCRIPTIONS):
+        return [variable]
+    containers = {n: v for n, v in variable.items() if n not in _DESCRIPTIONS and isinstance(v, (dict, list))}
+    inner = [r for v in containers.values() for r in _records(v)]
+    same_fields = len({frozenset(r) for r in inner}) == 1  # structs of different fields are parts of one record
+    return inner if same_fields else [variable]
 
 
 def _is_vector(value: Any) -> bool:
@@ -127,6 +128,7 @@ def _is_vector(value: Any) -> bool:
 
 
 def _table(record: Mapping[str, Any], notes: tuple[str, ...]) -> ImportedTable:
+    """A record as a table of its most common length; arrays of another length are left out, with a note."""
     leaves = {name: v for name, v in _leaves(record) if v.size >= FEWEST_ROWS}
     rows = Counter(max(v.shape) for v in leaves.values())
     if not rows:
@@ -150,12 +152,12 @@ def _table(record: Mapping[str, Any], notes: tuple[str, ...]) -> ImportedTable:
 
 
 def _leaves(node: Any, name: str = "") -> Iterator[tuple[str, Array]]:
-    """Arrays of numbers with the way to them."""
+    """Path and values of each array of numbers in a record."""
     if isinstance(node, np.ndarray):
         yield name, node
     elif isinstance(node, dict):
         for key, value in node.items():
-            if name or key not in _ASIDE:
+            if name or key not in _DESCRIPTIONS:
                 yield from _leaves(value, f"{name}.{key}" if name else key)
     elif isinstance(node, list):
         for i, value in enumerate(node):
@@ -163,6 +165,7 @@ def _leaves(node: Any, name: str = "") -> Iterator[tuple[str, Array]]:
 
 
 def _texts(node: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Path and content of each text."""
     if isinstance(node, str):
         yield name, node
     elif isinstance(node, dict):
@@ -171,7 +174,7 @@ def _texts(node: Any, name: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _columns(name: str, values: Array, length: int) -> dict[str, Array]:
-    """A vector, or the columns of a matrix of `length` rows; nothing for an array of another length."""
+    """Name -> (length,) of a vector, or of each column of a matrix; empty for an array of another length."""
     if values.size == length:
         return {name: values.ravel()}
     flat = values.reshape(values.shape[0], -1, order="F")

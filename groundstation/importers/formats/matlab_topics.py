@@ -1,7 +1,7 @@
-"""MATLAB files that hold a log topic by topic, each with times of its own.
+"""MATLAB files with a log by topics, each with its own times.
 
-Mission Planner writes of a .bin for each message a matrix `ATT` and the names of its columns `ATT_label`. Others write a struct
-for each topic, with its time in it.
+Mission Planner converts a .bin to a matrix for each message, `ATT`, with the names of its columns, `ATT_label`. Other programs
+write a struct for each topic that contains its time.
 """
 
 from collections.abc import Mapping
@@ -19,11 +19,11 @@ from groundstation.importers.series import Log, TimeSeries, instance_rows
 
 _LABEL = "_label"
 _PX4_TIME = {"timestamp": 1e-6}
-_OWN_TIME = {"time": 1.0, "t": 1.0, "Time": 1.0, "time_s": 1.0}
+_TIME_IN_SECONDS = {"time": 1.0, "t": 1.0, "Time": 1.0, "time_s": 1.0}
 
 
 def topics_of(variables: object) -> tuple[Log, Map] | None:
-    """The topics of a MATLAB file as one log with the mapping of its kind; None where the file is none of these."""
+    """The topics of a MATLAB file as one log, with the mapping of its kind; None for a file without topics."""
     if not isinstance(variables, Mapping):
         return None
     topics = _labelled(variables) or _structs(variables)
@@ -34,17 +34,17 @@ def topics_of(variables: object) -> tuple[Log, Map] | None:
         if series:
             log = Log(kind, with_attitudes(series))
             return with_velocities(log), built_in_map(base)
-    series = _series(topics, _OWN_TIME, by_instance=False)
+    series = _series(topics, _TIME_IN_SECONDS, by_instance=False)
     lengths = {s.time.size for s in series.values()}
     if len(lengths) < 2:
-        return None  # of one length: records or parts of one, which the other reader knows
+        return None  # topics of one length are records, or parts of one: `matlab.tables_of`
     return Log("table", series, notes=(f"{len(topics)} topics with times of their own, joined on time",)), _by_name(
         series
     )
 
 
 def _labelled(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
-    """Topic -> column -> values, of matrices with their labels beside them."""
+    """Topic -> column -> values (n,), of matrices with labels."""
     topics = {}
     for name, table in variables.items():
         labels = variables.get(f"{name}{_LABEL}")
@@ -57,7 +57,7 @@ def _labelled(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
 
 
 def _structs(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
-    """The same of structs of vectors."""
+    """Topic -> column -> values (n,), of structs of vectors."""
     topics = {}
     for name, content in variables.items():
         if isinstance(content, Mapping):
@@ -70,7 +70,8 @@ def _structs(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
 def _series(
     topics: Mapping[str, Mapping[str, Array]], times: Mapping[str, float], *, by_instance: bool
 ) -> dict[str, TimeSeries]:
-    """Series 'TOPIC.field', further instances by a field I as 'TOPIC[1].field', of the topics that have one of the times."""
+    """Series 'TOPIC.field' of the topics that have a time; further instances, by a field I, as 'TOPIC[1].field'. times: field of
+    the time -> its unit [s]."""
     series: dict[str, TimeSeries] = {}
     for topic, fields in topics.items():
         stamp = next((t for t in times if t in fields), None)
@@ -84,10 +85,10 @@ def _series(
 
 
 def _by_name(series: Mapping[str, TimeSeries]) -> Map:
-    """A mapping of the fields that are called as flight columns, each in SI."""
+    """A mapping of the fields that have names of flight columns, in SI."""
     columns: dict[str, tuple[ColumnSource, ...]] = {}
     for name in series:
-        bare = name.rpartition(".")[2]
-        if bare in COLUMN_BY_NAME and bare not in columns:
-            columns[bare] = (ColumnSource(column=name, unit=COLUMN_BY_NAME[bare].unit),)
+        label = name.rpartition(".")[2]
+        if label in COLUMN_BY_NAME and label not in columns:
+            columns[label] = (ColumnSource(column=name, unit=COLUMN_BY_NAME[label].unit),)
     return Map(format=1, columns=columns)

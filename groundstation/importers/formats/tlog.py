@@ -1,6 +1,6 @@
-"""MAVLink telemetry log (.tlog): 8-byte big-endian microseconds before each message. Series are named 'MESSAGE.field'.
+"""Reader of MAVLink telemetry logs (.tlog): a time in microseconds, 8 bytes big-endian, before each frame.
 
-Only one system is imported, the one with the most messages; see `tlog_series` for names and time.
+Only the system with the most messages is imported; see `tlog_series` for names and times of series.
 """
 
 import math
@@ -24,16 +24,16 @@ from groundstation.importers.series import Log
 
 _MAGIC = (0xFD, 0xFE)
 _NEXT = re.compile(rb"\0[\x00-\x0e](?s:.{6})[\xfd\xfe]")
-"""How a record begins: a stamp before the year 2100, whose first two bytes are small, and the first byte of a frame."""
+"""Begin of a record: a stamp before the year 2100, whose first two bytes are small, and the first byte of a frame."""
 _STAMP = 8  # bytes before each frame
-_OUR_FRAME = 44100
-_GROUND_STATION = 255
-_V1_EXTRA, _V2_EXTRA, _SIGNATURE = 8, 12, 13
+_OUR_FRAME = 44100  # message id of our downlink
+_GROUND_STATION = 255  # system id
+_V1_EXTRA, _V2_EXTRA, _SIGNATURE = 8, 12, 13  # bytes of header and checksum, and of a signature
 
 
 def read_tlog(path: Path) -> list[Log]:
-    """All numeric fields of the standard messages of one aircraft, a log for each boot of its autopilot. Raises ImportDataError
-    when nothing can be read."""
+    """The numeric fields of one aircraft's standard messages, as a log for each boot of its autopilot. Raises ImportDataError for
+    a file without messages of an aircraft."""
     scan = TlogScan(read_bytes(path, error=ImportDataError))
     systems: Counter[int] = Counter()
     for (system, _, _), rows in scan.rows.items():
@@ -65,7 +65,7 @@ def read_tlog(path: Path) -> list[Log]:
 
 @dataclass(frozen=True)
 class DialectLayout:
-    """A message of the dialect: name, numpy type of a whole payload, numeric fields with their number of elements."""
+    """A message of the dialect: name, numpy type of a payload, numeric fields with their number of elements, CRC_EXTRA."""
 
     name: str
     dtype: np.dtype[np.void]
@@ -75,20 +75,20 @@ class DialectLayout:
 
 @dataclass
 class _Rows:
-    """Messages of one kind from one component: time received [s], place in the file and payloads, one after the other."""
+    """Messages of one kind from one component: time received [s], position in the file, and the payloads joined."""
 
     stamps: list[float] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
     payloads: bytearray = field(default_factory=bytearray)
 
     def table(self, kind: int) -> NDArray[np.void]:
-        """The payloads as records of their fields."""
+        """(n,) the payloads as records of message `kind`."""
         return np.frombuffer(self.payloads, layouts()[kind].dtype)
 
 
 @cache
 def layouts() -> Mapping[int, DialectLayout]:
-    """The messages of the dialect that ArduPilot and PX4 share, by id."""
+    """The messages of the dialect ardupilotmega, which contains PX4's, by id."""
     ardupilotmega = optional("pymavlink.dialects.v20.ardupilotmega", "a telemetry log")
 
     by_id = {}
@@ -109,11 +109,10 @@ def layouts() -> Mapping[int, DialectLayout]:
 
 
 class TlogScan:
-    """Every sound message of a log. A frame counts when its checksum holds; one of a message that the dialect does not have
-    counts for nothing and is passed over where another follows it. After damage the search goes on with the next bytes that a
-    record can begin with.
+    """Every message of a log with a valid checksum. Messages that are not in the dialect are skipped where another frame follows.
+    After damage the scan continues at the next bytes that can begin a record.
 
-    rows: by system, component and message id; ours: frames of our own downlink; skipped: bytes of damage.
+    rows: by system, component and message id; ours: frames of our downlink; skipped: damaged bytes.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -123,15 +122,15 @@ class TlogScan:
         while start + _STAMP + _V1_EXTRA <= len(data):
             size = _frame_size(data, start + _STAMP)
             following = start + _STAMP + size
-            if not size or following > len(data) or not self._keep(data, start, following):
+            if not size or following > len(data) or not self._add_record(data, start, following):
                 match = _NEXT.search(data, start + 1)
                 following = match.start() if match else len(data)
                 self.skipped += following - start
             start = following
         self.skipped += len(data) - min(start, len(data))
 
-    def _keep(self, data: bytes, start: int, following: int) -> bool:
-        """Keep the record that begins at `start`; False when its frame is damaged."""
+    def _add_record(self, data: bytes, start: int, following: int) -> bool:
+        """Add the record in data[start:following]; returns False where its frame is damaged."""
         first = start + _STAMP
         is_v1 = data[first] == 0xFE
         head = 6 if is_v1 else 10
@@ -152,7 +151,7 @@ class TlogScan:
         return True
 
     def notes(self, others: list[int], system: int) -> list[str]:
-        """What was left out. others: systems that are not imported."""
+        """Notes on what was left out. others: systems that are not imported; system: the imported one."""
         notes = []
         if self.ours:
             notes.append(
@@ -167,7 +166,7 @@ class TlogScan:
 
 
 def _frame_size(data: bytes, at: int) -> int:
-    """Length of the MAVLink frame that begins here, 0 when none does."""
+    """Length in bytes of the MAVLink frame that begins at `at`; 0 where none does."""
     if at + 3 > len(data) or data[at] not in _MAGIC:
         return 0
     if data[at] == 0xFE:
@@ -176,7 +175,7 @@ def _frame_size(data: bytes, at: int) -> int:
 
 
 def _parameters(received: list[ReceivedMessages]) -> dict[str, float]:
-    """The autopilot's parameters, each as last stated, as ArduPilot sends them (PX4 packs whole numbers otherwise)."""
+    """The autopilot's parameters, last values, in ArduPilot's encoding (PX4 encodes integers in another way)."""
     parameters: dict[str, float] = {}
     for messages in received:
         pairs = zip(messages.table["param_id"].tolist(), messages.table["param_value"].tolist(), strict=True)

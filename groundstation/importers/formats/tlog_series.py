@@ -1,9 +1,9 @@
-"""Series of the messages that one aircraft sent: their names, and their time on the autopilot's clock, boot by boot.
+"""Time series of the messages of one aircraft in a telemetry log, with time on the autopilot's clock, separately for each boot.
 
-The autopilot's own messages are called 'MESSAGE.field'; those of another output port or sensor 'MESSAGE[1].field', of another
-component (a gimbal, a companion) '154:MESSAGE.field'. Time is the autopilot's own (time_usec or time_boot_ms) where the message
-has one. One without is of the time of those that were sent just before and after it: a radio may deliver late, but in order.
-Where the autopilot's clock falls back, or stands still while the receiver's goes on, it has booted anew.
+Messages of the autopilot are called 'MESSAGE.field'; those of another output port or sensor 'MESSAGE[1].field', of another
+component (a gimbal, a companion) '154:MESSAGE.field'. Time is the message's time_usec or time_boot_ms. A message without one gets
+a time between those of its neighbours in the log: a radio may deliver late, but in order. Where the autopilot's clock goes
+back, or stands still while the receiver's runs, the autopilot was booted again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,8 @@ from groundstation.importers.modes import ARMED, armings, heartbeat_mode, mark_t
 from groundstation.importers.series import Array, TimeSeries
 
 LONGEST_ARRAY = 32
-"""Elements of an array field that become series (the 32 outputs of ACTUATOR_OUTPUT_STATUS); longer ones are blocks of bytes."""
+"""Elements of an array field, at most, that become series (32 outputs of ACTUATOR_OUTPUT_STATUS); longer fields are binary
+data."""
 _NOT_KNOWN = {
     **{("SYS_STATUS", "voltage_battery"): 65535, ("SYS_STATUS", "current_battery"): -1},
     **{("GPS_RAW_INT", name): 65535 for name in ("vel", "cog", "eph", "epv")},
@@ -27,22 +28,24 @@ _NOT_KNOWN = {
 }
 """Values that mean "not known" in the message definitions, by message and field."""
 _INSTANCE = {"SERVO_OUTPUT_RAW": "port", "HIGHRES_IMU": "id", "BATTERY_STATUS": "id", "DISTANCE_SENSOR": "id"}
-"""Message -> field that tells its several senders of one component apart."""
+"""Message -> field with the number of the port or sensor, of messages that a component sends for several."""
 _FIX_3D = 3
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
-FALLS_BACK = 1.0
-"""[s] by which the own clock of a later message is earlier only after a boot: messages are some tenths of a second old."""
-STOOD_STILL = 10.0
-"""[s] more between two messages by the receiver's clock than by the sender's, which had a pause, too: it was off between."""
-DENSE = 0.3  # [s] between two messages with a time, between which one without can be placed by its order
-CLOCK_RATE = 0.02  # difference of rate of the sender's and the receiver's clock that no quartz has
-LONG_ENOUGH = 20.0  # [s] over which late deliveries do not look like another rate
+CLOCK_BACK_S = 1.0
+"""[s] by which a message's own time goes back after a boot only: messages are up to some tenths of a second old."""
+OFF_TIME = 10.0
+"""[s] by which an interval by the receiver's clock exceeds that by the sender's, where the sender was off in between."""
+DENSE_STEP = 0.3  # [s] between two messages with a time, at most, for one between them to be dated by its place
+CLOCK_RATE = 0.02  # relative difference of the clocks' rates that no quartz has
+SHORTEST_DRIFT_SPAN = 20.0  # [s] over which late deliveries do not look like a difference of rate
+FEWEST_DRIFT_MESSAGES = 20
+STOPPING_CLOCK_RATE = 0.05  # difference of rate from which no estimate is recommended
 
 
 @dataclass(frozen=True)
 class ReceivedMessages:
-    """Messages of one kind from one component, in the order of the file: table (n,) records; stamps (n,) time received [s];
-    places (n,) of each in the file; rank (n,) by which messages of all kinds are in the order in which they were sent."""
+    """Messages of one kind from one component, in the order of the file. table: (n,) records; stamps: (n,) time received [s];
+    places: (n,) position in the file; rank: (n,) position in the order of sending, comparable between kinds."""
 
     name: str
     component: int
@@ -52,8 +55,8 @@ class ReceivedMessages:
     rank: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
-    def own(self) -> Array:
-        """Time of each message on its sender's clock since boot [s], NaN where it has none; a time since 1970 is none."""
+    def sender_time(self) -> Array:
+        """(n,) time of each message on its sender's clock since boot [s]; NaN without one, or for a time since 1970."""
         names = self.table.dtype.names or ()
         if "time_boot_ms" in names:
             return np.asarray(self.table["time_boot_ms"] * 1e-3)
@@ -62,14 +65,15 @@ class ReceivedMessages:
         return np.full(len(self.table), np.nan)
 
     def part(self, use: NDArray[np.bool_]) -> "ReceivedMessages":
-        """Some of the messages."""
+        """The messages at the rows `use` (n,)."""
         arrays = {n: getattr(self, n)[use] for n in ("table", "stamps", "places", "rank")}
         return replace(self, **arrays)
 
 
 @dataclass(frozen=True)
 class Boot:
-    """series: of one run of the autopilot, on its clock (of a later one, as much later as the receiver saw it)."""
+    """One run of the autopilot. series: by name, on its clock, shifted for later boots by the receiver's clock; component: the
+    autopilot's; notes, contradictions: on the messages; marks: modes, events and texts."""
 
     series: dict[str, TimeSeries]
     component: int
@@ -80,24 +84,24 @@ class Boot:
 
 @dataclass(frozen=True)
 class _Clock:
-    """Messages with a time of their own in the order in which they were sent: rank of each, stamp, own time [s]."""
+    """Messages with a time of their own, in the order of sending: rank of each, time received [s], own time [s]."""
 
     place: Array
     stamp: Array
-    own: Array
+    sender_time: Array
 
     @property
     def offset(self) -> float:
-        """Receiver's less sender's clock [s] of the message that came least late."""
-        return float(np.min(self.stamp - self.own)) if self.own.size else 0.0
+        """Receiver's less sender's clock [s], by the message with the shortest delay."""
+        return float(np.min(self.stamp - self.sender_time)) if self.sender_time.size else 0.0
 
     def part(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> "_Clock":
-        """Some of the messages."""
-        return _Clock(self.place[rows], self.stamp[rows], self.own[rows])
+        """The messages at some rows."""
+        return _Clock(self.place[rows], self.stamp[rows], self.sender_time[rows])
 
 
 def by_boot(received: Sequence[ReceivedMessages]) -> list[Boot]:
-    """The series of each boot, in the order of the file."""
+    """Series and marks of each boot that has series, in the order of the file."""
     component = _autopilot(received)
     received = _ranked(received)
     clock = _clock([r for r in received if r.component == component])
@@ -107,10 +111,10 @@ def by_boot(received: Sequence[ReceivedMessages]) -> list[Boot]:
     for begin, end in pairwise(edges):
         part = clock.part(slice(begin, end))
         low = -np.inf if begin == 0 else float(clock.place[begin])
-        high = np.inf if end == clock.own.size else float(clock.place[end])
+        high = np.inf if end == clock.sender_time.size else float(clock.place[end])
         messages = [r.part((r.rank >= low) & (r.rank < high)) for r in received]
         messages = [r for r in messages if len(r.table)]
-        delay = part.offset - first_offset if part.own.size else 0.0
+        delay = part.offset - first_offset if part.sender_time.size else 0.0
         series, notes = _series(messages, component, part, delay)
         marks = _marks([r for r in messages if r.component == component], part).moved(delay)
         boots.append(Boot(series, component, notes, tuple(_clock_rates(part)), marks))
@@ -118,7 +122,7 @@ def by_boot(received: Sequence[ReceivedMessages]) -> list[Boot]:
 
 
 def _autopilot(received: Sequence[ReceivedMessages]) -> int:
-    """The component that flies: the autopilot's number, else the one with most attitudes, else with most messages."""
+    """Component id of the autopilot: AUTOPILOT, else that with most ATTITUDE messages, else with most messages."""
     components = {r.component for r in received}
     if AUTOPILOT in components:
         return AUTOPILOT
@@ -130,23 +134,25 @@ def _autopilot(received: Sequence[ReceivedMessages]) -> int:
 
 
 def _ranked(received: Sequence[ReceivedMessages]) -> list[ReceivedMessages]:
-    """With the rank of each message: its place in the file, or by the receiver's clock where the file is not in order of it."""
+    """The messages with their ranks: the position in the file, or the time received where the file is not in that order."""
     places = np.concatenate([r.places for r in received])
     stamps = np.concatenate([r.stamps for r in received])[np.argsort(places, kind="stable")]
-    by_stamp = bool(np.any(np.diff(stamps) < -FALLS_BACK))
+    by_stamp = bool(np.any(np.diff(stamps) < -CLOCK_BACK_S))
     return [replace(r, rank=r.stamps if by_stamp else r.places.astype(float)) for r in received]
 
 
 def _clock(received: Sequence[ReceivedMessages]) -> _Clock:
-    time = np.concatenate([r.own for r in received])
+    """The messages that have a time of their own, without those of a damaged time."""
+    time = np.concatenate([r.sender_time for r in received])
     clock = _Clock(np.concatenate([r.rank for r in received]), np.concatenate([r.stamps for r in received]), time)
-    order = np.lexsort((clock.own, clock.place))
-    clock = clock.part(order[np.isfinite(clock.own[order])])
-    wild = np.abs(clock.own - _median_of_five(clock.own)) > STOOD_STILL  # a damaged time among sound ones
-    return clock.part(~wild)
+    order = np.lexsort((clock.sender_time, clock.place))
+    clock = clock.part(order[np.isfinite(clock.sender_time[order])])
+    damaged = np.abs(clock.sender_time - _median_of_five(clock.sender_time)) > OFF_TIME
+    return clock.part(~damaged)
 
 
 def _median_of_five(values: Array) -> Array:
+    """(n,) running median of five values; the values themselves where there are fewer."""
     if values.size < 5:
         return values
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5)
@@ -154,22 +160,23 @@ def _median_of_five(values: Array) -> Array:
 
 
 def _boot_edges(clock: _Clock) -> list[int]:
-    """Where each boot begins among the messages with a time, and the end."""
-    step, receiver_step = np.diff(clock.own), np.diff(clock.stamp)
-    anew = (step < -FALLS_BACK) | ((step > FALLS_BACK) & (receiver_step - step > STOOD_STILL))
-    return [0, *(np.flatnonzero(anew) + 1).tolist(), clock.own.size]
+    """Indices of the first message of each boot, and the number of messages."""
+    step, receiver_step = np.diff(clock.sender_time), np.diff(clock.stamp)
+    booted = (step < -CLOCK_BACK_S) | ((step > CLOCK_BACK_S) & (receiver_step - step > OFF_TIME))
+    return [0, *(np.flatnonzero(booted) + 1).tolist(), clock.sender_time.size]
 
 
 def _series(
-    received: Sequence[ReceivedMessages], component: int, clock: _Clock, late: float
+    received: Sequence[ReceivedMessages], component: int, clock: _Clock, delay: float
 ) -> tuple[dict[str, TimeSeries], tuple[str, ...]]:
+    """Series by name, `delay` [s] later than the autopilot's clock, and notes on other components."""
     series: dict[str, TimeSeries] = {}
     for r in received:
-        time = _time(r, component, clock) + late
-        head = "" if r.component == component else f"{r.component}:"
+        time = _time(r, component, clock) + delay
+        prefix = "" if r.component == component else f"{r.component}:"
         for label, use in _instances(r):
             for name, values in _fields(r.table):
-                series[f"{head}{r.name}{label}.{name}"] = _known(r, name, time, values, use)
+                series[f"{prefix}{r.name}{label}.{name}"] = _known(r, name, time, values, use)
     components = sorted({r.component for r in received} - {component})
     if not components:
         return series, ()
@@ -178,7 +185,7 @@ def _series(
 
 
 def _marks(received: Sequence[ReceivedMessages], clock: _Clock) -> Marks:
-    """Modes by the heartbeats of the autopilot, its messages, and when its motors were armed."""
+    """Modes and arming by the autopilot's heartbeats, and its texts."""
     modes: tuple[FlightMode, ...] = ()
     events: tuple[Mark, ...] = ()
     messages: list[Mark] = []
@@ -199,7 +206,7 @@ def _marks(received: Sequence[ReceivedMessages], clock: _Clock) -> Marks:
 
 
 def _instances(r: ReceivedMessages) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Each sender of a message within the component, as it is called, and which messages are its own."""
+    """Each port or sensor of a message: its label in names of series, and its messages (n,)."""
     field = _INSTANCE.get(r.name)
     if field is None or field not in (r.table.dtype.names or ()):
         yield "", np.ones(len(r.table), bool)
@@ -209,6 +216,7 @@ def _instances(r: ReceivedMessages) -> Iterator[tuple[str, NDArray[np.bool_]]]:
 
 
 def _fields(table: NDArray[np.void]) -> Iterator[tuple[str, Array]]:
+    """Name and values (n,) of each numeric field, and of each element of an array field."""
     for name in table.dtype.names or ():
         column = table[name]
         if column.dtype.kind == "S" or (column.ndim > 1 and column.shape[1] > LONGEST_ARRAY):
@@ -222,22 +230,22 @@ def _fields(table: NDArray[np.void]) -> Iterator[tuple[str, Array]]:
 
 
 def _time(r: ReceivedMessages, component: int, clock: _Clock) -> Array:
-    """Time of messages on the autopilot's clock [s]."""
+    """(n,) time of messages on the autopilot's clock [s]: their own; else interpolated by rank; else by the time received."""
     by_receiver = r.stamps - clock.offset
-    sender_time = r.own if r.component == component else np.full(len(r.table), np.nan)
-    if clock.own.size < 2:
+    sender_time = r.sender_time if r.component == component else np.full(len(r.table), np.nan)
+    if clock.sender_time.size < 2:
         return np.where(np.isfinite(sender_time), sender_time, by_receiver)
-    following = np.clip(np.searchsorted(clock.place, r.rank), 1, clock.own.size - 1)
-    delay = clock.stamp - clock.own
+    following = np.clip(np.searchsorted(clock.place, r.rank), 1, clock.sender_time.size - 1)
+    delay = clock.stamp - clock.sender_time
     spread = float(np.subtract(*np.percentile(delay, [95, 5])))  # a burst is late by up to its length
-    dense = np.abs(clock.own[following] - clock.own[following - 1]) < max(DENSE, spread)
-    by_order = np.interp(r.rank, clock.place, clock.own)
+    dense = np.abs(clock.sender_time[following] - clock.sender_time[following - 1]) < max(DENSE_STEP, spread)
+    by_order = np.interp(r.rank, clock.place, clock.sender_time)
     placeable = dense & (r.rank >= clock.place[0]) & (r.rank <= clock.place[-1])
     return np.where(np.isfinite(sender_time), sender_time, np.where(placeable, by_order, by_receiver))
 
 
 def _known(r: ReceivedMessages, name: str, time: Array, values: Array, use: NDArray[np.bool_]) -> TimeSeries:
-    """The samples of which the definition of the message does not say that they are none."""
+    """The samples of a field at the messages `use`, without values that mean "not known" by the message's definition."""
     usable = use & (values != _NOT_KNOWN.get((r.name, name), np.nan))
     if r.name == "GPS_RAW_INT" and name in ("lat", "lon", "alt"):
         usable &= r.table["fix_type"] >= _FIX_3D
@@ -245,12 +253,15 @@ def _known(r: ReceivedMessages, name: str, time: Array, values: Array, use: NDAr
 
 
 def _clock_rates(clock: _Clock) -> Iterator[Contradiction]:
-    """The sender's clock against the receiver's, whose late deliveries make a line only over long."""
-    if clock.own.size < 20 or clock.own[-1] - clock.own[0] < LONG_ENOUGH:
+    """The rate of the sender's clock against the receiver's."""
+    if (
+        clock.sender_time.size < FEWEST_DRIFT_MESSAGES
+        or clock.sender_time[-1] - clock.sender_time[0] < SHORTEST_DRIFT_SPAN
+    ):
         return
-    half = clock.own.size // 2
-    delay = clock.stamp - clock.own
-    rise, span = (float(np.median(v[half:])) - float(np.median(v[:half])) for v in (delay, clock.own))
+    half = clock.sender_time.size // 2
+    delay = clock.stamp - clock.sender_time
+    rise, span = (float(np.median(v[half:])) - float(np.median(v[:half])) for v in (delay, clock.sender_time))
     drift = rise / max(span, 1e-9)
     if abs(drift) <= CLOCK_RATE:
         return
@@ -260,4 +271,4 @@ def _clock_rates(clock: _Clock) -> Iterator[Contradiction]:
     )
     moves = f"derivatives by p, q and r by {abs(drift):.0%}"
     sides = ("receiver's clock", "aircraft's clock")
-    yield Contradiction(sides, text, 1.0 + drift, moves=moves, stops=abs(drift) > 0.05)
+    yield Contradiction(sides, text, 1.0 + drift, moves=moves, stops=abs(drift) > STOPPING_CLOCK_RATE)

@@ -1,7 +1,7 @@
-"""A file that grows at its end and outlasts its disk: what cannot be written waits in memory and goes when it can.
+"""An append-only file that survives failures of its disk: records that cannot be written wait in memory until they can.
 
-A disk may be full, read-only, or gone and back, perhaps as another one. A record that went half onto a full disk is finished
-when there is room, and begun again where the file is a new one.
+A disk may be full, read-only, or removed and replaced. A partly written record is completed when there is room, and written
+again from its start where the file is a new one.
 """
 
 import errno
@@ -15,19 +15,20 @@ from typing import IO
 from daq.utilities.durable import open_log, sync_directory
 
 MOST_WAITING = 64 << 20
-"""Bytes that wait for a disk: half a day of telemetry at 1.5 kB/s. What comes beyond is refused, and counted."""
+"""Bytes that may wait for a disk: half a day of telemetry at 1.5 kB/s. Further records are refused and counted."""
 
 
 class LastingLog:
-    """Append records, call `flush`; OSError says what is the matter, and loses nothing."""
+    """Use: `append` records, call `flush`. An OSError of `flush` loses nothing. refused: bytes for which there was no room,
+    neither on the disk nor in memory."""
 
     def __init__(self, path: Path, most_waiting: int = MOST_WAITING) -> None:
         self.path = path
-        self.refused = 0  # bytes for which there was no room, neither on the disk nor in memory
+        self.refused = 0
         self._most = most_waiting
         self._waiting: deque[bytes] = deque()
         self._size = 0
-        self._written = 0  # bytes of the first that waits which are in the file already
+        self._written = 0  # bytes of the first waiting record that are in the file already
         self._file: IO[bytes] = open_log(path, buffering=0)
 
     @property
@@ -37,11 +38,11 @@ class LastingLog:
 
     @property
     def records_waiting(self) -> tuple[bytes, ...]:
-        """The records that are in memory only, or not whole in the file."""
+        """The records that are not completely in the file."""
         return tuple(self._waiting)
 
     def append(self, record: bytes) -> bool:
-        """Take a record; False when it is refused. It is in the file after the next `flush` that succeeds."""
+        """Add a record, which the next successful `flush` writes; False where it is refused."""
         if self._size + len(record) > self._most:
             self.refused += len(record)
             return False
@@ -50,7 +51,7 @@ class LastingLog:
         return True
 
     def flush(self) -> None:
-        """Write everything that waits. Raises OSError."""
+        """Write all waiting records. Raises OSError."""
         while self._waiting:
             record = self._waiting[0]
             count = self._file.write(memoryview(record)[self._written :])
@@ -63,8 +64,8 @@ class LastingLog:
                 self._written = 0
 
     def look_after(self) -> bool:
-        """Whether the file is still the one under its name; else it is opened anew, with what it held where that can be
-        read. Raises OSError while its place is gone."""
+        """Whether the open file is still the one at its path; if not, it is created again, with its former content where that can
+        be read. Raises OSError while the folder is missing."""
         try:
             current, ours = self.path.stat(), os.fstat(self._file.fileno())
             if (current.st_dev, current.st_ino) == (ours.st_dev, ours.st_ino):
@@ -82,7 +83,7 @@ class LastingLog:
         return False
 
     def _carry_over(self, new: IO[bytes]) -> None:
-        """What the old file held up to its last whole record; an old disk that is gone has nothing to give."""
+        """Copy the old file up to its last complete record to `new`; nothing where the old disk is gone."""
         try:
             size = os.fstat(self._file.fileno()).st_size - self._written
             for offset in range(0, size, 1 << 20):
@@ -91,7 +92,7 @@ class LastingLog:
             return
 
     def take_waiting(self) -> list[bytes]:
-        """The records that wait, which the caller appends again after what comes before them."""
+        """Remove and return the waiting records; the caller appends them again after earlier ones."""
         records = list(self._waiting)
         self._waiting.clear()
         self._size = self._written = 0
@@ -101,11 +102,11 @@ class LastingLog:
         self._file.truncate(size)
 
     def descriptor(self) -> int:
-        """The open file, for whoever syncs it."""
+        """File descriptor, for `Disk.sync`."""
         return self._file.fileno()
 
     def close(self) -> None:
-        """Write what waits and bring it to the medium; the file is closed in any case."""
+        """Write the waiting records, sync and close; the file is closed even where that raises OSError."""
         try:
             self.flush()
             os.fsync(self._file.fileno())
@@ -114,18 +115,18 @@ class LastingLog:
 
 
 class Disk:
-    """Syncs files, one round at a time. All methods belong to one thread."""
+    """Syncs files in a worker thread, one round at a time. Its methods must be called from one thread."""
 
     def __init__(self) -> None:
         self._worker: ThreadPoolExecutor | None = None
         self._round: Future[None] | None = None
-        self._named: set[Path] = set()  # whose names are on the disk
+        self._named: set[Path] = set()  # files whose folder was synced, so that their names are on the disk
 
     def sync(self, files: Iterable[LastingLog]) -> None:
-        """Begin to sync these files; nothing while the last round still waits for the disk. OSError when that one failed."""
+        """Start to sync these files; does nothing while the last round runs. Raises the OSError of the last round."""
         if self.busy:
             return
-        # Descriptors of its own: the files may be closed meanwhile.
+        # Duplicates, since the files may be closed meanwhile.
         descriptors = [(os.dup(f.descriptor()), f.path) for f in files]
         if not descriptors:
             return
@@ -137,6 +138,7 @@ class Disk:
 
     @property
     def busy(self) -> bool:
+        """Whether a round is running."""
         return self._round is not None and not self._round.done()
 
     def _sync(self, descriptors: list[tuple[int, Path]]) -> None:
@@ -151,7 +153,7 @@ class Disk:
                 os.close(descriptor)
 
     def close(self) -> None:
-        """Wait for the round under way and end the worker."""
+        """Wait for the running round and end the worker."""
         if self._worker is not None:
             self._worker.shutdown(wait=True)
             self._worker = None

@@ -1,4 +1,4 @@
-"""The recorders of one aircraft's sessions: opened when first heard, a bounded number at once, written at the end."""
+"""The recorders of one aircraft's sessions: opened at the first event, a bounded number at once, written at the end."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,7 +14,7 @@ RECORDING = "recording"
 
 
 class Sessions:
-    """Keeps what belongs into recordings. Failures of the disk are noted in `faults`."""
+    """Passes events to the recorders of their sessions. Failures of the disk are noted in `faults`."""
 
     def __init__(self, folder: Path, faults: Faults) -> None:
         self._folder = folder
@@ -40,11 +40,11 @@ class Sessions:
         return self._open[session]
 
     def keep(self, event: ev.Event) -> bool:
-        """Hand an event to the recorder of its session; False when it refuses it, because there were too many."""
+        """Record an event in its session; False where the recorder refuses it, since there were too many."""
         if isinstance(event, ev.ScanReceived):
             try:
                 (self._open.get(event.session) or self.recorder(event.session)).scan(event)
-            except OSError as error:  # cleared by `look_after`, which says that the disk takes it again
+            except OSError as error:  # cleared by `look_after` when the disk works again
                 self._faults.note(RECORDING, error)
             return True
         with self._faults.watch(RECORDING):
@@ -55,25 +55,26 @@ class Sessions:
         return True
 
     def look_after(self) -> None:
-        """Bring what waits to the disk, or say what hinders it."""
+        """Write waiting records of all open journals; an error becomes a fault."""
         for recorder in self._open.values():
             with self._faults.watch(RECORDING):
                 recorder.journal.look_after()
 
     def state(self, accounting: SessionAccounting) -> tuple[int, int] | None:
-        """Scans of a session that are on the disk, and that came down and are not; None for a session put away."""
+        """Number of a session's scans that are on the disk, and of received ones that are not; None for a session without a
+        recorder."""
         recorder = self._open.get(accounting.session)
         if recorder is None:
             return self._closed_states.get(accounting.session)
         return recorder.state(accounting.received)
 
     def note(self, session: ev.Session, text: str) -> None:
-        """Put an event of the reception itself into a session's recording."""
+        """Record a text on the reception in a session."""
         with self._faults.watch(RECORDING):
             self.recorder(session).note(text)
 
     def write(self) -> Iterator[Path]:
-        """Write all recordings as they are now; their paths, of those put away before too."""
+        """Write all recordings as they are now; yields their paths, and those of the closed ones."""
         yield from self._closed_paths
         for recorder in self._open.values():
             yield from self._written(recorder)

@@ -10,7 +10,7 @@ from groundstation.flight.flight import CHANNELS
 from groundstation.flight.quality.repeats import repeats
 from groundstation.importers.columns import flight_columns
 from groundstation.importers.mapping import Map
-from groundstation.importers.series import Log, TimeSeries, held_at, lagged
+from groundstation.importers.series import Log, TimeSeries, held_at, lagged, without_damaged_times
 from groundstation.importers.servos import with_servos
 
 RECORDED = 0.05  # s from one record of an output to the next
@@ -86,3 +86,13 @@ def test_a_command_that_rests_is_neither_stuck_nor_slow(tmp_path: Path) -> None:
     found = repeats(read, "delta_a")
     assert not found.slow
     assert not found.stuck.any()
+
+
+def test_a_command_without_its_damaged_times_is_still_a_command() -> None:
+    sound = outputs()
+    time = sound.time.copy()
+    time[100] = 1e9
+    series, outliers = without_damaged_times({"out": TimeSeries(time, sound.values, command=True, lag=0.05)})
+    assert outliers == 1
+    assert series["out"].time.size == time.size - 1
+    assert (series["out"].command, series["out"].lag) == (True, 0.05)

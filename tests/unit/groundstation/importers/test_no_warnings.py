@@ -5,7 +5,7 @@ import pytest
 
 from groundstation.flight.contradictions import contradictions_of
 from groundstation.importers.draft_names import unit_of
-from groundstation.importers.evidence import _tubes_turned
+from groundstation.importers.evidence import _correct_swapped_tubes
 from groundstation.importers.instances import with_primaries
 from groundstation.importers.series import TimeSeries
 
@@ -24,7 +24,7 @@ def test_a_pitot_that_never_was_is_compared_with_none(second: np.ndarray) -> Non
     }
     series = {n: TimeSeries(TIME, v) for n, v in values.items()}
     assert with_primaries(series).contradictions == ()
-    assert _tubes_turned(dict(series)) == []
+    assert _correct_swapped_tubes(dict(series)) == []
 
 
 def test_units_and_contradictions_of_absurd_values() -> None:
