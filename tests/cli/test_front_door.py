@@ -2,7 +2,7 @@
 
 import inspect
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -19,8 +19,11 @@ from daq.utilities.errors import UserError
 from daq.utilities.outputs import write_json
 from estimation import aircraft as aircraft_room
 from estimation.aircraft import unknown_aircraft
+from estimation.answers import gaps
 from estimation.design import measured_inputs
+from estimation.gap.effects import Effect, catalogue
 from estimation.models import load_model, write_model
+from estimation.models.base import Model
 from estimation.session import runner
 from groundstation.flight import write_flight
 from sideslip.cli import cli
@@ -181,10 +184,18 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
     return made
 
 
+NEAR = ("servo_lag", "rudder_delay", "Cn_da", "Cl_betadot", "beta_lag", "gust")
+
+
+def asked(files: Iterable[str | Path] = (), model: Model | None = None) -> tuple[Effect, ...]:
+    """Effects of each kind: each is compiled before it is asked."""
+    return tuple(effect for effect in catalogue(files, model) if effect.name in NEAR)
+
+
 @pytest.fixture(scope="module")
 def answers(files: Files) -> Iterator[Callable[[str], Any]]:
     """What Python gives in each case, asked once for all tests; alarms of a watch from a sixth of an hour, what a design says of
-    noisy inputs from three flights."""
+    noisy inputs from three flights, a gap by a few of the effects."""
     found: dict[str, Any] = {}
 
     def answer(name: str) -> Any:
@@ -197,6 +208,7 @@ def answers(files: Files) -> Iterator[Callable[[str], Any]]:
             patch.setattr(threshold, constant, value)
         patch.setattr(measured_inputs, "USUAL_SAMPLES", 0)  # samples; every manoeuvre is a long one
         patch.setattr(measured_inputs, "LEAST_DRAWS", 3)
+        patch.setattr(gaps, "catalogue", asked)
         yield answer
 
 
