@@ -19,8 +19,8 @@ from daq.utilities.errors import UserError
 from daq.utilities.outputs import write_json
 from estimation import aircraft as aircraft_room
 from estimation.aircraft import unknown_aircraft
-from estimation.answers import gaps
 from estimation.design import measured_inputs
+from estimation.gap import effects
 from estimation.gap.effects import Effect, catalogue
 from estimation.models import load_model, write_model
 from estimation.models.base import Model
@@ -208,7 +208,7 @@ def answers(files: Files) -> Iterator[Callable[[str], Any]]:
             patch.setattr(threshold, constant, value)
         patch.setattr(measured_inputs, "USUAL_SAMPLES", 0)  # samples; every manoeuvre is a long one
         patch.setattr(measured_inputs, "LEAST_DRAWS", 3)
-        patch.setattr(gaps, "catalogue", asked)
+        patch.setattr(effects, "catalogue", asked)
         yield answer
 
 
