@@ -6,7 +6,8 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -48,13 +49,19 @@ LIBRARY_THREADS = (
 )
 
 
-@pytest.hookimpl(tryfirst=True)  # before those that -m does not want are left out
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what was long when all tests ran last."""
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Generator[None]:
+    """Mark what was long when all tests ran last, before those that -m does not want are left out. In one of several processes
+    put files with most of that first: a long file that is begun last would keep one core busy and the others waiting."""
     known = long_tests()
     for item in items:
         if item.nodeid in known:
             item.add_marker(pytest.mark.long)
+    yield
+    if hasattr(config, "workerinput"):
+        long = Counter(item.path for item in items if item.get_closest_marker("long"))
+        count = Counter(item.path for item in items)
+        items.sort(key=lambda item: (-long[item.path], -count[item.path]))
 
 
 @pytest.fixture(scope="session", autouse=True)

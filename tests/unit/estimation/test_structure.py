@@ -3,6 +3,7 @@ lacks."""
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -45,6 +46,16 @@ def estimated(
     return runner.estimate(load_model(model, aircraft), flights, aircraft, ("ml",), joint=joint, structure=wish)
 
 
+YAWING = Situation("adverse yaw", hidden={"Cn_da": 0.014})
+
+
+@cache
+def yawing(wish: StructureWish = StructureWish.TEST) -> EstimationSession:
+    """One flight with a hidden yaw by aileron, estimated once for all tests."""
+    flights, aircraft, _ = flown(YAWING)
+    return estimated(flights, aircraft, wish)
+
+
 def test_nothing_is_found_lacking_where_nothing_lacks() -> None:
     flights, aircraft, _ = flown(Situation("plain"))
     found = estimated(flights, aircraft).flights[0]
@@ -58,8 +69,8 @@ def test_nothing_is_found_lacking_where_nothing_lacks() -> None:
 
 
 def test_yaw_by_aileron_is_added_to_the_linear_model_and_its_double_is_named() -> None:
-    flights, aircraft, truth = flown(Situation("adverse yaw", hidden={"Cn_da": 0.014}))
-    found = estimated(flights, aircraft).flights[0]
+    truth = craft_and_file()[0].derivatives
+    found = yawing().flights[0]
     assert found.structure is not None
     assert found.verdict is not None
     assert found.structure.added == ("Cn_da",)
@@ -69,14 +80,11 @@ def test_yaw_by_aileron_is_added_to_the_linear_model_and_its_double_is_named() -
     assert found.verdict.recommended.method == "ml"
     assert not e.identifiable
     assert e.std_coloured >= abs(e.estimate)
-    plain = runner.estimate(
-        load_model("lateral", craft_and_file()[1]), flights, aircraft, ("ml",), structure=StructureWish.OFF
-    )
     for name in ("Cn_beta", "Cl_p", "Cl_da"):
         told = found.results["ml"].parameters[name]
         assert told.identifiable
         assert abs(told.estimate - truth[name]) < 3.0 * told.std_coloured, name
-    before = plain.flights[0].results["ml"].parameters["Cn_beta"].std_coloured
+    before = yawing(StructureWish.OFF).flights[0].results["ml"].parameters["Cn_beta"].std_coloured
     assert found.results["ml"].parameters["Cn_beta"].std_coloured > before
     data = found.structure.to_json()
     assert data["added"] == ["Cn_da"]
@@ -84,7 +92,7 @@ def test_yaw_by_aileron_is_added_to_the_linear_model_and_its_double_is_named() -
 
 
 def test_the_paper_s_model_stays_as_it_is_and_says_what_it_lacks() -> None:
-    flights, aircraft, _ = flown(Situation("adverse yaw", hidden={"Cn_da": 0.014}))
+    flights, aircraft, _ = flown(YAWING)
     found = estimated(flights, aircraft, model="lateral-simple").flights[0]
     assert "Cn_da" not in found.results["ml"].parameters
     assert found.structure is not None
@@ -92,7 +100,7 @@ def test_the_paper_s_model_stays_as_it_is_and_says_what_it_lacks() -> None:
 
 
 def test_a_term_of_the_aircraft_file_is_estimated_from_the_start() -> None:
-    flights, aircraft, _ = flown(Situation("adverse yaw", hidden={"Cn_da": 0.014}))
+    flights, aircraft, _ = flown(YAWING)
     stated = replace(aircraft, derivatives={"Cn_da": PriorDerivative(0.01, 0.01)})
     found = estimated(flights, stated).flights[0]
     e = found.results["ml"].parameters["Cn_da"]
@@ -188,8 +196,7 @@ def test_a_rudder_of_the_other_sign_is_no_aeroplane_s() -> None:
 
 
 def test_off_tests_nothing() -> None:
-    flights, aircraft, _ = flown(Situation("adverse yaw", hidden={"Cn_da": 0.014}))
-    found = estimated(flights, aircraft, StructureWish.OFF)
+    found = yawing(StructureWish.OFF)
     assert found.flights[0].structure is None
     assert "structure" not in found.to_json()["flights"][0]
 
