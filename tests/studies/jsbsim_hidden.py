@@ -128,8 +128,10 @@ def _factor(product: ET.Element, factor: Any) -> None:
     ET.SubElement(product, "property" if isinstance(factor, str) else "value").text = str(factor)
 
 
-def flown(kind: Kind, hidden: Hidden, speed: float, seed: int, folder: Path, all_axes: bool) -> tuple[Columns, Aircraft]:
-    """One flight at 20 Hz without the noise of its instruments, and the aircraft as it is (or weighed, where its mass is hidden)."""
+def flown(
+    kind: Kind, hidden: Hidden, speed: float, seed: int, folder: Path, all_axes: bool
+) -> tuple[Columns, Aircraft]:
+    """One flight at 20 Hz without the noise of its instruments, and the aircraft as it is (its mass as weighed)."""
     rng = np.random.default_rng([seed, 20261128])
     fdm, steps = executive(kind.name, folder), round(DURATION * RATE) + 1
     trim = glide(fdm, speed)
@@ -168,7 +170,9 @@ def flights_of(kind: Kind, hidden: Hidden, seed: int, all_axes: bool) -> tuple[l
         for i, share in enumerate(SPEEDS):
             columns, craft = flown(kind, hidden, share * kind.speed, 10 * seed + i, folder, all_axes)
             rng = np.random.default_rng([10 * seed + i, 7])
-            noisy = {n: v + NOISE.get(n, 0.0) * rng.standard_normal(v.size) for n, v in columns.items() if "_dot" not in n}
+            noisy = {
+                n: v + NOISE.get(n, 0.0) * rng.standard_normal(v.size) for n, v in columns.items() if "_dot" not in n
+            }
             noisy["thrust"] = np.zeros_like(noisy["time"])
             four.append(Flight.build(f"f{i}", noisy.pop("time"), noisy, provenance=Provenance()))
     return four, craft
@@ -205,16 +209,16 @@ def judged(row: Mapping[str, Any]) -> str:
 
 
 def one_line(row: Mapping[str, Any]) -> str:
-    steps = "; ".join(
-        " ".join(
-            [s["effect"], *(f"{v:.3g}+-{s['bounds'][n]:.1g}" for n, v in s["estimates"].items())]
-            + [f"{s['score']}/{s['threshold']} {s['set']} held {s['held']}"]
-        )
-        for s in row["steps"]
-    )
+    """A row as a line of the log."""
     rest = row.get("why") or f"{row['left']} {row['left_what'][:1]} {row['rejected'][:3]} cannot {row['cannot']}"
     where = f"{row['kind']:6s} {row['model'][:4]} {row['base'][:3]} {row['hidden']:14s} {row['seed']}"
+    steps = "; ".join(map(_named, row["steps"]))
     return f"{judged(row):7s} {where} {row['verdict']} [{steps}] {rest} {row.get('seconds')}s"
+
+
+def _named(step: Mapping[str, Any]) -> str:
+    sizes = ", ".join(f"{v:.3g}+-{step['bounds'][n]:.1g}" for n, v in step["estimates"].items())
+    return f"{step['effect']} {sizes} {step['score']}/{step['threshold']} {step['set']} held {step['held']}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
