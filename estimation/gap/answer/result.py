@@ -127,7 +127,7 @@ class EffectStep:
 
     estimates: parameter -> (value, bound). followed: control -> time [s] by which the base had moved it to follow the effect,
     where that is more than sampling leaves open; the gap before is then without it. shape: of an unknown, what could be said
-    of it beyond where it lives.
+    of it beyond where it lives. sampling_bound: of the bounds of times [s], what sampling leaves open, which no flight tells.
     """
 
     effect: str
@@ -148,6 +148,7 @@ class EffectStep:
     equation: str = ""
     practical: str = ""
     followed: Mapping[str, float] = field(default_factory=dict)
+    sampling_bound: float = 0.0
     text: str = ""
     shape: ShapeCurve | LaggedTerm | SwingingTerm | Happened | HeldInstrument | None = None
 

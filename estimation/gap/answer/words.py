@@ -26,6 +26,8 @@ def describe_step(step: EffectStep) -> str:
     )
     label = step.effect if step.form in (step.effect, *step.estimates) else f"{step.effect}, {step.form}"
     text = f"{step.title} ({label}: {numbers}), score {step.score:.1f} against a threshold of {step.threshold:.1f}."
+    if step.sampling_bound:
+        text += f" Of that bound {1e3 * step.sampling_bound:.2g} ms is what sampling leaves open of any time."
     if step.followed:
         shifts = " and ".join(f"{n} by {1e3 * v:.0f} ms" for n, v in step.followed.items())
         text += f" Without it the base moves {shifts} to follow; the gap before it is counted without that."

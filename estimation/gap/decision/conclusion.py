@@ -1,5 +1,6 @@
 """From the state of the search to the answer: facts, decision, steps, models before and after, histories for pictures."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -46,6 +47,7 @@ from estimation.gap.decision.unnamed import (
 from estimation.gap.effects.base import Effect
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
+from estimation.gap.fit.channel_noise import sample_interval
 from estimation.gap.search.accept import estimates_of
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.shapes.search import ShapeSearch
@@ -242,8 +244,12 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
 
 
 def with_final_estimates(step: EffectStep, finding: AcceptedEffect, after: Baseline) -> EffectStep:
-    """A step with the size of its effect in the final model: what was missing beside it when it was found had bent it."""
-    return replace(step, estimates=estimates_of(finding.round_, finding.candidate, after))
+    """A step with the size of its effect in the final model: what was missing beside it when it was found had bent it. The bound
+    of a time has what sampling leaves open in it."""
+    estimates = estimates_of(finding.round_, finding.candidate, after)
+    left_open = after.criteria.timing_share * sample_interval(after.problem.records)
+    times = {n: (v, math.hypot(std, left_open)) for n, (v, std) in estimates.items() if step.units.get(n) == "s"}
+    return replace(step, estimates={**estimates, **times}, sampling_bound=left_open if times else 0.0)
 
 
 def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:

@@ -132,19 +132,33 @@ def shared_inflation(round_: Round) -> dict[tuple[str, str], float]:
     """Inflation by which the gains of the hypotheses are divided when they are weighed against each other.
 
     Rivals with nearly the same signature must be divided by the same number, or its chance differences decide between
-    them: that of the leading hypothesis, unless a hypothesis' own is more than twice as large and its signature another.
-    Delays, lags and plays always take the common one: their scatter on the nulls is that of a small step, not of the full
-    fit they are judged by.
+    them: that of the leading hypothesis, unless a hypothesis' own is more than twice as large and its signature another; then
+    that of the best of those which have its signature. Delays, lags and plays always take the common one: their scatter on the
+    nulls is that of a small step, not of the full fit they are judged by.
     """
-    screen, first = round_.screen, int(np.argmax(round_.gains / round_.inflation))
-    common = float(round_.inflation[first])
-    tied = screen.tied(first, round_.criteria)
-    return {
-        h.key: float(inflation)
-        if inflation > round_.criteria.common_inflation * common and not h.form.nonlinear and not is_tied
-        else common
-        for h, inflation, is_tied in zip(screen.hypotheses, round_.inflation, tied, strict=True)
-    }
+    screen, criteria = round_.screen, round_.criteria
+    order = [int(h) for h in np.argsort(-round_.gains / round_.inflation)]
+    common = float(round_.inflation[order[0]])
+    shared: dict[tuple[str, str], float] = {}
+    quiet: list[int] = []  # linear ones so far that take the common one
+    groups: list[
+        tuple[list[bool], float]
+    ] = []  # of those that do not: who has the signature of the best, its own inflation
+    for h in order:
+        own, hypothesis = float(round_.inflation[h]), screen.hypotheses[h]
+        shared[hypothesis.key] = common
+        if hypothesis.form.nonlinear and h != order[0]:
+            continue
+        if own > criteria.common_inflation * common and not any(tied[h] for tied, _ in groups):
+            tied = screen.tied(h, criteria)
+            if not any(tied[q] for q in quiet):
+                groups.append((tied, own))
+        group = next((inflation for tied, inflation in groups if tied[h]), None)
+        if group is None:
+            quiet.append(h)
+        else:
+            shared[hypothesis.key] = group
+    return shared
 
 
 def individual_inflation(round_: Round) -> dict[tuple[str, str], float]:

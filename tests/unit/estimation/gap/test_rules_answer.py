@@ -125,6 +125,21 @@ def test_the_form_of_an_effect_is_told_where_it_is_one_of_several() -> None:
     assert describe_step(replace(drag, form="CD_abs_beta")).startswith("drag of sideslip (CD_beta2: CD_abs_beta")
 
 
+def test_the_bound_of_a_time_has_what_sampling_leaves_open_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lag of 40 ms in records of 20 Hz was 31 +- 2: how a surface moves between two samples is not known that well."""
+    known = {"elevator_lag": (0.031, 0.002), "k": (1.0, 0.1)}
+    monkeypatch.setattr(concluding, "estimates_of", lambda *_: known)
+    after = stub(criteria=AS_SET, problem=stub(records=[stub(time=np.arange(9) / 20.0)]))
+    late = replace(step("elevator_lag"), units={"elevator_lag": "s", "k": "1"})
+    told = concluding.with_final_estimates(late, stub(round_=None, candidate=None), after)
+    assert told.estimates["elevator_lag"] == (0.031, pytest.approx(np.hypot(0.002, 0.005)))
+    assert told.estimates["k"] == (1.0, 0.1)
+    assert "Of that bound 5 ms is what sampling leaves open" in describe_step(told)
+    plain = concluding.with_final_estimates(replace(late, units={}), stub(round_=None, candidate=None), after)
+    assert plain.estimates == known
+    assert "sampling" not in describe_step(plain)
+
+
 def test_an_unknown_under_its_floor_says_that_its_course_stands_out() -> None:
     """A log of a firmware: a gap of 88.8 under a floor of 234, and an unknown."""
     assert "(a gap of 88.8, 234 with nothing hidden): its course stands out" in describe_step(

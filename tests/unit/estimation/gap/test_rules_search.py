@@ -104,6 +104,20 @@ def test_rivals_of_nearly_one_signature_share_one_inflation_whatever_their_own(c
     assert shared_inflation(round_)[("x", "x")] == used
 
 
+@pytest.mark.parametrize(("cosine", "used"), [(0.88, 2.9), (0.92, 3.0)])
+def test_rivals_of_one_signature_share_theirs_though_it_is_not_the_leaders(cosine: float, used: float) -> None:
+    """A square and a cube of the angle of attack behind a leader that scatters a third as far: 617 and 614 gained, over 3.0 and
+    2.9, the cube was named for chance."""
+    gram = np.eye(3)
+    gram[1, 2] = gram[2, 1] = cosine
+    one = screen([hypothesis("best"), hypothesis("square"), hypothesis("cube")], gram)
+    round_ = stub(
+        screen=one, gains=np.array([500.0, 617.0, 595.0]), inflation=np.array([1.0, 3.0, 2.9]), criteria=AS_SET
+    )
+    found = shared_inflation(round_)
+    assert (found[("square", "square")], found[("cube", "cube")]) == (3.0, used)
+
+
 def test_inflation_divides_what_residuals_gain_and_not_what_priors_do() -> None:
     """A base without the delay moves a surface by 5 prior widths: 25 of a gain of 33, and all else is inflated fourfold."""
     assert deflated(33.0, 25.0, 4.0) == pytest.approx(25.0 + 8.0 / 4.0)
