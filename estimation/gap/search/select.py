@@ -5,21 +5,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import whiteners_for
 from estimation.gap.fit.channel_noise import sample_interval
 from estimation.gap.fit.fitting import fit
-from estimation.gap.fit.problem import prior_cost
-from estimation.gap.records.candidate_model import TIMING
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
-from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, begun_afar, fit_hypothesis, leading
+from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, begun_afar, fit_hypothesis
+from estimation.gap.search.promise import HOPELESS, leading, promise
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import linear_guess
 
 OUT_OF_REACH = 30.0  # of the log evidence: a rival so far behind the best so far that no check of it brings back
-HOPELESS = 0.5  # of the gain that a name needs: a fit whose steps promise less is left where it is
 AGAIN = 8  # steps from where the first fit ended, with another whitening
 
 
@@ -62,8 +59,8 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
     judged: list[FittedHypothesis] = []
     cost_limit = within_reach(base_fit.cost, round_.threshold**2)
     afar = {h: begun_afar(problem, base_fit, hypothesis) for h, hypothesis in enumerate(screen.hypotheses)}
-    further = [h for h, begun in afar.items() if begun is not None]
-    for h in leading(screen, promise(round_), criteria, further):
+    further = [h for h in afar if afar[h] is not None or round_.gains[h] > HOPELESS * criteria.noise_held]
+    for h in leading(screen, promise(round_), round_.threshold, criteria, further):
         hypothesis = screen.hypotheses[h]
         _, model_fit = fit_hypothesis(
             problem, base_fit, hypothesis, linear_guess(screen, problem, h), cost_limit, afar[h]
@@ -100,32 +97,6 @@ def worth_comparing(
 ) -> Sequence[FittedHypothesis]:
     """The candidates, best evidence first, that are compared again with sharper noise; none where none is significant."""
     return sound[: criteria.compared] if any(c.score >= threshold for c in sound) else ()
-
-
-def promise(round_: Round) -> Array:
-    """(hypotheses,) standardised gains by which full fits are chosen: effects that a small step cannot judge (delays, lags,
-    plays) count with either sign, and what makes something late at least with what the base pays for having moved it in time:
-    the residuals that are left there show nothing."""
-    projected, screen = round_.screen.projected(), round_.screen
-    signed_gains = np.array(
-        [
-            projected.gain(screen.span(h)) if hypothesis.form.nonlinear else round_.gains[h]
-            for h, hypothesis in enumerate(screen.hypotheses)
-        ]
-    )
-    # nor does the scatter of a small step on the nulls count against them
-    nonlinear = np.array([h.form.nonlinear for h in screen.hypotheses])
-    shared = float(np.median(round_.inflation))
-    promised = signed_gains / np.where(nonlinear, np.minimum(round_.inflation, shared), round_.inflation)
-    delays = np.array([h.form.late for h in screen.hypotheses])
-    return np.where(delays, np.maximum(promised, moved_in_time(round_)), promised)
-
-
-def moved_in_time(round_: Round) -> float:
-    """What the base pays for surfaces and attitudes that it moved in time (twice a log-likelihood)."""
-    problem, values = round_.baseline.problem, round_.baseline.fit.values
-    shifts = [n for n in problem.free if problem.nuisance(n) and n.startswith(TIMING)]
-    return 2.0 * prior_cost(problem, shifts, values)
 
 
 def shared_inflation(round_: Round) -> dict[tuple[str, str], float]:
