@@ -17,6 +17,7 @@ from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, fr
 from estimation.gap.search.promise import gain_along, leading, promise
 from estimation.gap.search.select import (
     Choice,
+    asked_for_noise,
     credible_set,
     held_first,
     material,
@@ -28,6 +29,7 @@ from estimation.gap.significance.measured_again import own_share
 from estimation.gap.significance.omnibus import Omnibus
 from estimation.gap.significance.screen import Hypothesis, Projected, equivalent_z
 from estimation.models.base import Signal as Variable
+from estimation.models.load import load_model
 from tests.unit.estimation.gap.candidates_by_hand import BASE, candidate, hypothesis, screen, stub
 
 
@@ -57,6 +59,29 @@ def test_what_is_tied_to_the_best_is_fitted_too(cosine: float, fitted: bool) -> 
 def test_what_is_asked_further_is_fitted_however_little_it_promises() -> None:
     linear = screen([hypothesis(f"x{i}") for i in range(3)])
     assert leading(linear, np.array([100.0, 1.0, 2.0]), 4.0, AS_SET, further=[1]) == [0, 1]
+
+
+def test_the_three_of_the_largest_gain_are_asked_whether_the_noise_holds_them() -> None:
+    gains = np.array([60.0, 49.0, 70.0, 80.0, 90.0])
+    assert asked_for_noise(stub(gains=gains, criteria=AS_SET)) == [4, 3, 2]
+    assert asked_for_noise(stub(gains=np.array([49.0, 51.0, 0.0]), criteria=AS_SET)) == [1]
+
+
+def test_what_holds_that_a_control_is_late_stands_beside_it_in_a_coefficient() -> None:
+    """Not what multiplies a control: how far one moves the aircraft says nothing of when."""
+    lateral = load_model("lateral", "cdfp")
+    assert confirm.beside_controls(lateral, {"delta_a"}) == {
+        "Cl_0",
+        "Cl_beta",
+        "Cl_p",
+        "Cl_r",
+        "beta",
+        "p_hat",
+        "r_hat",
+    }
+    by_rudder = confirm.beside_controls(lateral, {"delta_r"})
+    assert {"CY_r", "Cl_p", "Cn_p"} < by_rudder
+    assert not {"Cl_da", "Cl_dr", "Cn_dr"} & by_rudder
 
 
 def test_a_lag_of_the_air_is_always_fitted() -> None:
