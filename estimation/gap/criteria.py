@@ -167,9 +167,7 @@ class Criteria:
         "between nothing hidden and effects that the noise had swallowed; see estimation.gap.search.sharper")
 
     # ---- which hypotheses are fitted, and how they are weighed
-    full_fits: int = criterion(10, "hypotheses", "best by linear theory that get a full fit")
-    always_fitted: int = criterion(4, "hypotheses", "best by linear theory that get one however weak they are")
-    in_sight: float = criterion(0.15, "best gain", "a hypothesis linear in its unknowns that gains less gets none")
+    in_sight: float = criterion(0.15, "best gain", "a hypothesis that promises less by linear theory gets no full fit")
     common_inflation: float = criterion(2.0, "common inflation", "rivals share one unless their own is larger than this")
     prior_width: float = criterion(1.5, "usual sizes", "scale of Student's t, by which an effect's size is believed")
     prior_tail: float = criterion(3.0, "degrees of freedom",

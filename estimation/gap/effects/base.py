@@ -88,16 +88,6 @@ class Form:
         return any(t.kind in ("delay", "lag") for t in self.transforms)
 
     @property
-    def late(self) -> bool:
-        """Whether it makes a control or an instrument late."""
-        return bool(self.output_delays) or self.slows_control
-
-    @property
-    def play(self) -> bool:
-        """Whether it is a play of a control, or a limit of its rate: nothing happens until it is large enough."""
-        return any(t.kind in ("backlash", "deadzone", "rate_limit") for t in self.transforms)
-
-    @property
     def lagging(self) -> bool:
         """Whether forces or moments follow the motion late, by a state of their own, and how late is what is asked."""
         return bool(self.states and self.terms) and all(p.unit == "s" for p in self.parameters)

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.engine.kernel import Array
-from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
 from estimation.gap.fit.baseline import ROUGH, first_values
 from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, freed_by
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.records.candidate_model import awakened
-from estimation.gap.significance.screen import Hypothesis, Screen, equivalent_z, one_sided
+from estimation.gap.significance.screen import Hypothesis, equivalent_z, one_sided
+from estimation.models.base import Model
+from estimation.models.expressions import names_in, products_in
 
 FIRST_STEPS = 5  # from every start; the better end goes on
 STEPS = 30  # in all, along a narrow valley (a slow servo against roll damping): twelve end where rounding had led them
@@ -32,6 +32,10 @@ AT_NOTHING = 1e-3  # usual sizes: so near to none it has shrunk to nothing, and 
 ABOVE = 1.0  # of the log-likelihood: a fit that ends so far above the base, which it holds, is lost
 AFAR = 4.0  # usual sizes: where a lag begins that the base may have taken for slow motion of the aircraft
 FOLLOWS = 1.5  # of the cost of the base: derivatives with a wrong lag of that size cost twice to forty times as much
+LOOK_STEPS, NEARLY = (
+    2,
+    2.0,
+)  # steps after which a fit has to be so near that cost: the right lag is from the first one or two
 STRAYED = 0.5  # of what the model states: a derivative farther from it, and by three bounds, may hold such a lag
 
 
@@ -141,26 +145,40 @@ def begun_afar(problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hypot
     A servo and a roll, one behind the other, look the same when they change places: about a base that took the slow one for the
     aircraft's no step leads to the other order.
     """
-    if not (hypothesis.form.slows_control and strayed(problem, base_fit)):
+    slowed = {t.input for t in hypothesis.form.transforms if t.kind in ("delay", "lag")}
+    if not (slowed and strayed(problem, base_fit, slowed)):
         return None
     none = {p.name: p.null_value(problem.model) for p in hypothesis.form.parameters}
     start = {p.name: min(none[p.name] + AFAR * p.typical, p.upper) for p in hypothesis.form.parameters}
     trial = replace(problem, model=awakened(problem.model, hypothesis.form, start))
     locals_ = [carried_local(local, base_fit.model, trial.model) for local in base_fit.locals]
     held, limit = [n for n in trial.free if n in start or trial.nuisance(n)], FOLLOWS * base_fit.cost
-    first = {**first_values(trial), **start}
-    found = fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ROUGH, held=held, beyond=limit)
-    return None if found.diverged or found.cost > limit else found
+    values, found = {**first_values(trial), **start}, None
+    for steps, most in ((LOOK_STEPS, NEARLY * limit), (FIRST_STEPS - LOOK_STEPS, limit)):
+        found = fit(trial, values, locals_, iterations=steps, enough=ROUGH, held=held, beyond=limit)
+        if found.diverged or found.cost > most:
+            return None
+        values, locals_ = dict(found.values), list(found.locals)
+    return found
 
 
-def strayed(problem: LikelihoodProblem, base_fit: ModelFit) -> bool:
-    """Whether some derivative of the fitted base is far from what the model states: it may hold a control that is late."""
-    starts, std = problem.model.starts(), base_fit.std()
-    stated = {n: starts[n] for n in problem.parameters if not problem.nuisance(n) and starts[n] != 0.0}
-    bounds = problem.criteria.migrated_bounds
-    return not stated or any(
-        abs(base_fit.values[n] - value) > STRAYED * abs(value) + bounds * std[n] for n, value in stated.items()
+def strayed(problem: LikelihoodProblem, base_fit: ModelFit, controls: Collection[str]) -> bool:
+    """Whether some derivative of the fitted base by what moves, in a coefficient that one of the controls changes, is far from
+    what the model states: it may hold that the control is late. How far a control moves the aircraft says nothing of when."""
+    starts, std, bounds = problem.model.starts(), base_fit.std(), problem.criteria.migrated_bounds
+    stated = {n for n in problem.parameters if not problem.nuisance(n) and starts[n] != 0.0}
+    asked = {n: starts[n] for n in stated & beside_controls(problem.base, controls)}
+    return not asked or any(
+        abs(base_fit.values[n] - value) > STRAYED * abs(value) + bounds * std[n] for n, value in asked.items()
     )
+
+
+def beside_controls(model: Model, controls: Collection[str]) -> set[str]:
+    """Names in the lines of a model that hold one of some controls, but for what multiplies any control there."""
+    every = {s.name for s in model.inputs if s.control}
+    lines = [text for text in model.definitions.values() if names_in(text) & set(controls)]
+    effectiveness = {name for text in lines for product in products_in(text) if product & every for name in product}
+    return {name for text in lines for name in names_in(text)} - effectiveness
 
 
 def _nearer(
@@ -253,23 +271,3 @@ def impossible(p: EffectParameter, value: float, none: float) -> str:
     if abs(value - none) < AT_NOTHING * p.typical:
         return f"{p.name} shrinks to nothing"
     return f"{p.name} = {value:.3g} {p.unit} is outside what is physically possible ({lower:g} to {upper:g})"
-
-
-def leading(screen: Screen, gains: Array, criteria: Criteria, further: Collection[int] = ()) -> list[int]:
-    """Indices of the hypotheses worth a full fit: the best by linear score and what is tied to the very best.
-
-    Of those linear in their unknowns, which a full fit hardly changes, only the ones within sight of the best. Plays always: a
-    play smaller than the noise of a surface changes nothing, so that a small step says nothing of one of usual size. Lags of
-    the air too: about a base that has taken one up as damping, a small step of it sets the aircraft swinging. further: asked
-    too.
-    """
-    order = [int(h) for h in np.argsort(-gains)]
-    limit = criteria.in_sight * float(gains[order[0]])
-    always = set(order[: criteria.always_fitted])
-    selected = [
-        h for h in order[: criteria.full_fits] if h in always or screen.hypotheses[h].form.nonlinear or gains[h] > limit
-    ]
-    tied = screen.tied(order[0], criteria)
-    selected += [h for h in order[len(selected) :] if h not in selected and tied[h]]
-    asked = [x.form.play or x.form.lagging or h in further for h, x in enumerate(screen.hypotheses)]
-    return [*selected, *(h for h, is_asked in enumerate(asked) if is_asked and h not in selected)]

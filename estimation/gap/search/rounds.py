@@ -18,7 +18,15 @@ from estimation.gap.fit.baseline import Baseline, deeper_fit, fit_baseline
 from estimation.gap.fit.channel_noise import sample_interval
 from estimation.gap.search.accept import accept, confirmed, own_inflation
 from estimation.gap.search.confirm import FittedHypothesis, assess, fit_hypothesis
-from estimation.gap.search.select import Choice, choose, control_noise, individual_inflation, material, within_reach
+from estimation.gap.search.select import (
+    Choice,
+    by_derivatives,
+    choose,
+    control_noise,
+    individual_inflation,
+    material,
+    within_reach,
+)
 from estimation.gap.search.sharper import sharper_base
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
 from estimation.gap.shapes.places import ModelMotion, places_of, rank
@@ -89,7 +97,7 @@ def _rival(
     candidates, needed = [], gain / own_inflation(old.candidate) + criteria.exchange
     for h in questioners(gains / scatter, criteria):
         hypothesis = screen.hypotheses[h]
-        if hypothesis.key != old.candidate.hypothesis.key:
+        if hypothesis.key != old.candidate.hypothesis.key and not by_derivatives(hypothesis):
             guess = linear_guess(screen, problem, h)
             _, fitted = fit_hypothesis(problem, without.fit, hypothesis, guess, within_reach(without.fit.cost, needed))
             rival = assess(problem, without.fit, hypothesis, fitted, float(scatter[h]))

@@ -5,21 +5,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import whiteners_for
 from estimation.gap.fit.channel_noise import sample_interval
 from estimation.gap.fit.fitting import fit
-from estimation.gap.fit.problem import prior_cost
-from estimation.gap.records.candidate_model import TIMING
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
-from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, begun_afar, fit_hypothesis, leading
+from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, begun_afar, fit_hypothesis
+from estimation.gap.search.promise import HOPELESS, leading, promise
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.screen import linear_guess
+from estimation.gap.significance.screen import Hypothesis, linear_guess
 
 OUT_OF_REACH = 30.0  # of the log evidence: a rival so far behind the best so far that no check of it brings back
-HOPELESS = 0.5  # of the gain that a name needs: a fit whose steps promise less is left where it is
+ASKED = 3  # hypotheses, of the largest gain, whether the noise has swallowed them: rivals of one form are alike
 AGAIN = 8  # steps from where the first fit ended, with another whitening
 
 
@@ -53,32 +51,48 @@ class Choice:
 
 def choose(round_: Round, prepared: FlightRecords) -> Choice:
     """Fit the leading hypotheses in full and weigh them."""
-    problem, base_fit, screen = round_.baseline.problem, round_.baseline.fit, round_.screen
-    criteria = round_.criteria
-    if not screen.hypotheses:
+    if not round_.screen.hypotheses:
         return Choice((), {}, ())
-    inflation, individual = shared_inflation(round_), individual_inflation(round_)
-    interval, noise = sample_interval(problem.records), control_noise(problem.records)
-    judged: list[FittedHypothesis] = []
-    cost_limit = within_reach(base_fit.cost, round_.threshold**2)
-    afar = {h: begun_afar(problem, base_fit, hypothesis) for h, hypothesis in enumerate(screen.hypotheses)}
-    further = [h for h, begun in afar.items() if begun is not None]
-    for h in leading(screen, promise(round_), criteria, further):
-        hypothesis = screen.hypotheses[h]
-        _, model_fit = fit_hypothesis(
-            problem, base_fit, hypothesis, linear_guess(screen, problem, h), cost_limit, afar[h]
-        )
-        candidate = assess(
-            problem, base_fit, hypothesis, model_fit, inflation[hypothesis.key], individual[hypothesis.key]
-        )
-        judged.append(material(candidate, interval, noise, criteria))
-        if not judged[-1].why_not:
-            cost_limit = min(cost_limit, model_fit.cost + OUT_OF_REACH * max(inflation.values()))
+    criteria, inflation = round_.criteria, shared_inflation(round_)
+    judged, rejected = judged_hypotheses(round_, inflation)
     admissible = sorted((c for c in judged if not c.why_not), key=lambda c: -c.evidence)
-    rejected = [Rejected(c.hypothesis.label, c.why_not) for c in judged if c.why_not]
+    rejected += [Rejected(c.hypothesis.label, c.why_not) for c in judged if c.why_not]
     close = worth_comparing(admissible, round_.threshold, criteria)
     ranked = _compared_again(round_, prepared, close, inflation) if close else tuple(admissible)
     return Choice(held_first(ranked, criteria), _weights(ranked), tuple(rejected))
+
+
+def judged_hypotheses(
+    round_: Round, inflation: Mapping[tuple[str, str], float]
+) -> tuple[list[FittedHypothesis], list[Rejected]]:
+    """The leading hypotheses with their full fits, and those that need none to be rejected."""
+    problem, base_fit, screen = round_.baseline.problem, round_.baseline.fit, round_.screen
+    criteria, individual = round_.criteria, individual_inflation(round_)
+    interval, noise = sample_interval(problem.records), control_noise(problem.records)
+    judged: list[FittedHypothesis] = []
+    rejected: list[Rejected] = []
+    cost_limit = within_reach(base_fit.cost, round_.threshold**2)
+    afar = {h: begun_afar(problem, base_fit, hypothesis) for h, hypothesis in enumerate(screen.hypotheses)}
+    further = [*(h for h in afar if afar[h] is not None), *asked_for_noise(round_)]
+    for h in leading(screen, promise(round_), round_.threshold, criteria, further):
+        hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, h)
+        if carried := by_derivatives(hypothesis):
+            rejected.append(Rejected(hypothesis.label, carried))
+            continue
+        _, model_fit = fit_hypothesis(problem, base_fit, hypothesis, guess, cost_limit, afar[h])
+        key = hypothesis.key
+        candidate = assess(problem, base_fit, hypothesis, model_fit, inflation[key], individual[key])
+        judged.append(material(candidate, interval, noise, criteria))
+        if not judged[-1].why_not:
+            cost_limit = min(cost_limit, model_fit.cost + OUT_OF_REACH * max(inflation.values()))
+    return judged, rejected
+
+
+def asked_for_noise(round_: Round) -> list[int]:
+    """Indices of the hypotheses of the largest gain, whatever the nulls scatter, where it may be that the noise of the base has
+    swallowed an effect (`sharper_base`)."""
+    largest = np.argsort(-round_.gains)[:ASKED]
+    return [int(h) for h in largest if round_.gains[h] > HOPELESS * round_.criteria.noise_held]
 
 
 def held_first(ranked: Sequence[FittedHypothesis], criteria: Criteria) -> tuple[FittedHypothesis, ...]:
@@ -100,32 +114,6 @@ def worth_comparing(
 ) -> Sequence[FittedHypothesis]:
     """The candidates, best evidence first, that are compared again with sharper noise; none where none is significant."""
     return sound[: criteria.compared] if any(c.score >= threshold for c in sound) else ()
-
-
-def promise(round_: Round) -> Array:
-    """(hypotheses,) standardised gains by which full fits are chosen: effects that a small step cannot judge (delays, lags,
-    plays) count with either sign, and what makes something late at least with what the base pays for having moved it in time:
-    the residuals that are left there show nothing."""
-    projected, screen = round_.screen.projected(), round_.screen
-    signed_gains = np.array(
-        [
-            projected.gain(screen.span(h)) if hypothesis.form.nonlinear else round_.gains[h]
-            for h, hypothesis in enumerate(screen.hypotheses)
-        ]
-    )
-    # nor does the scatter of a small step on the nulls count against them
-    nonlinear = np.array([h.form.nonlinear for h in screen.hypotheses])
-    shared = float(np.median(round_.inflation))
-    promised = signed_gains / np.where(nonlinear, np.minimum(round_.inflation, shared), round_.inflation)
-    delays = np.array([h.form.late for h in screen.hypotheses])
-    return np.where(delays, np.maximum(promised, moved_in_time(round_)), promised)
-
-
-def moved_in_time(round_: Round) -> float:
-    """What the base pays for surfaces and attitudes that it moved in time (twice a log-likelihood)."""
-    problem, values = round_.baseline.problem, round_.baseline.fit.values
-    shifts = [n for n in problem.free if problem.nuisance(n) and n.startswith(TIMING)]
-    return 2.0 * prior_cost(problem, shifts, values)
 
 
 def shared_inflation(round_: Round) -> dict[tuple[str, str], float]:
@@ -176,6 +164,13 @@ def control_noise(records: Sequence[FlightRecord]) -> dict[str, float]:
     return {n: float(np.median([r.input_noise.get(n, 0.0) for r in records])) for n in records[0].inputs}
 
 
+def by_derivatives(hypothesis: Hypothesis) -> str:
+    """Why a hypothesis that derivatives of the base carry already is none, or nothing: what is left of its signature is the
+    curvature of the equations, which anything bent explains as well."""
+    tied = hypothesis.effect.tied_to
+    return f"cannot be told from {', '.join(tied)}" if tied else ""
+
+
 def material(
     candidate: FittedHypothesis, interval: float, noise: Mapping[str, float], criteria: Criteria
 ) -> FittedHypothesis:
@@ -184,9 +179,8 @@ def material(
     than the noise of its control. noise: input -> standard deviation."""
     if candidate.why_not:
         return candidate
-    tied = candidate.hypothesis.effect.tied_to
-    if tied:  # what is left of its signature is the curvature of the equations, which anything bent explains as well
-        return replace(candidate, why_not=f"cannot be told from {', '.join(tied)}")
+    if carried := by_derivatives(candidate.hypothesis):
+        return replace(candidate, why_not=carried)
     if candidate.size < criteria.immaterial:
         return replace(candidate, why_not=f"fits {candidate.size:.0%} of its usual size: too small to matter")
     delays = [t.parameters[0] for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")]
@@ -220,10 +214,11 @@ def _compared_again(
     )
     sharper = replace(problem, whiteners=whiteners)
     base_fit = fit(sharper, round_.baseline.fit.values, round_.baseline.fit.locals, iterations=AGAIN)
-    result = []
+    result, limit = [], np.inf
     for candidate in sound:
-        trial = replace(sharper, model=candidate.fit.model)
-        model_fit = fit(trial, candidate.fit.values, candidate.fit.locals, iterations=AGAIN, enough=ENOUGH)
+        first, trial = candidate.fit, replace(sharper, model=candidate.fit.model)
+        model_fit = fit(trial, first.values, first.locals, iterations=AGAIN, enough=ENOUGH, beyond=limit)
+        limit = min(limit, model_fit.cost + OUT_OF_REACH * max(inflation.values()))
         fresh = assess(sharper, base_fit, candidate.hypothesis, model_fit, inflation[candidate.hypothesis.key])
         candidate_noise = noise if candidate is leader else None
         result.append(replace(fresh, score=candidate.score, gain=candidate.gain, noise=candidate_noise))

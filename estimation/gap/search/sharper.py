@@ -16,10 +16,9 @@ from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import ModelFit
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.fit.whitener import Whitener
-from estimation.gap.search.select import Choice
+from estimation.gap.search.select import ASKED, Choice
 from estimation.gap.significance.calibration import Round
 
-ASKED = 3  # hypotheses, of the largest gain: rivals of one form are alike
 WORTH = 0.5  # of what decides: chance gains a third of that with the noise of the base, an effect that is worth it more
 
 

@@ -8,7 +8,6 @@ lag does that, so it is asked by itself: an oscillator at every one of some freq
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import groupby
 
 import numpy as np
@@ -21,6 +20,7 @@ from estimation.gap.shapes.places import ACCELERATIONS, ModelMotion, Place, rank
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent
+from estimation.signals.first_order import decaying_sum
 
 TIMES = (0.05, 0.1, 0.2, 0.5, 1.0)  # s, each twice the one before or so: signatures of neighbours are much alike
 SLOWEST = 2.0  # rad/s: a swing in three seconds; slower ones are motions of the aircraft itself
@@ -35,10 +35,8 @@ NEEDED = 9.0  # twice a log-likelihood: three standard deviations of one more un
 def lag_behind(course: Array, time: Array, memory: float) -> Array:
     """(N,) how far a first-order lag [s] of a course (N,) is behind it, begun at rest."""
     keep = float(np.exp(-np.median(np.diff(time)) / memory))
-    from scipy.signal import lfilter  # here: only where nothing named is found, and half a second to import
-
-    follower, _ = lfilter([1.0 - keep], [1.0, -keep], course, zi=[keep * course[0]])
-    return np.asarray(follower - course)
+    departure = course - course[0]
+    return np.asarray(decaying_sum(keep, (1.0 - keep) * departure) - departure)
 
 
 def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> LaggedTerm | None:
@@ -92,20 +90,19 @@ class _AtOnce:
 
 
 def oscillator(course: Array, time: Array, frequency: float, damping: float) -> Array:
-    """(N,) what an oscillator of unit size makes of a course (N,) that is straight between samples, begun at rest where it is."""
-    from scipy.signal import lfilter
+    """(N,) what an oscillator of unit size makes of a course (N,) that is straight between samples, begun at rest where it is.
 
-    numerator, denominator = _recursion(float(np.median(np.diff(time))), frequency, damping)
-    return np.asarray(course[0] + lfilter(numerator, denominator, course - course[0]))
-
-
-@lru_cache(maxsize=256)
-def _recursion(step: float, frequency: float, damping: float) -> tuple[Array, Array]:
-    from scipy.signal import cont2discrete
-
-    square = frequency * frequency
-    numerator, denominator, _ = cont2discrete(([square], [1.0, 2.0 * damping * frequency, square]), step, method="foh")
-    return np.ravel(numerator), np.ravel(denominator)
+    By its complex pole, damped less than critically: the response is the imaginary part of one first-order lag.
+    """
+    step, departure = float(np.median(np.diff(time))), course - course[0]
+    ringing = frequency * np.sqrt(1.0 - damping**2)
+    pole = complex(-damping * frequency, ringing)
+    keep = np.exp(pole * step)
+    at_once = (keep - 1.0 - pole * step) / (pole**2 * step)  # of the value at the end of a step
+    before = (keep - 1.0) / pole - at_once  # of that at its beginning
+    drive = at_once * departure
+    drive[1:] += before * departure[:-1]
+    return np.asarray(course[0] + frequency**2 / ringing * decaying_sum(keep, drive).imag)
 
 
 def frequencies(time: Array) -> Array:

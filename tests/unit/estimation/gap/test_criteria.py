@@ -58,7 +58,7 @@ def test_whole_numbers_move_by_one_and_quantiles_by_what_is_beyond_them() -> Non
     assert moved(known["rivals"]) == (5, 7)
     assert moved(known["floor_level"]) == pytest.approx((0.9675, 0.9825))
     assert moved(known["strong"]) == pytest.approx((1.05, 1.95))
-    assert [shifted(known["always_fitted"], f) for f in (0.7, 1.4)] == [2, 6]
+    assert [shifted(known["rivals"], f) for f in (0.7, 1.4)] == [4, 9]
     assert [shifted(known["floor_level"], f) for f in (0.7, 1.4)] == pytest.approx([0.9825, 0.965])
 
 

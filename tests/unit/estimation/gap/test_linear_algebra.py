@@ -16,7 +16,7 @@ from estimation.gap.fit.spectra import (
     whitener,
 )
 from estimation.gap.fit.whitener import Slack, Whitener, spectrum_of
-from estimation.gap.search.confirm import leading
+from estimation.gap.search.promise import leading
 from estimation.gap.search.select import credible_set
 from estimation.gap.significance.calibration import upper_quantile
 from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Screen, equivalent_z
@@ -162,24 +162,20 @@ def test_upper_quantile_is_never_below_the_samples_own() -> None:
     assert upper_quantile(values, 0.95) == pytest.approx(3.0 - 0.3 * np.log(-np.log(0.95)), abs=0.08)
 
 
-def test_plays_and_lags_of_the_air_get_a_full_fit_whatever_a_small_step_says() -> None:
+def test_of_the_catalogue_the_lag_of_the_air_alone_gets_a_full_fit_whatever_it_promises() -> None:
     """And nothing else does: a stall far from any would be bent to the noise of every flight."""
     hypotheses = tuple(Hypothesis(e, f) for e in catalogue() for f in e.forms)
     columns = tuple(HypothesisColumn(h, p) for h, x in enumerate(hypotheses) for p in x.form.parameters)
     k = len(columns)
     screen = Screen((), hypotheses, columns, (np.eye(k + 1),), np.zeros((k + 1, k + 1)), (0,))
-    plays = {  # and the lag
-        h
-        for h, x in enumerate(hypotheses)
-        if x.effect.name in ("aileron_backlash", "rudder_backlash", "aileron_deadzone", "indicial_lag")
-    }
-    assert len(plays) == 4
-    gains = np.array([0.0 if h in plays else 100.0 - h for h in range(len(hypotheses))])
-    chosen = leading(screen, gains, AS_SET)
-    assert plays < set(chosen)
-    assert len(chosen) == len(set(chosen)) <= 14
-    gains[list(plays)] = 200.0
-    assert sorted(leading(screen, gains, AS_SET)[:4]) == sorted(plays), "and once only"
+    (lag,) = (h for h, x in enumerate(hypotheses) if x.effect.name == "indicial_lag")
+    assert leading(screen, np.zeros(len(hypotheses)), 4.0, AS_SET) == [lag]
+    first, second = [h for h in range(3) if h != lag][:2]
+    promised = np.zeros(len(hypotheses))
+    promised[[first, second]] = 100.0, 90.0
+    assert leading(screen, promised, 4.0, AS_SET) == [first, second, lag]
+    promised[lag] = 200.0
+    assert leading(screen, promised, 4.0, AS_SET) == [lag, first, second], "and once only"
 
 
 @pytest.mark.parametrize("count", [9, 10])

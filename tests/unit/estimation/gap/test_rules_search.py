@@ -12,13 +12,15 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.steps import misfit_of
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.search import confirm
-from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, freed_by, impossible, leading, price
+from estimation.gap.search import promise as promising
+from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, freed_by, impossible, price
+from estimation.gap.search.promise import gain_along, leading, promise
 from estimation.gap.search.select import (
     Choice,
+    asked_for_noise,
     credible_set,
     held_first,
     material,
-    promise,
     shared_inflation,
     within_reach,
     worth_comparing,
@@ -27,62 +29,106 @@ from estimation.gap.significance.measured_again import own_share
 from estimation.gap.significance.omnibus import Omnibus
 from estimation.gap.significance.screen import Hypothesis, Projected, equivalent_z
 from estimation.models.base import Signal as Variable
+from estimation.models.load import load_model
 from tests.unit.estimation.gap.candidates_by_hand import BASE, candidate, hypothesis, screen, stub
 
 
 # ------------------------------------------------------------------------------------------------ which are fitted in full
-def test_the_ten_best_get_a_full_fit() -> None:
-    delays = [hypothesis(f"d{i}", "delay") for i in range(15)]
-    assert leading(screen(delays), 100.0 - np.arange(15.0), AS_SET) == list(range(10))
+def test_none_is_fitted_that_promises_half_of_what_a_name_needs_at_the_most() -> None:
+    linear = screen([hypothesis(f"x{i}") for i in range(4)])
+    assert leading(linear, np.array([7.9, 7.9, 1.0, 0.0]), 4.0, AS_SET) == []
+    assert leading(linear, np.array([7.9, 8.1, 8.2, 0.0]), 4.0, AS_SET) == [2, 1]
 
 
-def test_four_get_one_however_weak_and_others_where_they_gain_a_share_of_the_best() -> None:
+def test_others_are_fitted_where_they_promise_a_share_of_the_best() -> None:
     linear = screen([hypothesis(f"x{i}") for i in range(9)])
-    weak = np.array([100.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    assert leading(linear, weak, AS_SET) == [0, 1, 2, 3]
     near = np.array([100.0, 99.0, 98.0, 97.0, 17.0, 16.0, 14.0, 13.0, 12.0])
-    assert leading(linear, near, AS_SET) == [0, 1, 2, 3, 4, 5]
+    assert leading(linear, near, 4.0, AS_SET) == [0, 1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize(("cosine", "fitted"), [(0.88, False), (0.92, True)])
 def test_what_is_tied_to_the_best_is_fitted_too(cosine: float, fitted: bool) -> None:
     gram = np.eye(13)
     gram[0, 11] = gram[11, 0] = cosine
-    chosen = leading(screen([hypothesis(f"x{i}") for i in range(12)], gram), 100.0 - np.arange(12.0), AS_SET)
-    assert (11 in chosen) is fitted
+    promised = np.array([100.0, *np.zeros(11)])
+    tied = screen([hypothesis(f"x{i}") for i in range(12)], gram)
+    assert (11 in leading(tied, promised, 4.0, AS_SET)) is fitted
+    assert leading(tied, promised, 15.0, AS_SET) == [], "nor is anything tied to one that is hopeless"
 
 
-def test_a_play_is_always_fitted() -> None:
-    hypotheses = [*(hypothesis(f"x{i}") for i in range(12)), hypothesis("play", "backlash")]
-    assert 12 in leading(screen(hypotheses), np.array([*(100.0 - np.arange(12.0)), 0.0]), AS_SET)
+def test_what_is_asked_further_is_fitted_however_little_it_promises() -> None:
+    linear = screen([hypothesis(f"x{i}") for i in range(3)])
+    assert leading(linear, np.array([100.0, 1.0, 2.0]), 4.0, AS_SET, further=[1]) == [0, 1]
+
+
+def test_the_three_of_the_largest_gain_are_asked_whether_the_noise_holds_them() -> None:
+    gains = np.array([60.0, 49.0, 70.0, 80.0, 90.0])
+    assert asked_for_noise(stub(gains=gains, criteria=AS_SET)) == [4, 3, 2]
+    assert asked_for_noise(stub(gains=np.array([49.0, 51.0, 0.0]), criteria=AS_SET)) == [1]
+
+
+def test_what_holds_that_a_control_is_late_stands_beside_it_in_a_coefficient() -> None:
+    """Not what multiplies a control: how far one moves the aircraft says nothing of when."""
+    lateral = load_model("lateral", "cdfp")
+    assert confirm.beside_controls(lateral, {"delta_a"}) == {
+        "Cl_0",
+        "Cl_beta",
+        "Cl_p",
+        "Cl_r",
+        "beta",
+        "p_hat",
+        "r_hat",
+    }
+    by_rudder = confirm.beside_controls(lateral, {"delta_r"})
+    assert {"CY_r", "Cl_p", "Cn_p"} < by_rudder
+    assert not {"Cl_da", "Cl_dr", "Cn_dr"} & by_rudder
 
 
 def test_a_lag_of_the_air_is_always_fitted() -> None:
-    """Not one of an instrument, which a small step tells."""
+    """Not one of an instrument, which linear theory tells."""
     wake = Variable("beta_wake", "rad", start="beta")
     parameter = EffectParameter("tau", "s", 0.1, 0.01, 0.6)
     air = Form("air", (parameter,), terms={"Cl": ("Cl_beta*(beta_wake - beta)",)}, states=(wake,))
     shown = Form("shown", (parameter,), outputs={"beta": "beta_wake"}, states=(wake,))
     effects = [Effect(f.label, "", Group.UNSTEADY, "", "", "", "", {}, "", (f,)) for f in (air, shown)]
     hypotheses = [*(hypothesis(f"x{i}") for i in range(12)), *(Hypothesis(e, e.forms[0]) for e in effects)]
-    chosen = leading(screen(hypotheses), np.array([*(100.0 - np.arange(12.0)), 0.0, 0.0]), AS_SET)
+    chosen = leading(screen(hypotheses), np.array([*(100.0 - np.arange(12.0)), 0.0, 0.0]), 4.0, AS_SET)
     assert (12 in chosen, 13 in chosen) == (True, False)
 
 
-def test_nonlinear_hypotheses_promise_either_sign_and_are_not_held_against_their_scatter() -> None:
-    gram = np.eye(3)
-    gram[:2, 2] = gram[2, :2] = -6.0
-    one = screen([hypothesis("x"), hypothesis("late", "delay")], gram)
-    baseline = stub(
-        problem=stub(free=("timing_x", "a"), nuisance=lambda n: n != "a", prior=lambda n: (0.0, 0.005)), fit=stub()
-    )
-    baseline.fit.values = {"timing_x": 0.0, "a": 1.0}
-    round_ = stub(screen=one, gains=np.zeros(2), inflation=np.array([1.0, 9.0]), baseline=baseline)
-    assert promise(round_) == pytest.approx([0.0, 36.0 / 5.0])
-    baseline.fit.values["timing_x"] = 0.025
-    assert promise(round_) == pytest.approx([0.0, 25.0]), (
-        "the base had moved it in time by five widths of what is believed"
-    )
+def test_what_a_small_step_does_not_tell_promises_what_it_gains_at_its_best_size(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """And its scatter on the nulls, that of a small step, is not held against it."""
+    monkeypatch.setattr(promising, "gains_at_sizes", lambda round_: np.array([0.0, 40.0, 3.0]))
+    kinds = screen([hypothesis("x"), hypothesis("play", "backlash"), hypothesis("late", "delay")])
+    round_ = stub(screen=kinds, gains=np.array([8.0, 0.0, 10.0]), inflation=np.array([2.0, 9.0, 1.0]))
+    assert promise(round_) == pytest.approx([4.0, 20.0, 10.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ([[1.0, 0.0], [8.0, 0.0]], 25.0),  # between the sizes on one straight line: all of it
+        ([[1.0, 0.0], [1.0, 9.0]], 9.0),  # away from the residuals beyond the first size: what that gains
+        ([[0.0, 1.0], [8.0, 1.0]], 24.0),  # no small step gains anything; the usual size does
+        ([[0.5, 0.0], [1.25, 0.0]], 25.0),  # beyond the last size, straight on
+        ([[-1.0, 0.0], [-9.0, 0.0]], 0.0),  # the other way only
+    ],
+)
+def test_the_gain_along_a_hypothesis_is_that_at_its_best_point(changes: list[list[float]], expected: float) -> None:
+    """Residuals (5, 0): energy of 25 before."""
+    columns, residuals = np.array(changes).T, np.array([5.0, 0.0])
+    assert gain_along(columns.T @ columns, columns.T @ residuals) == pytest.approx(expected)
+
+
+def test_sizes_of_a_control_made_late_or_with_play_are_followed_and_those_of_an_output_are_not() -> None:
+    parameter = EffectParameter("x", "s", 0.1, 0.0, 1.0)
+    assert promising.is_bent(hypothesis("late", "delay").form)
+    assert promising.is_bent(hypothesis("play", "backlash").form)
+    assert promising.is_bent(Form("flow", (parameter,), states=(Variable("wake", "rad", start="beta"),)))
+    assert not promising.is_bent(Form("shown", (parameter,), output_delays={"beta": "x"}))
+    assert not promising.is_bent(hypothesis("x").form)
 
 
 # ------------------------------------------------------------------------------------------------ how they are weighed
