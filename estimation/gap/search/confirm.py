@@ -157,7 +157,7 @@ def strayed(problem: LikelihoodProblem, base_fit: ModelFit) -> bool:
     """Whether some derivative of the fitted base is far from what the model states: it may hold a control that is late."""
     starts, std = problem.model.starts(), base_fit.std()
     stated = {n: starts[n] for n in problem.parameters if not problem.nuisance(n) and starts[n] != 0.0}
-    bounds = problem.criteria.migrated_bounds
+    bounds = problem.criteria.certain
     return not stated or any(
         abs(base_fit.values[n] - value) > STRAYED * abs(value) + bounds * std[n] for n, value in stated.items()
     )

@@ -84,7 +84,7 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
 def held_first(ranked: Sequence[FittedHypothesis], criteria: Criteria) -> tuple[FittedHypothesis, ...]:
     """The candidates in their order, but a derivative that the base holds at a number before a term that it lacks, where it gains
     as much: at one angle of attack a `Cn_beta` that is off and a `Cn_alpha_beta` leave the same, and chance would decide."""
-    held = [c for c in ranked if c.hypothesis.form.frees and c.gain >= ranked[0].gain - criteria.exchange]
+    held = [c for c in ranked if c.hypothesis.form.frees and c.gain >= ranked[0].gain - criteria.certain**2]
     if not held or ranked[0].hypothesis.form.frees:
         return tuple(ranked)
     return (held[0], *(c for c in ranked if c is not held[0]))
@@ -140,9 +140,7 @@ def shared_inflation(round_: Round) -> dict[tuple[str, str], float]:
     common = float(round_.inflation[first])
     tied = screen.tied(first, round_.criteria)
     return {
-        h.key: float(inflation)
-        if inflation > round_.criteria.common_inflation * common and not h.form.nonlinear and not is_tied
-        else common
+        h.key: float(inflation) if inflation > common and not h.form.nonlinear and not is_tied else common
         for h, inflation, is_tied in zip(screen.hypotheses, round_.inflation, tied, strict=True)
     }
 
