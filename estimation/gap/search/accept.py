@@ -109,7 +109,7 @@ def size_is_known(estimates: Mapping[str, tuple[float, float]], none: Mapping[st
 
 def explains(gain: float, nameless: float, criteria: Criteria) -> bool:
     """Whether a hypothesis gains nearly what the best nameless term does (both twice a log-likelihood)."""
-    return gain >= criteria.closed_share * nameless
+    return gain >= criteria.named_share * nameless
 
 
 def doubtful(candidate: FittedHypothesis, shape: float, threshold: float, criteria: Criteria) -> bool:

@@ -165,7 +165,7 @@ def _best(
     remeasured = MeasuredAgain(baseline, task.seed)
     for i in sorted(fits, key=lambda k: -fits[k].gain):
         fitted = fits[i]
-        if fitted.gain < criteria.closed_share * term:
+        if fitted.gain < criteria.named_share * term:
             reason = f"explains only {fitted.gain / term:.0%} of what a nameless term or swing does"
             attempts.append(Tried(ranking.places[i], fitted.gain, reason))
             continue
@@ -211,7 +211,7 @@ def best_term(round_: Round) -> float:
 
 def runners_up(best: FittedIncrement, others: Sequence[FittedIncrement], criteria: Criteria) -> list[FittedIncrement]:
     """Other places that gain nearly as much, most first."""
-    rivals = [f for f in others if f.gain >= criteria.closed_share * best.gain]
+    rivals = [f for f in others if f.gain >= criteria.named_share * best.gain]
     return sorted(rivals, key=lambda f: -f.gain)
 
 

@@ -47,8 +47,8 @@ SETTING: Any = stub(options=Options())
 
 
 # ------------------------------------------------------------------------------------------------ when one is accepted
-@pytest.mark.parametrize(("gain", "enough"), [(69.0, False), (71.0, True)])
-def test_a_name_gains_seven_tenths_of_what_a_nameless_term_does(gain: float, enough: bool) -> None:
+@pytest.mark.parametrize(("gain", "enough"), [(73.0, False), (77.0, True)])
+def test_a_name_gains_three_quarters_of_what_a_nameless_term_does(gain: float, enough: bool) -> None:
     assert explains(gain, 100.0, AS_SET) is enough
 
 
