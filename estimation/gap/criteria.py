@@ -57,15 +57,10 @@ class Criteria:
         "a control that does less than that besides following the motion says nothing of when it moves",
         "between elevators that only hold an attitude (0.1 to 0.3) and doublets of 0.9 deg beside that (1.1), 2026-11-25")
     missing_share: float = criterion(0.02, "samples", "a channel that lacks more of them is named")
-    fewest_samples: int = criterion(10, "samples", "fewer than these are not judged")
-    repeat_level: float = criterion(0.995, "quantile of the nulls",
-        "a flight farther from the others than this does not repeat them",
-        "theory: one false note in 200 sets of flights")
     louder_channel: float = criterion(1.5, "usual standard deviations",
         "a channel noisier than that has a noise of its own on this flight", CHAIN)
 
     # ---- what every fit carries along
-    bias_share: float = criterion(1.0, "noise of the channel", "prior width of an instrument's bias on one flight")
     timing_share: float = criterion(0.1, "sample intervals",
         "prior width of the time at which a surface or a filtered attitude moves, gyros show turning, or moments act",
         "raised from 0.05 with the first benchmark (2026-11-21), reason not on record")
@@ -81,14 +76,10 @@ class Criteria:
     curvature_spread: float = criterion(1.5, "monotone cubics",
         "prior width of how much rounder than a cubic a surface moves between samples",
         "widened from 0.5 with the first benchmark (2026-11-21), reason not on record")
-    curvature_limit: float = criterion(6.0, "monotone cubics",
-        "how much rounder than a cubic a surface may move at the most",
-        "by hand: four prior widths")
 
     # ---- the noise of the residuals
-    least_noise: float = criterion(0.25, "variance of the scatter", "the whitener never trusts a channel more than this")
-    own_gyro_noise: float = criterion(0.5, "scatter of the rate",
-        "what of a gyro's noise its filtered attitude does not share, to begin with; sets the floor of that channel", CHAIN)
+    least_scatter: float = criterion(0.5, "scatter",
+        "the whitener trusts no channel more than this, nor does a gyro keep more to itself of what its filtered attitude shows")
     filter_memory: float = criterion(3.0, "s",
         "correlation time of the error of an attitude filter",
         "theory: the inverse of the weight the onboard filter gives to plumb line and compass")
@@ -104,23 +95,18 @@ class Criteria:
         "a jump or kink smaller than that is none",
         "came in with the kinks left open, which took a needless second name from 3 of 4 sets (2026-11-21); the number by "
         "hand")
-    surface_freedom: float = criterion(0.2, "steps",
-        "how far a surface strays between samples where the flights do not tell",
+    step_freedom: float = criterion(0.2, "steps",
+        "how far a surface strays between samples, and what is off next to its jump, where the flights do not tell",
         "0.2 to 0.25 is what flights at 20 Hz with servos of 35 ms tell (docs/gap.md, 2026-11-21)")
-    surface_freedom_least: float = criterion(0.03, "steps", "the same, at the least")
-    surface_freedom_most: float = criterion(0.6, "steps", "the same, at the most")
-    jump_freedom: float = criterion(0.1, "jumps",
-        "what a sample next to a jump may be off where the flights do not tell", CHAIN)
-    jump_freedom_least: float = criterion(0.005, "jumps", "the same, at the least", CHAIN)
-    jump_freedom_most: float = criterion(0.6, "jumps", "the same, at the most", CHAIN)
 
     # ---- nulls and thresholds
     null_level: float = criterion(0.975, "quantile of the nulls",
-        "family-wise, of the largest score: the threshold of a name",
+        "family-wise, of the largest score: of a name, a nameless rest, a shape, an event, an instrument's error, a flight that "
+        "does not repeat; and of the plain gap",
         "one wrong name in 40 sets with nothing hidden, were the nulls exact; raised from 0.95 (2026-11-21)")
     null_margin: float = criterion(1.25, "thresholds",
-        "by which the threshold is raised: nulls know nothing of what the baseline's own equations and the sampling get a "
-        "little wrong", BENCHMARK)
+        "by which every threshold of a score is raised: nulls know nothing of what the baseline's own equations and the sampling "
+        "get a little wrong", BENCHMARK)
     null_energy: float = criterion(1.15, "energy of the flights",
         "a null with more of it, with all that the base can absorb taken out, ran away and is none",
         "between nulls of stable bases (0.93 to 1.03) and of one whose spiral diverges (two in three above 1.2), "
@@ -128,32 +114,13 @@ class Criteria:
     nulls_least: float = criterion(0.2, "nulls",
         "with fewer of them left, those that ran away count too; with fewer finite, nothing is asked",
         "by hand: 40 of 200 still know a threshold to 5 %")
-    one_sided: float = criterion(0.25, "usual sizes",
-        "an effect that may go less far than this to the other side has one sign")
-    floor_level: float = criterion(0.975, "quantile of the nulls",
-        "a plain gap below it is one that nothing hidden would leave",
-        "theory: the upper end of a 95 % interval")
-    kinematic_level: float = criterion(0.95, "quantile of the nulls",
-        "family-wise, of the largest score of the kinematic check",
-        "theory: it only says sensor or physics, so one in 20")
-    kinematic_nulls: int = criterion(100, "nulls", "simulated for the kinematic check at the most")
-    kinematic_gyro_bias: float = criterion(0.02, "rad/s", "prior width of a gyro's bias in the kinematic check")
-    kinematic_gyro_scale: float = criterion(0.005, "1", "prior width of a gyro's scale error in the kinematic check")
-    kinematic_accelerometer_bias: float = criterion(0.2, "m/s2", "prior width of the side accelerometer's bias there")
+    kinematic_bias: float = criterion(0.02, "rad/s, g",
+        "prior width of the bias of a gyro and of an accelerometer in the kinematic check")
+    kinematic_scale: float = criterion(0.005, "1", "prior width of a gyro's scale error in the kinematic check")
 
     # ---- is anything left without a name
-    nameless_level: float = criterion(0.99, "quantile of the nulls",
-        "of the strongest nameless signal of all families",
-        "theory: one in 100 sets with nothing hidden, before unknown_margin")
-    nameless_window: float = criterion(1.0, "s", "length of the stretches whose energy is looked at")
-    nameless_seen: float = criterion(0.001, "energy", "a term of which the base leaves less says nothing")
-    activity_cap: float = criterion(3.0, "rms", "activity counts up to this: single spikes are not activity")
-    energy_cap: float = criterion(16.0, "variances", "energy of a sample counts up to this: four standard deviations")
-    unknown_margin: float = criterion(1.3, "thresholds",
-        "a nameless rest above it is called an unknown effect",
-        "raised from 1.25 (2026-11-21), reason not on record")
-    restless_margin: float = criterion(2.0, "thresholds",
-        "where named effects bring the gap within the nulls', a rest below it is restless scatter", FOREIGN)
+    window: float = criterion(1.0, "s",
+        "length of the stretches whose energy is looked at, and over which a gain is smoothed")
 
     many_derivatives: int = criterion(3, "derivatives",
         "a base that holds its derivatives is refitted in all of them where so many, one beside the other, are off",
@@ -175,12 +142,8 @@ class Criteria:
         "by hand: near the usual size as a Gaussian, and ten times it costs 6 of log evidence and not 35, which had given "
         "elevator_compliance for Cm_alphadot of a tailed aircraft (2026-11-25)")
     immaterial: float = criterion(0.15, "usual sizes",
-        "an effect smaller than that is found but not called one",
+        "an effect smaller than that is found but not called one; one that can go no farther to the other side has one sign",
         "raised from 0.12 (2026-11-21), reason not on record")
-    known_size: float = criterion(3.0, "bounds",
-        "an effect whose size is less than that from none is not one, whatever it gains",
-        "between wrong names of 1.4 to 2.9 bounds (a separation by the states it begins anew, an offset centre of gravity "
-        "and a play of a light aircraft) and right ones (3.4 and more, of 330); 2026-11-26")
     control_noise_known: float = criterion(0.2, "1",
         "so much of what the noise of the controls gives a hypothesis may be its own, or not",
         "theory: twice a tenth, to which the scatter of 100 differences between steps tells a standard deviation")
@@ -198,81 +161,58 @@ class Criteria:
 
     # ---- when a hypothesis becomes an effect
     named_share: float = criterion(0.75, "gain of a nameless term",
-        "an effect that gains less does not get to give its name")
-    shape_share: float = criterion(0.97, "gain of a nameless shape",
-        "a lone effect that gains less, by what is itself significant, gives way to a shape that closes the gap",
+        "an effect or shape that gains less does not get to give its name",
+        "0.7 gave flights with a clipped gyro a Cl_beta3 that gains 0.74 (seed 719, 2026-11-28)")
+    shape_share: float = criterion(0.97, "1",
+        "of what a nameless shape gains: a lone effect that gains less, by what is itself significant, gives way to it; of what "
+        "it closes: a formula that closes less is not offered for it",
         "right names gain 0.996 to 20 times as much (40 effects, size 1.5), a cubic for dead bands 0.79 to 0.955 "
-        "(2026-11-25)")
+        "(2026-11-25); a wrong formula of the right parity closed .83 and .96, the right one 1.00 (2026-11-22)")
     strong: float = criterion(1.5, "thresholds",
-        "above it linear theory and held-out flights may say a little against an effect", FOREIGN)
-    held_slack: float = criterion(9.0, "2 log likelihood",
-        "what chance may take from an effect on held-out flights, if it is strong or has as much to spare above the "
-        "threshold",
-        "by hand; equals three standard deviations of one unknown")
-    held_chance: float = criterion(4.0, "2 log likelihood",
-        "an effect that is not strong and gains more on held-out flights need not make the plain gap there smaller",
-        "theory: two standard deviations of one unknown; one that is none gets it in 1 of 44")
-    followed_gain: float = criterion(0.4, "gain",
-        "more of it from surfaces freed in time: the base had followed the effect that way",
-        "delays of the second truth .44 to .61, a lag .31, Cn_da and beta_lag .01 and .07, 2026-11-28")
-    followed_share: float = criterion(0.5, "largest shift", "a surface moved by more than that followed the effect")
+        "above it linear theory and held-out flights may say a little against an effect, and a nameless rest beside names that "
+        "bring the gap within the nulls' is no restless scatter", FOREIGN)
+    certain: float = criterion(3.0, "standard deviations",
+        "of one unknown: what is less may be chance (a size from none, the move of a derivative, what held-out flights say, by "
+        "what a rival beats an accepted effect), what is more may be an outlier (a single sample's energy, an activity)",
+        "theory; wrong names had sizes of 1.4 to 2.9 (a separation by the states it begins anew, an offset centre of gravity and "
+        "a play of a light aircraft) and right ones of 3.4 and more, of 330; 2026-11-26")
+    followed_share: float = criterion(0.4, "1",
+        "more of a gain from surfaces freed in time: the base had followed the effect by them, by those that moved more than "
+        "that of the largest shift",
+        "delays of the second truth .44 to .61 of the gain, a lag .31, Cn_da and beta_lag .01 and .07, 2026-11-28")
     rivals: int = criterion(6, "hypotheses", "best by linear theory that question an earlier effect")
-    exchange: float = criterion(8.0, "2 log likelihood",
-        "by which a rival must beat an accepted effect",
-        "by hand; equals odds of exp(4), 55 to 1")
 
     # ---- a shape where no name stands
     swing_damping: float = criterion(0.4, "of critical",
         "what is more damped does not swing, it is late",
         "by hand: at 0.4 the second swing has 6 % of the first; 2026-11-25")
-    form_width: float = criterion(1.0, "rms of the coefficient",
-        "prior width of the smoothest part of a function that is added to it",
-        "the prototype's widths of .01 CY, .003 Cl, .001 Cn (2026-11-22) are 1.4, 1.8 and 1.0 of what these do in flight")
     form_inside: float = criterion(0.5, "samples",
         "of a flight, that lie in the range the others flew: with fewer it cannot confirm a shape",
         "by hand: outside that range a spline is held and predicts nothing")
-    form_equal: float = criterion(0.05, "gap above the floor",
-        "a plain formula that closes no less than the spline, but for this, is offered",
-        "prototype (2026-11-22): a wrong formula of the right parity closed .83 and .96, the right one 1.00")
 
     # ---- the verdict
     closed_share: float = criterion(0.7, "gap above the floor",
         "a gap is closed from here on; the held-out one where there is one",
         "rule of the design, promised to scripts (docs/gap.md): below it more than 0.55 of the gap is left in rms")
-    named_weight: float = criterion(0.8, "significance",
-        "in energy, beside a nameless rest: from here a name stands",
-        "raised from 0.7, which gave recordings/gap/a one more impostor (2026-11-21)")
-    own_weight: float = criterion(0.9, "significance",
-        "the same where the rest lives in the very instrument that the name blames",
-        "recordings/gap/a and four fresh sets of sticking and stale vanes get no name with it (2026-11-21)")
+    named_weight: float = criterion(0.9, "significance",
+        "in energy, beside a nameless rest: from here a name stands that closes little, or blames the very instrument in which "
+        "the rest lives",
+        "recordings/gap/a and four fresh sets of sticking and stale vanes get no name with it (2026-11-21); 0.7 gave one more "
+        "impostor")
     blind_share: float = criterion(0.12, "effects asked",
         "more that could not have been seen, and the flights cannot tell",
         "lowered from 0.3 (2026-11-21), reason not on record")
     blind_size: float = criterion(2.0, "usual sizes",
         "an effect below the threshold at this size could not have been seen")
-    nominal_alarm: float = criterion(0.05, "probability",
-        "false alarm of the nominal threshold, shown beside that of the nulls",
-        "theory: Bonferroni, two-sided normal")
     tie: float = criterion(0.9, "|cos|",
         "signatures closer than that are tied: listed so, and fitted where one of them is the very best",
         "by hand; the benchmark's classes of effects use the same")
-    migrated_bounds: float = criterion(3.0, "bounds",
-        "a derivative that moves by more had absorbed part of the effect",
-        "theory: three standard deviations")
-    tolerance_rate: float = criterion(2.0, "deg/s", "roll and yaw rate: larger changes matter", QUALIFIED)
-    tolerance_sideslip: float = criterion(1.0, "deg", "sideslip: larger changes matter", QUALIFIED)
-    tolerance_bank: float = criterion(2.0, "deg", "bank: larger changes matter", QUALIFIED)
 
     # ---- where it lives
-    channel_share: float = criterion(0.1, "best channel's gain", "a channel that gains more shows the effect")
-    span_share: float = criterion(0.25, "largest gain", "a stretch of flight that gains more shows the effect")
-    span_window: float = criterion(1.0, "s", "over which gain is smoothed; half of it is the shortest stretch")
+    shown_share: float = criterion(0.2, "largest gain", "a channel or a stretch of flight that gains more shows the effect")
     regime_gain: float = criterion(1.3, "share of the time", "a regime in which more of the gain is made is the effect's")
     regime_quantile: float = criterion(0.7, "quantile",
         "values farther from a signal's median than this are its large ones")
-    regime_least: float = criterion(0.05, "samples", "large values rarer than that make no regime")
-    map_bins: int = criterion(6, "bins", "of every signal in the map over the flight regime")
-    map_window: float = criterion(2.0, "s", "of the map over time")
     # fmt: on
 
     def described(self) -> Iterator[Criterion]:

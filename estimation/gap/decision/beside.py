@@ -144,7 +144,7 @@ def _silent(what: str, share: float) -> None:
 def as_good(shape: CoefficientShape, name: EffectStep, criteria: Criteria) -> bool:
     """Whether a shape closes no less of the gap than a name does, but for what two formulas are equal by."""
     closed = name.gap.closed if name.holdout is None else name.holdout.closed
-    return shape.measured.closed >= closed - criteria.form_equal
+    return shape.measured.closed >= closed - (1.0 - criteria.shape_share)
 
 
 def without_doubted(

@@ -109,7 +109,7 @@ def _decided(setting: Setting, search: SearchState) -> _Standing:
     """The decision on what the rounds found, before anything without a name is looked for."""
     first, last = search.rounds[0], search.rounds[-1]
     floor = floor_about(setting, last)
-    misfit = misfit_of(search.omnibus, setting.options.criteria)
+    misfit = misfit_of(search.omnibus)
     steps = [step_of(setting, f, floor, misfit) for f in search.findings]
     gap = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
     cannot = [*undetectable(first), *setting.untold]
@@ -258,7 +258,7 @@ def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:
         rest = examine(round_)
     except GapError:  # a motion that cannot be linearised
         return before, ""
-    return rest, how_it_shows(rest) if rest.matters(round_.criteria) else ""
+    return rest, how_it_shows(rest) if rest.significant else ""
 
 
 def rejected_hypotheses(search: SearchState, beside: ShapeContinuation | None) -> tuple[Rejected, ...]:

@@ -116,9 +116,9 @@ def rest_matters(facts: VerdictFacts, criteria: Criteria) -> bool:
     In the very instrument that a name blames it is never mere scatter: it says that something else is wrong with it.
     """
     elsewhere = all(facts.rest_place not in n.instruments for n in facts.named)
-    small = facts.rest < criteria.restless_margin * facts.rest_threshold
+    small = facts.rest < criteria.strong * facts.rest_threshold
     restless = bool(facts.named) and facts.covered and small and elsewhere
-    return facts.rest > criteria.unknown_margin * facts.rest_threshold and not restless
+    return facts.rest > facts.rest_threshold and not restless
 
 
 def standing(facts: VerdictFacts, criteria: Criteria) -> tuple[int, tuple[tuple[str, str], ...]]:
@@ -134,7 +134,7 @@ def standing(facts: VerdictFacts, criteria: Criteria) -> tuple[int, tuple[tuple[
         last = names.pop()
         withdrawn.append((last.effect, f"closes only {last.gap.closed:.0%} of the gap"))
     for k, name in enumerate(names):
-        if facts.rest_place in name.instruments and not outweighs(name.score, facts.rest, criteria.own_weight):
+        if facts.rest_place in name.instruments and not outweighs(name.score, facts.rest, criteria.named_weight):
             reason = (
                 f"the nameless rest in {facts.rest_place} is too large beside it: "
                 "the instrument does something else than this"

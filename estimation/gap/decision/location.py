@@ -38,6 +38,8 @@ LINES = {"beta": "CY", "p": "Cl", "r": "Cn", "alpha": "CL", "q": "Cm"}
 DEGREES = {"beta", "alpha", "phi", "theta", "delta_a", "delta_r", "delta_e", "p", "q", "r"}
 SPANS = 4  # stretches of flight given for one effect
 NOTHING = 1e-12  # gain of an effect that changes nothing
+BINS = 6  # of every signal in the map over the flight regime, which is a picture: nothing is decided by it
+MAPPED = 2.0  # s, of a window of the map over time, a picture too
 EQUATIONS = ("CY", "Cl", "Cn", "CL", "CD", "Cm")
 
 
@@ -79,7 +81,7 @@ def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> Disagreemen
         times=tuple(
             (prepared.names[problem.records[i].flight], *window)
             for i, s in enumerate(squares)
-            for window in windows(problem.coarse[i].time, s, baseline.criteria)
+            for window in windows(problem.coarse[i].time, s)
         ),
         regime=by_regime(replace(baseline, fit=replace(model_fit, residuals=tuple(residuals)))),
         equations={
@@ -89,9 +91,9 @@ def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> Disagreemen
     )
 
 
-def windows(time: Array, squares: Array, criteria: Criteria) -> list[tuple[float, float, float]]:
+def windows(time: Array, squares: Array) -> list[tuple[float, float, float]]:
     """(from, to [s], gap) of successive windows."""
-    width = max(round(criteria.map_window / float(np.median(np.diff(time)))), 2)
+    width = max(round(MAPPED / float(np.median(np.diff(time)))), 2)
     return [
         (float(time[k]), float(time[min(k + width, time.size) - 1]), float(np.sqrt(np.nanmean(squares[k : k + width]))))
         for k in range(0, time.size - width // 2, width)
@@ -156,17 +158,17 @@ def by_regime(baseline: Baseline) -> dict[str, list[dict[str, float]]]:
     squares = np.concatenate([(r / baseline.scatter) ** 2 for r in baseline.fit.residuals])
     counts = np.isfinite(squares).sum(axis=1)
     total = np.where(counts > 0, np.nansum(squares, axis=1) / np.maximum(counts, 1), np.nan)
-    return {name: binned(values, total, baseline.criteria) for name, values in signals_of(baseline).items()}
+    return {name: binned(values, total) for name, values in signals_of(baseline).items()}
 
 
-def binned(values: Array, squares: Array, criteria: Criteria) -> list[dict[str, float]]:
+def binned(values: Array, squares: Array) -> list[dict[str, float]]:
     """Root mean of `squares` (N,) in equally filled bins of a signal (N,), low to high; of samples where nothing was compared
     (NaN) none counts."""
     compared = np.isfinite(squares)
     if not compared.any():
         return []
     values, squares = values[compared], squares[compared]
-    ends = np.unique(np.quantile(values, np.linspace(0, 1, criteria.map_bins + 1)))
+    ends = np.unique(np.quantile(values, np.linspace(0, 1, BINS + 1)))
     rows = []
     for a, b in zip(ends[:-1], ends[1:], strict=True):
         gap = float(np.sqrt(np.mean(squares[(values >= a) & (values <= b)])))
@@ -207,15 +209,15 @@ def locate(parent: Baseline, child: Baseline, equation: str) -> Where:
 
 def channels_that_gain(gain: Array, criteria: Criteria) -> list[int]:
     """Indices of the outputs that show an effect, best first. gain: (ny,)."""
-    limit = criteria.channel_share * max(float(gain.max()), NOTHING)
+    limit = criteria.shown_share * max(float(gain.max()), NOTHING)
     return [int(i) for i in np.argsort(-gain) if gain[i] > limit]
 
 
 def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, float]]:
     """Stretches that hold most of the gain (N,), best first."""
-    n = min(max(round(criteria.span_window / float(np.median(np.diff(time)))), 2), time.size)
+    n = min(max(round(criteria.window / float(np.median(np.diff(time)))), 2), time.size)
     smooth = np.convolve(gain, np.ones(n) / n, mode="same")
-    limit = max(criteria.span_share * float(smooth.max()), NOTHING)
+    limit = max(criteria.shown_share * float(smooth.max()), NOTHING)
     spans = [(a, b - 1) for a, b in true_runs(smooth > limit) if b - a >= n // 2]
     spans.sort(key=lambda s: -float(gain[s[0] : s[1] + 1].sum()))
     return [(float(time[a]), float(time[b])) for a, b in spans]
@@ -228,7 +230,7 @@ def regime(signals: Mapping[str, Array], gain: Array, criteria: Criteria) -> str
         size = np.abs(values - np.median(values))
         limit = float(np.quantile(size, criteria.regime_quantile))
         large = size > limit
-        if large.mean() <= criteria.regime_least:
+        if not large.any():
             continue
         ratio = float(np.sum(gain[large])) / max(float(np.sum(np.maximum(gain, 0.0))), NOTHING) / large.mean()
         if ratio > highest:

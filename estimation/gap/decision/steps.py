@@ -25,6 +25,9 @@ from estimation.models.base import ParameterRole
 UNKNOWN = "an effect the catalogue does not hold"
 
 TOLD = 3  # nameless signals in the words; the JSON file has more
+RATE, ANGLE, FLOW = (2.0, "deg/s"), (2.0, "deg"), (1.0, "deg")
+TOLERANCES = {"p": RATE, "r": RATE, "beta": FLOW, "phi": ANGLE, "q": RATE, "alpha": FLOW, "theta": ANGLE}
+"""Of flight-simulator qualification, as in docs/gap.md: larger changes of an output matter. As published."""
 
 
 def unknown_step(omnibus: Omnibus, gap: Gap) -> EffectStep:
@@ -47,9 +50,9 @@ def how_it_shows(omnibus: Omnibus) -> str:
     return "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in significant)
 
 
-def misfit_of(rest: Omnibus, criteria: Criteria) -> float:
+def misfit_of(rest: Omnibus) -> float:
     """How many times what noise does is left without a name (twice a log-likelihood); 1 where it does not matter."""
-    return (rest.score / rest.threshold) ** 2 if rest.matters(criteria) else 1.0
+    return (rest.score / rest.threshold) ** 2 if rest.significant else 1.0
 
 
 def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: float = 1.0) -> EffectStep:
@@ -124,21 +127,12 @@ def practical(parent: Baseline, child: Baseline) -> str:
         name: float(np.degrees(np.nanmax(np.abs(np.concatenate([(p - q)[:, c] for p, q in pairs])))))
         for c, name in enumerate(parent.model.output_names)
     }
-    return worth_in_words(changes, parent.criteria)
+    return worth_in_words(changes)
 
 
-def worth_in_words(worth: Mapping[str, float], criteria: Criteria) -> str:
+def worth_in_words(worth: Mapping[str, float]) -> str:
     """Largest change of outputs [deg, deg/s] beside the tolerances that there are."""
-    bands = {
-        "p": (criteria.tolerance_rate, "deg/s"),
-        "r": (criteria.tolerance_rate, "deg/s"),
-        "beta": (criteria.tolerance_sideslip, "deg"),
-        "phi": (criteria.tolerance_bank, "deg"),
-        "q": (criteria.tolerance_rate, "deg/s"),
-        "alpha": (criteria.tolerance_sideslip, "deg"),
-        "theta": (criteria.tolerance_bank, "deg"),
-    }
-    judged = [(n, worth[n], *bands[n]) for n in bands if n in worth]
+    judged = [(n, worth[n], band, unit) for n, (band, unit) in TOLERANCES.items() if n in worth]
     words = [f"{n} {w:.2g} against {b:g} {unit}" + (" (beyond it)" if w > b else "") for n, w, b, unit in judged]
     significant = any(w > b for _, w, b, _ in judged)
     return ("matters: " if significant else "real but within simulator tolerances: ") + ", ".join(words)
@@ -153,7 +147,7 @@ def migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
             continue
         old, new = parent.fit.values[name], child.fit.values[name]
         bounds = abs(new - old) / max(std[name], 1e-300)
-        if bounds > child.criteria.migrated_bounds:
+        if bounds > child.criteria.certain:
             migrations[name] = Migration(old, new, bounds, parent.model.parameter(name).reference)
     return dict(sorted(migrations.items(), key=lambda item: -item[1].bounds))
 
@@ -211,4 +205,4 @@ def ties_of(round_: Round) -> tuple[Tie, ...]:
 
 def nominal_threshold(hypotheses: int, criteria: Criteria) -> float:
     """What the largest |z| of so many hypotheses would stay below were the noise model exact (Bonferroni, two-sided)."""
-    return float(-ndtri(criteria.nominal_alarm / 2 / max(hypotheses, 1)))
+    return float(-ndtri((1.0 - criteria.null_level) / 2 / max(hypotheses, 1)))

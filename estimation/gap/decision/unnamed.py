@@ -124,7 +124,7 @@ def events_in_time(setting: Setting, round_: Round) -> Happened | None:
         rest = examine(transients.cleared)
     except GapError:  # as above
         return None
-    if rest.matters(round_.criteria):
+    if rest.significant:
         return None
     records, names = round_.baseline.problem.records, setting.prepared.names
     flights = ["" if f.event.record < 0 else names[records[f.event.record].flight] for f in transients.found]

@@ -171,7 +171,7 @@ def estimated_noise(
     for turn in range(STEP_TURNS + 1):
         if turn > 0 or noise is None:
             noise = estimate_noise(
-                unexplained, shapes, white**2, steps[0].criteria.least_noise * white**2, without, known, noise
+                unexplained, shapes, white**2, (steps[0].criteria.least_scatter * white) ** 2, without, known, noise
             )
         if turn == STEP_TURNS:
             break
@@ -200,14 +200,14 @@ def noise_parts(
     floor = scatter.copy()
     for n in wandering:
         if RATE_OF[n] in outputs:
-            floor[outputs.index(RATE_OF[n])] *= criteria.own_gyro_noise
+            floor[outputs.index(RATE_OF[n])] *= criteria.least_scatter
     strengths: dict[NoisePart, float] = {}
     for n in wandering:
         strengths[NoisePart(NoiseSource.WANDERING, n)] = scatter[outputs.index(n)] ** 2 / (
             step * criteria.filter_memory
         )
         if RATE_OF[n] in outputs:
-            shared = 1.0 - criteria.own_gyro_noise**2
+            shared = 1.0 - criteria.least_scatter**2
             strengths[NoisePart(NoiseSource.GYRO, n)] = shared * scatter[outputs.index(RATE_OF[n])] ** 2
     filters = (NoiseSource.WANDERING, NoiseSource.GYRO)
     return floor, tuple(NoisePart(f, n) for n in RATE_OF if n not in wandering for f in filters), strengths

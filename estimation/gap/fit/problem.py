@@ -265,7 +265,7 @@ class LikelihoodProblem:
 
     def limits(self, name: str) -> tuple[float, float]:
         if name in self.curvatures:
-            return -self.criteria.curvature_limit, self.criteria.curvature_limit
+            return -np.inf, np.inf
         p = self.model.parameter(name)
         return p.lower, p.upper
 

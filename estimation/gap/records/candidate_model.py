@@ -52,7 +52,7 @@ def with_nuisance(
     biased = [n for n in model.output_names if noise.get(n, 0.0) > 0 and f"bias_{n}" not in model.parameter_names]
     bias_names = {f"bias_{n}" for n in biased}
     extended = model.with_biases(*biased)
-    extended = extended.with_prior(**{f"bias_{n}": (0.0, criteria.bias_share * noise[n]) for n in biased})
+    extended = extended.with_prior(**{f"bias_{n}": (0.0, noise[n]) for n in biased})
     extended = _stepped(_timed(extended, sample_interval, criteria), sample_interval, criteria)
     for attitude, interval in stamped.items():
         width = criteria.timing_share * max(sample_interval, interval)

@@ -50,7 +50,7 @@ def _channel(name: str, values: Array, criteria: Criteria) -> list[str]:
     notes = []
     if measured.size < (1.0 - criteria.missing_share) * values.size:
         notes.append(f"{name} is missing in {1 - measured.size / values.size:.0%} of the samples")
-    if measured.size < criteria.fewest_samples or float(np.ptp(measured)) == 0.0:
+    if not measured.size or float(np.ptp(measured)) == 0.0:
         return notes
     ends = (float(measured.max()), float(measured.min()))
     stuck = _repeats(measured)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import ndtri
 
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
@@ -77,7 +78,7 @@ def confirmed(
     spare = math.inf if strong or timing else to_spare(sure, round_.threshold)
     if not holds_on_holdout(held_support, spare, criteria):
         return None, "does not hold on the held-out flights"
-    supported = held_support is not None and held_support > (0.0 if strong else criteria.held_chance)
+    supported = held_support is not None and held_support > (0.0 if strong else ndtri(criteria.null_level) ** 2)
     held = None if timing else held_out_gaps(round_.baseline, child)
     if not closes_held_out(held, criteria.null_energy if supported else 1.0):
         return None, "closes nothing of the gap on the held-out flights"
@@ -103,7 +104,7 @@ def none_of(candidate: FittedHypothesis, baseline: Baseline) -> dict[str, float]
 def size_is_known(estimates: Mapping[str, tuple[float, float]], none: Mapping[str, float], criteria: Criteria) -> bool:
     """Whether some unknown is so many bounds from no effect. What is significant is, but for an effect with states: what these
     begin with gains too."""
-    return any(abs(value - none[n]) > criteria.known_size * bound for n, (value, bound) in estimates.items())
+    return any(abs(value - none[n]) > criteria.certain * bound for n, (value, bound) in estimates.items())
 
 
 def explains(gain: float, nameless: float, criteria: Criteria) -> bool:
@@ -145,12 +146,12 @@ def repeats_on_flights(cross: float | None, strong: bool, timing: bool, gains: S
 
 def holds_on_holdout(held: float | None, spare: float, criteria: Criteria) -> bool:
     """Whether an effect holds on the held-out flights, where there are any: significant still with what they say. held: twice the
-    log-likelihood gained there, over its inflation; spare: what of it chance may take, at most `held_slack`.
+    log-likelihood gained there, over its inflation; spare: what of it chance may take, at most `certain` squared.
 
     An effect a little above its threshold changes a single flight by two or three units in all, of which chance takes more than
     that in one of six.
     """
-    return held is None or held > -min(spare, criteria.held_slack)
+    return held is None or held > -min(spare, criteria.certain**2)
 
 
 def closes_held_out(gaps: tuple[float, float] | None, energy: float) -> bool:
@@ -191,7 +192,7 @@ def by_timing(round_: Round, candidate: FittedHypothesis) -> bool:
 
 def followed_by_surfaces(freed: float, gain: float, criteria: Criteria) -> bool:
     """Whether so much of an effect's gain (both twice a log-likelihood) is what surfaces moved in time are freed of."""
-    return freed > criteria.followed_gain * gain
+    return freed > criteria.followed_share * gain
 
 
 def held_gain(parent: Baseline, child: Baseline) -> float | None:

@@ -165,7 +165,7 @@ def begun_afar(problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hypot
 def strayed(problem: LikelihoodProblem, base_fit: ModelFit, controls: Collection[str]) -> bool:
     """Whether some derivative of the fitted base by what moves, in a coefficient that one of the controls changes, is far from
     what the model states: it may hold that the control is late. How far a control moves the aircraft says nothing of when."""
-    starts, std, bounds = problem.model.starts(), base_fit.std(), problem.criteria.migrated_bounds
+    starts, std, bounds = problem.model.starts(), base_fit.std(), problem.criteria.certain
     stated = {n for n in problem.parameters if not problem.nuisance(n) and starts[n] != 0.0}
     asked = {n: starts[n] for n in stated & beside_controls(problem.base, controls)}
     return not asked or any(

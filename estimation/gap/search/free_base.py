@@ -60,7 +60,7 @@ def far_off(names: Sequence[str], before: Mapping[str, float], found: ModelFit, 
     """Those that a fit moved by more than their bounds allow. Freed one by one more look off: a wrong one bends what
     its neighbours have to be."""
     std = found.std()
-    return [n for n in names if n in std and abs(found.values[n] - before[n]) > criteria.migrated_bounds * std[n]]
+    return [n for n in names if n in std and abs(found.values[n] - before[n]) > criteria.certain * std[n]]
 
 
 def outstanding(setting: Setting, baseline: Baseline, names: Sequence[str]) -> str | None:
@@ -99,7 +99,7 @@ def largest(screen: Screen, criteria: Criteria) -> str | None:
     projected = screen.projected()
     gains = [projected.gain(screen.span(h)) for h in range(len(screen.hypotheses))]
     best = int(np.argmax(gains)) if gains else -1
-    return screen.hypotheses[best].form.frees[0] if best >= 0 and gains[best] > criteria.exchange else None
+    return screen.hypotheses[best].form.frees[0] if best >= 0 and gains[best] > criteria.certain**2 else None
 
 
 def with_free_derivatives(model: Model, names: Sequence[str]) -> Model:

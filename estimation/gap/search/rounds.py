@@ -94,7 +94,7 @@ def _rival(
         scatter = np.where(tied, np.maximum(scatter, own_inflation(old.candidate)), scatter)
     gains = linear_gains(screen, problem)
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
-    candidates, needed = [], gain / own_inflation(old.candidate) + criteria.exchange
+    candidates, needed = [], gain / own_inflation(old.candidate) + criteria.certain**2
     for h in questioners(gains / scatter, criteria):
         hypothesis = screen.hypotheses[h]
         if hypothesis.key != old.candidate.hypothesis.key and not by_derivatives(hypothesis):
@@ -129,7 +129,7 @@ def better_rivals(
     """The significant candidates that gain more than an accepted effect's `gain` by a clear margin, the most first; gains over
     what the nulls scatter of them: what they scatter a hundred times too far gains by chance more than anything else."""
     significant = [(c.gain / own_inflation(c), c) for c in found if not c.why_not and c.score >= threshold]
-    ahead = [(gained, c) for gained, c in significant if gained > gain + criteria.exchange]
+    ahead = [(gained, c) for gained, c in significant if gained > gain + criteria.certain**2]
     return [c for _, c in sorted(ahead, key=lambda pair: -pair[0])]
 
 

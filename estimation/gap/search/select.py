@@ -98,7 +98,7 @@ def asked_for_noise(round_: Round) -> list[int]:
 def held_first(ranked: Sequence[FittedHypothesis], criteria: Criteria) -> tuple[FittedHypothesis, ...]:
     """The candidates in their order, but a derivative that the base holds at a number before a term that it lacks, where it gains
     as much: at one angle of attack a `Cn_beta` that is off and a `Cn_alpha_beta` leave the same, and chance would decide."""
-    held = [c for c in ranked if c.hypothesis.form.frees and c.gain >= ranked[0].gain - criteria.exchange]
+    held = [c for c in ranked if c.hypothesis.form.frees and c.gain >= ranked[0].gain - criteria.certain**2]
     if not held or ranked[0].hypothesis.form.frees:
         return tuple(ranked)
     return (held[0], *(c for c in ranked if c is not held[0]))

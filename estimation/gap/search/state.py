@@ -13,7 +13,7 @@ from estimation.gap.records.candidate_model import awakened
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.select import Choice
-from estimation.gap.significance.calibration import Round, name_threshold, screen_round
+from estimation.gap.significance.calibration import Round, screen_round
 from estimation.gap.significance.nulls import InputErrors
 from estimation.gap.significance.omnibus import Omnibus
 from estimation.models.base import Model
@@ -108,7 +108,6 @@ class Setting:
             self.errors,
             self.options.nulls,
             seed,
-            name_threshold,
             tick,
         )
 

@@ -40,9 +40,9 @@ class Increment:
     spread: Array
 
     @classmethod
-    def of(cls, place: Place, flown: ModelMotion, criteria: Criteria) -> "Increment":
+    def of(cls, place: Place, flown: ModelMotion) -> "Increment":
         reach = flown.reach(place.by) if place.by else 1.0
-        return cls(place, flown.range_of(place.variable), reach, spread_of(place, flown.scale[place.line], criteria))
+        return cls(place, flown.range_of(place.variable), reach, spread_of(place, flown.scale[place.line]))
 
     @property
     def weights(self) -> tuple[str, ...]:
@@ -222,7 +222,7 @@ def _upper(problem: LikelihoodProblem, found: ModelFit, flyer: NullFlyer, seed: 
         filled = [np.full(problem.coarse[i].z.shape, np.nan) if f is None else f for f in residuals]
         tangent = RecordTangent.of(problem, found, i, filled)
         total += tangent.squares(tangent.fixed)[-NULLS:]
-    return float(np.quantile(total, problem.criteria.floor_level))
+    return float(np.quantile(total, problem.criteria.null_level))
 
 
 def refitted_with(problem: LikelihoodProblem, found: ModelFit, child: Baseline) -> tuple[LikelihoodProblem, ModelFit]:

@@ -29,7 +29,6 @@ APART = 1.2  # from one frequency to the next: within the width of a resonance o
 DAMPING = 0.1
 AROUND = 0.85 * 1.05 ** np.arange(8)  # of the best frequency of the grid, then looked at
 DAMPINGS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
-NEEDED = 9.0  # twice a log-likelihood: three standard deviations of one more unknown
 
 
 def lag_behind(course: Array, time: Array, memory: float) -> Array:
@@ -144,7 +143,7 @@ def find_swing(flown: ModelMotion, round_: Round) -> SwingingTerm | None:
         return None
     span = range(nearest * len(drives), (nearest + 1) * len(drives))
     projected = finer.with_what_follows(line)
-    selected = _needed(projected, span)
+    selected = _needed(projected, span, round_.criteria)
     sizes = solved(projected.B[np.ix_(selected, selected)], projected.b[selected, 0])
     return SwingingTerm(
         line,
@@ -162,14 +161,14 @@ def rings(damping: float, criteria: Criteria) -> bool:
     return damping <= criteria.swing_damping
 
 
-def _needed(projected: Projected, span: Sequence[int]) -> list[int]:
+def _needed(projected: Projected, span: Sequence[int], criteria: Criteria) -> list[int]:
     """Of the columns that drive one oscillator those needed: the best alone, then each that gains beside those before."""
     selected: list[int] = []
     gain = 0.0
     while len(selected) < len(span):
         gained = {k: projected.gain([*selected, k]) for k in span if k not in selected}
         leader = max(gained, key=lambda k: gained[k])
-        if selected and gained[leader] - gain < NEEDED:
+        if selected and gained[leader] - gain < criteria.certain**2:
             break
         selected, gain = [*selected, leader], gained[leader]
     return selected

@@ -13,7 +13,7 @@ from estimation.estimators.normal_equations import solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.shapes.spline import Range, basis
-from estimation.gap.significance.calibration import Round, upper_quantile
+from estimation.gap.significance.calibration import Round, significant_above
 from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import responses
 from estimation.models.base import Model, ParameterRole, Signal
@@ -180,9 +180,9 @@ class ModelMotion:
         return responses(respond, self.simulator.model.input_names, courses, ~np.isfinite(self.fit.residuals[index]))
 
 
-def spread_of(place: Place, scale: float, criteria: Criteria) -> Array:
+def spread_of(place: Place, scale: float) -> Array:
     """(columns,) prior standard deviations of the weights of an increment of a coefficient whose rms is `scale`."""
-    return criteria.form_width * scale * np.concatenate([basis().spread, np.ones(place.extra)])
+    return scale * np.concatenate([basis().spread, np.ones(place.extra)])
 
 
 Asked = TypeVar("Asked")  # what is ranked: places of a spline, of a lag, oscillators
@@ -220,7 +220,7 @@ def rank(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> Ranked[P
     asks: list[list[tuple[str, Array]]] = [[] for _ in problem.records]
     weights: list[Array] = []
     for place in usable:
-        spread = spread_of(place, flown.scale[place.line], criteria)
+        spread = spread_of(place, flown.scale[place.line])
         limits = flown.range_of(place.variable)
         begin = len(asks[0])
         for i, record_asks in enumerate(asks):
@@ -246,5 +246,5 @@ def ranked(places: Sequence[Asked], gains: Array, criteria: Criteria) -> Ranked[
         return Ranked((), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     medians = np.maximum(np.median(gains[:, 1:], axis=1), NOTHING)  # a mean is made by the few nulls that run away
     scores = np.sqrt(gains / medians[:, None])
-    limit = criteria.null_margin * upper_quantile(scores[:, 1:].max(axis=0), criteria.null_level)
+    limit = significant_above(scores[:, 1:].max(axis=0), criteria)
     return Ranked(tuple(places), gains[:, 0], scores[:, 0], medians, limit)

@@ -144,7 +144,7 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
 
 def alone(swing: SwingingTerm, criteria: Criteria) -> bool:
     """Whether a swing is an unknown effect by itself, as a nameless term is."""
-    return swing.score > criteria.unknown_margin * swing.threshold
+    return swing.score > criteria.strong * swing.threshold
 
 
 def _best(
@@ -156,7 +156,7 @@ def _best(
     fits: dict[int, FittedIncrement] = {}
     attempts: list[Tried] = []
     for i in ranking.order[:FITTED]:
-        fitted = fit_increment(baseline, Increment.of(ranking.places[i], flown, criteria))
+        fitted = fit_increment(baseline, Increment.of(ranking.places[i], flown))
         if fitted is None:
             attempts.append(Tried(ranking.places[i], float(ranking.gains[i]), "the fit runs away"))
         else:
@@ -220,7 +220,7 @@ def as_good(
 ) -> tuple[list[tuple[Plain, float]], list[tuple[Plain, float]]]:
     """Formulas that close no less than the spline does, but for a little, best first; and the others."""
     ordered = sorted(plain, key=lambda p: (-p[1], -p[0].gain))
-    equal = [p for p in ordered if p[1] >= closed - criteria.form_equal]
+    equal = [p for p in ordered if p[1] >= closed - (1.0 - criteria.shape_share)]
     return equal, [p for p in ordered if p not in equal]
 
 

@@ -60,10 +60,9 @@ def screen_round(
     errors: Sequence[InputErrors],
     nulls: int,
     seed: int,
-    threshold: Callable[[Array, Criteria], float],
     tell: Callable[[int], None] = lambda done: None,
 ) -> Round:
-    """Screen every applicable hypothesis and calibrate the scores on simulated nulls; threshold: rule for the largest ones."""
+    """Screen every applicable hypothesis and calibrate the scores on simulated nulls."""
     problem = baseline.problem
     flyer = NullFlyer.build(problem, baseline.fit, baseline.noise, errors)
     null_residuals = fly_nulls(flyer, nulls, seed, tell)
@@ -83,7 +82,7 @@ def screen_round(
     null_gains = linear_gains(screen, problem, slice(1, 1 + nulls))
     inflation = null_inflation(screen, nulls)
     largest = np.sqrt(null_gains / inflation).max(axis=1) if screen.hypotheses else np.zeros(nulls)
-    limit = threshold(largest, baseline.criteria)
+    limit = significant_above(largest, baseline.criteria)
     return Round(baseline, screen, gains, null_gains, inflation, limit, tangent)
 
 
@@ -100,14 +99,10 @@ def like_the_flights(energy: Array, criteria: Criteria) -> NDArray[np.bool_]:
     return comparable if sufficient else np.ones(comparable.size, dtype=bool)
 
 
-def name_threshold(largest: Array, criteria: Criteria) -> float:
-    """Score from which an effect gets a name, from the largest score of every null, (nulls,)."""
+def significant_above(largest: Array, criteria: Criteria) -> float:
+    """Score from which something is significant, from the largest score of every null, (nulls,): the one rule for a name, a
+    nameless rest, a shape, an event in time, an instrument's error, and a flight that does not repeat the others."""
     return criteria.null_margin * upper_quantile(largest, criteria.null_level)
-
-
-def kinematic_threshold(largest: Array, criteria: Criteria) -> float:
-    """The same for the kinematic check, which says no more than sensor or physics."""
-    return criteria.null_margin * upper_quantile(largest, criteria.kinematic_level)
 
 
 def null_inflation(screen: Screen, nulls: int) -> Array:

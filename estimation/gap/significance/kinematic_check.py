@@ -21,7 +21,7 @@ from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes, 
 from estimation.gap.random_streams import KINEMATIC, Stream
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
 from estimation.gap.records.flight_records import prepare_flights
-from estimation.gap.significance.calibration import Round, kinematic_threshold, screen_round
+from estimation.gap.significance.calibration import Round, screen_round
 from estimation.gap.significance.nulls import input_errors
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
 from estimation.models.dependence import force_states
@@ -34,11 +34,7 @@ NEEDED = ("beta", "phi", "p", "q", "r", "ay", "V", "alpha", "theta")
 
 def pitch_kinematic_model(criteria: Criteria) -> Model:
     """Flight-path reconstruction in the plane of symmetry without aerodynamics; biases and scale errors with priors."""
-    gyro, scale, accelerometer = (
-        criteria.kinematic_gyro_bias,
-        criteria.kinematic_gyro_scale,
-        criteria.kinematic_accelerometer_bias,
-    )
+    gyro, scale, accelerometer = criteria.kinematic_bias, criteria.kinematic_scale, criteria.kinematic_bias * GRAVITY
     return Model(
         name="kinematic",
         title="airspeed, angle of attack and pitch attitude from measured rates and forces, no aerodynamics",
@@ -65,11 +61,7 @@ def pitch_kinematic_model(criteria: Criteria) -> Model:
 
 def kinematic_model(criteria: Criteria) -> Model:
     """Sideslip and bank from measured rates and side acceleration; biases and scale errors with priors."""
-    gyro, scale, accelerometer = (
-        criteria.kinematic_gyro_bias,
-        criteria.kinematic_gyro_scale,
-        criteria.kinematic_accelerometer_bias,
-    )
+    gyro, scale, accelerometer = criteria.kinematic_bias, criteria.kinematic_scale, criteria.kinematic_bias * GRAVITY
     return Model(
         name="kinematic",
         title="sideslip and bank from measured rates and side acceleration, no aerodynamics",
@@ -126,8 +118,8 @@ def kinematic_check(
     criteria: Criteria,
     model: Model | None = None,
 ) -> KinematicCheck:
-    """Score every instrument error on the kinematics of the training flights alone, on `nulls` of them at the most. model: whose
-    planes are asked; without one the lateral."""
+    """Score every instrument error on the kinematics of the training flights alone, on `nulls` of them. model: whose planes
+    are asked; without one the lateral."""
     lines = model.definitions if model is not None else {}
     checks = []
     if "Cm" not in lines or "CY" in lines:
@@ -166,19 +158,11 @@ def _checked(
     errors = [
         input_errors(r, clean, Stream.KINEMATIC_INPUT_ERRORS.generator(seed, i)) for i, r in enumerate(prepared.records)
     ]
-    count = null_count(nulls, criteria)
     try:
         baseline = fit_baseline(working, clean, prepared, scatter)
-        return origin_of_error(
-            screen_round(baseline, prepared, instruments, errors, count, seed + KINEMATIC, kinematic_threshold)
-        )
+        return origin_of_error(screen_round(baseline, prepared, instruments, errors, nulls, seed + KINEMATIC))
     except GapError as error:  # the check alone cannot say: the search among the hypotheses goes on without it
         return KinematicCheck("undecided", "", 0.0, 0.0, str(error))
-
-
-def null_count(wanted: int, criteria: Criteria) -> int:
-    """Nulls of the check when the search takes so many."""
-    return min(wanted, criteria.kinematic_nulls)
 
 
 def origin_of_error(round_: Round) -> KinematicCheck:

@@ -17,7 +17,7 @@ from estimation.gap.fit.fitting import local_prior
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.random_streams import Stream
-from estimation.gap.significance.calibration import Round
+from estimation.gap.significance.calibration import Round, significant_above
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
 from estimation.gap.significance.tangent import Tangent
 
@@ -101,14 +101,14 @@ class Floors:
     @property
     def training_highest(self) -> float:
         """Gap on the training flights that nothing hidden would leave at the most."""
-        return float(np.quantile(self.training, self.criteria.floor_level))
+        return float(np.quantile(self.training, self.criteria.null_level))
 
     @property
     def highest(self) -> float:
         """The same on the held-out flights, on the training flights where there are none."""
         if not self.holdout.size:
             return self.training_highest
-        return float(np.quantile(self.holdout, self.criteria.floor_level))
+        return float(np.quantile(self.holdout, self.criteria.null_level))
 
     @property
     def training_median(self) -> float:
@@ -194,7 +194,8 @@ def _values(problem: LikelihoodProblem, index: int) -> float:
 @dataclass(frozen=True)
 class Repeatability:
     """How much better one flight is fitted by itself than together with the others. chi2: twice the log-likelihood; usual:
-    its median on the nulls; limit: what 199 of 200 nulls stay below (over all flights)."""
+    its median on the nulls; limit: above which that is
+    significant (over all flights)."""
 
     flight: str
     chi2: float
@@ -244,4 +245,4 @@ def odd_flights(repeats: Sequence[Repeatability]) -> list[str]:
 def usual_and_limit(nulls: Array, criteria: Criteria) -> tuple[Array, Array]:
     """(flights,) median of the nulls' chi2 (flights, nulls), and what a flight of a repeating set stays below."""
     medians = np.median(nulls, axis=1)
-    return medians, medians * np.quantile((nulls / medians[:, None]).max(axis=0), criteria.repeat_level)
+    return medians, medians * significant_above((nulls / medians[:, None]).max(axis=0), criteria)

@@ -15,7 +15,7 @@ from estimation.estimators.normal_equations import solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.surface_steps import jumping_outputs
-from estimation.gap.significance.calibration import Round, upper_quantile
+from estimation.gap.significance.calibration import Round, significant_above
 from estimation.gap.significance.nameless_terms import (
     OmnibusSignal,
     beyond_control_noise,
@@ -40,11 +40,8 @@ class Omnibus:
 
     @property
     def significant(self) -> bool:
-        return self.score > self.threshold
-
-    def matters(self, criteria: Criteria) -> bool:
         """Whether the strongest signal is an unknown effect, by itself."""
-        return self.score > criteria.unknown_margin * self.threshold
+        return self.score > self.threshold
 
 
 def examine(round_: Round) -> Omnibus:
@@ -57,7 +54,7 @@ def examine(round_: Round) -> Omnibus:
     activity, activity_null = scatter_with_activity(problem, model_fit, white, nulls)
     largest = np.max([term_null, time_null, activity_null], axis=0)
     omnibus = summed_up([*terms, *times, *activity], largest, criteria)
-    doubtful = [s for s in terms if s.score > criteria.unknown_margin * omnibus.threshold]
+    doubtful = [s for s in terms if s.score > omnibus.threshold]
     if not doubtful:
         return omnibus
     terms = [*(s for s in terms if s not in doubtful), *beyond_control_noise(round_, doubtful)]
@@ -67,8 +64,7 @@ def examine(round_: Round) -> Omnibus:
 def summed_up(signals: Sequence[OmnibusSignal], largest: Array, criteria: Criteria) -> Omnibus:
     """The strongest signals against the largest score of every null, (nulls,)."""
     ranked = tuple(sorted(signals, key=lambda s: -s.score)[:LEADING])
-    threshold = upper_quantile(largest, criteria.nameless_level)
-    return Omnibus(ranked[0].score if ranked else 0.0, threshold, ranked)
+    return Omnibus(ranked[0].score if ranked else 0.0, significant_above(largest, criteria), ranked)
 
 
 def whitened(problem: LikelihoodProblem, found: ModelFit, round_: Round) -> list[Array]:
@@ -93,7 +89,7 @@ def restless_times(problem: LikelihoodProblem, white: Sequence[Array], nulls: in
     largest = np.zeros(nulls)
     for i, series in enumerate(white):
         time = problem.coarse[i].time
-        width = max(round(problem.criteria.nameless_window / float(np.median(np.diff(time)))), FEWEST)
+        width = max(round(problem.criteria.window / float(np.median(np.diff(time)))), FEWEST)
         width = min(width, len(time))  # a stretch between two gaps may be shorter: one window then
         energy, z = window_energy(series, width)
         largest = np.maximum(largest, z[:, :, 1:].max(axis=(0, 1)))
@@ -158,5 +154,5 @@ def scatter_with_activity(
 
 def energy_with_activity(activity: Array, white: Array, criteria: Criteria) -> Array:
     """(1 + nulls,) how much of the energy of whitened series (N, 1 + nulls) comes with an activity (N,) of unit rms."""
-    weight = np.minimum(np.abs(activity), criteria.activity_cap)
-    return np.asarray((weight - weight.mean()) @ np.minimum(white**2, criteria.energy_cap))
+    weight = np.minimum(np.abs(activity), criteria.certain)
+    return np.asarray((weight - weight.mean()) @ np.minimum(white**2, criteria.certain**2))

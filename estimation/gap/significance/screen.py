@@ -24,6 +24,7 @@ from estimation.models.base import Model
 
 SMALL = 0.05  # usual sizes: secant steps to both sides, in which every smooth effect is linear
 LARGE = 0.3  # usual sizes: where only one side is possible, far enough that a play or a delay acts at all
+SEEN = 1e-6  # of a column's squared length: what the base leaves of less is rounding
 TINY = 1e-300  # keeps a column without length from dividing by zero
 SMALLEST_TAIL = 1e-300  # a probability that still has a quantile
 
@@ -84,7 +85,7 @@ def sensitivity(
 
 def one_sided(parameter: EffectParameter, none: float, criteria: Criteria) -> bool:
     """Whether an unknown can only lie to one side of `none`, its value without effect."""
-    return parameter.lower >= none - criteria.one_sided * parameter.typical
+    return parameter.lower >= none - criteria.immaterial * parameter.typical
 
 
 def hypotheses_for(model: Model, effects: Sequence[Effect], available: frozenset[str]) -> tuple[Hypothesis, ...]:

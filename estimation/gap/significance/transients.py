@@ -19,15 +19,14 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
-from estimation.gap.significance.calibration import Round, upper_quantile
-from estimation.gap.significance.screen import SMALLEST_TAIL, TINY, shared_prior
+from estimation.gap.significance.calibration import Round, significant_above
+from estimation.gap.significance.screen import SEEN, SMALLEST_TAIL, TINY, shared_prior
 from estimation.gap.significance.tangent import Tangent, is_door, through_doors
 
 EVERY = 0.5  # s between the instants at which a step is looked for: a twentieth of the gain is lost between two of them
 STRETCHES = (1.0, 3.0)  # s, of disturbances; each begins a third of it after the one before
 MOST = 6  # taken one after the other
 AIR = frozenset(DISTURBANCE.format(s) for s in ("V", "alpha", "beta"))  # motion through the air, which a gust moves
-SEEN = 1e-6  # of a column's length: one of which the base leaves less says nothing
 FEWEST = 4  # samples to either side of a step
 
 
@@ -305,7 +304,7 @@ def _scored(
             gains[e] = single[columns[0]] if len(columns) == 1 else _gains(products, projected, e)
     unknowns = np.array([len(c) for c in events.inside])
     scores, largest = standing_out(gains, unknowns, [(e.kind, e.channel, e.air) for e in events.events])
-    return scores, gains[:, 0], event_limit(largest, criteria)
+    return scores, gains[:, 0], significant_above(largest, criteria)
 
 
 def _without(round_: Round, asked: Asked, sizes: Mapping[int, float]) -> Round | None:
@@ -322,11 +321,6 @@ def _without(round_: Round, asked: Asked, sizes: Mapping[int, float]) -> Round |
         return None
     baseline = replace(round_.baseline, problem=cleared, fit=refitted)
     return replace(round_, baseline=baseline, tangent=Tangent(cleared, refitted, round_.null_residuals))
-
-
-def event_limit(largest: Array, criteria: Criteria) -> float:
-    """Score from which something happened, from the largest score of every null: as for any nameless rest."""
-    return criteria.unknown_margin * upper_quantile(largest, criteria.nameless_level)
 
 
 def standing_out(gains: Array, unknowns: Array, groups: Sequence[Hashable]) -> tuple[Array, Array]:

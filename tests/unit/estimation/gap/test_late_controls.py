@@ -43,8 +43,6 @@ def test_a_servo_far_slower_than_usual_is_found_where_the_base_took_it_for_roll_
     baseline, asked = fitted({"aileron_lag": 12.0})
     slow, late = asked["aileron_lag"], asked["rudder_delay"]
     assert abs(baseline.fit.values["Cl_p"]) < 0.2, "a third of what the aircraft has"
-    _, near = fit_hypothesis(baseline.problem, baseline.fit, slow, {})
-    assert near.values["aileron_lag"] < 0.2, "no step leads from there to the servo"
     afar = begun_afar(baseline.problem, baseline.fit, slow)
     assert afar is not None
     _, found = fit_hypothesis(baseline.problem, baseline.fit, slow, {}, afar=afar)

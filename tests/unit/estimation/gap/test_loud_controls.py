@@ -8,7 +8,7 @@ from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import fit_baseline
 from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.significance import calibration
-from estimation.gap.significance.calibration import Round, name_threshold, screen_round
+from estimation.gap.significance.calibration import Round, screen_round
 from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.nameless_terms import (
     OmnibusSignal,
@@ -69,7 +69,7 @@ def screened(bend: float, control: float, every: int = 1) -> Round:
     prepared = prepare_flights(ROLL, (), flights, (), options.criteria)
     setting = _setting(prepared, (), {}, {}, {}, options, lambda what, share: None)
     baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
-    return screen_round(baseline, setting.prepared, (), setting.errors, 40, 1, name_threshold)
+    return screen_round(baseline, setting.prepared, (), setting.errors, 40, 1)
 
 
 def strongest(round_: Round) -> OmnibusSignal:

@@ -250,8 +250,8 @@ def test_what_is_left_beside_a_shape_is_said_where_it_matters_and_where_it_can_b
 
     before, about = left(20.0), stub(criteria=AS_SET)
     for score, said in (
-        (1.05 * AS_SET.unknown_margin * 4.0, "q_dot: like alpha"),
-        (0.95 * AS_SET.unknown_margin * 4.0, ""),
+        (1.05 * 4.0, "q_dot: like alpha"),
+        (0.95 * 4.0, ""),
     ):
         monkeypatch.setattr(concluding, "examine", lambda round_, score=score: left(score))
         rest, words = concluding.still_left(about, before)

@@ -222,9 +222,9 @@ def rival(name: str, gain: float, scatter: float = 1.0, why_not: str = "") -> Fi
 
 
 def test_a_rival_must_beat_an_accepted_effect_clearly() -> None:
-    better, best, bad = rival("a", 108.5), rival("b", 109.0), rival("c", 999.0, why_not="no")
+    better, best, bad = rival("a", 109.5), rival("b", 110.0), rival("c", 999.0, why_not="no")
     assert better_rivals([better, best, bad], 100.0, 4.0, AS_SET) == [best, better]
-    assert better_rivals([rival("x", 107.0)], 100.0, 4.0, AS_SET) == []
+    assert better_rivals([rival("x", 108.5)], 100.0, 4.0, AS_SET) == []
     assert better_rivals([], 100.0, 4.0, AS_SET) == []
 
 
@@ -284,7 +284,7 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     assert found is not None
     assert (found[0].hypothesis.label, found[1]) == ("other", "child")
     assert given.pop("gain") == pytest.approx(25.0)
-    assert given.pop("beyond") == pytest.approx(1000.0 - 0.25 * (25.0 + AS_SET.exchange)), "what a rival has to gain"
+    assert given.pop("beyond") == pytest.approx(1000.0 - 0.25 * (25.0 + 9.0)), "what a rival has to gain"
     assert given == {
         "found": [(n, v, 0.05, {"delta_a": 0.002}) for n, v in (("new", 1.0), ("loud", 100.0), ("other", 4.0))],
         "threshold": 4.5,

@@ -132,8 +132,8 @@ def test_sizes_of_a_control_made_late_or_with_play_are_followed_and_those_of_an_
 
 
 # ------------------------------------------------------------------------------------------------ how they are weighed
-@pytest.mark.parametrize(("own", "used"), [(1.9, 1.0), (2.1, 2.1)])
-def test_rivals_share_one_inflation_unless_theirs_is_twice_as_large(own: float, used: float) -> None:
+@pytest.mark.parametrize(("own", "used"), [(0.9, 1.0), (1.1, 1.1), (2.1, 2.1)])
+def test_rivals_share_one_inflation_unless_theirs_is_larger(own: float, used: float) -> None:
     one = screen([hypothesis("best"), hypothesis("x"), hypothesis("late", "delay")])
     round_ = stub(screen=one, gains=np.array([100.0, 50.0, 50.0]), inflation=np.array([1.0, own, 5.0]), criteria=AS_SET)
     found = shared_inflation(round_)
@@ -273,7 +273,7 @@ def test_a_fit_that_could_at_best_gain_half_of_what_a_name_needs_is_given_up() -
     assert within_reach(100.0, gain=16.0) == 100.0 - 0.5 * (16.0 / 2.0)
 
 
-@pytest.mark.parametrize(("gain", "names"), [(93.0, "bac"), (91.0, "abc")])
+@pytest.mark.parametrize(("gain", "names"), [(93.0, "bac"), (90.0, "abc")])
 def test_a_number_that_the_base_holds_stands_before_a_term_that_gains_as_much(gain: float, names: str) -> None:
     """By one angle of attack a derivative that is off and its product with it leave the same flights."""
     held = candidate("b", gain=gain)
@@ -305,9 +305,9 @@ def test_rivals_are_less_sure_where_something_is_left_without_a_name() -> None:
     assert alone_.beside_rest(6.25) == {"imu_z": 1.0}
 
 
-@pytest.mark.parametrize(("score", "misfit"), [(5.19, 1.0), (5.21, (5.21 / 4.0) ** 2), (10.0, 6.25)])
+@pytest.mark.parametrize(("score", "misfit"), [(3.99, 1.0), (4.01, (4.01 / 4.0) ** 2), (10.0, 6.25)])
 def test_a_rest_that_matters_is_so_many_times_what_noise_leaves(score: float, misfit: float) -> None:
-    assert misfit_of(Omnibus(score, 4.0, ()), AS_SET) == pytest.approx(misfit)
+    assert misfit_of(Omnibus(score, 4.0, ())) == pytest.approx(misfit)
 
 
 def test_projection_takes_out_what_the_base_can_absorb() -> None:

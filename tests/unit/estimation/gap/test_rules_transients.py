@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.signal import lti
-from scipy.stats import chi2, gumbel_r, norm
+from scipy.stats import chi2, norm
 
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Gap, GapVerdict
@@ -25,7 +25,7 @@ from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.tangent import Tangent
-from estimation.gap.significance.transients import asked_of, equivalent, event_limit, find_transients, standing_out
+from estimation.gap.significance.transients import asked_of, equivalent, find_transients, standing_out
 from estimation.models.base import Model, Parameter, Signal
 from tests.unit.estimation.gap.roll import ROLL
 
@@ -48,11 +48,6 @@ def test_several_unknowns_count_as_one_that_is_as_improbable() -> None:
     ]
     assert largest == pytest.approx(np.max(nulls, axis=1))
     assert np.isfinite(equivalent(np.array([1e6]), np.array([2]))).all()
-
-
-def test_something_happened_above_a_third_more_than_one_set_of_nulls_in_a_hundred_shows() -> None:
-    largest = np.asarray(gumbel_r.ppf((np.arange(4000) + 0.5) / 4000, loc=3.0, scale=0.3))
-    assert event_limit(largest, AS_SET) == pytest.approx(1.3 * (3.0 - 0.3 * np.log(-np.log(0.99))), abs=0.01)
 
 
 def round_about(model: Model, inputs: dict[str, Array], shown: Sequence[Array], rng: np.random.Generator) -> Round:

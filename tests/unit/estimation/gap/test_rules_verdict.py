@@ -98,13 +98,13 @@ def test_where_commands_are_recorded_a_name_of_a_gap_that_nothing_hidden_leaves_
     assert (seen.verdict, seen.kept) == (GapVerdict.GAP_CLOSED, 1)
 
 
-@pytest.mark.parametrize(("rest", "word"), [(6.2, GapVerdict.NO_GAP), (6.8, GapVerdict.UNKNOWN)])
-def test_a_rest_well_above_its_threshold_is_an_unknown_effect(rest: float, word: GapVerdict) -> None:
+@pytest.mark.parametrize(("rest", "word"), [(4.9, GapVerdict.NO_GAP), (5.1, GapVerdict.UNKNOWN)])
+def test_a_rest_above_its_threshold_is_an_unknown_effect(rest: float, word: GapVerdict) -> None:
     assert verdict(replace(QUIET, rest=rest)) is word
 
 
-@pytest.mark.parametrize(("rest", "word"), [(9.5, GapVerdict.GAP_CLOSED), (10.5, GapVerdict.UNKNOWN)])
-def test_beside_names_that_close_the_gap_a_rest_is_restless_scatter_up_to_twice_its_threshold(
+@pytest.mark.parametrize(("rest", "word"), [(7.4, GapVerdict.GAP_CLOSED), (7.6, GapVerdict.UNKNOWN)])
+def test_beside_names_that_close_the_gap_a_rest_is_restless_scatter_unless_it_is_strong(
     rest: float, word: GapVerdict
 ) -> None:
     facts = replace(QUIET, rest=rest, named=(named(score=50.0),))
@@ -114,12 +114,12 @@ def test_beside_names_that_close_the_gap_a_rest_is_restless_scatter_up_to_twice_
 
 
 def test_a_rest_in_the_very_instrument_that_a_name_blames_is_no_restless_scatter() -> None:
-    """A vane that sticks, named as one that is late and ahead, which leaves 1.8 thresholds in that vane."""
+    """A vane that sticks, named as one that is late and ahead, which leaves 1.4 thresholds in that vane."""
     two = (named("alpha_lag", 19.4, 0.36, None, "alpha"), named("alpha_position", 16.7, 0.30, None, "alpha"))
-    decision = decide(replace(QUIET, rest=9.2, rest_place="alpha", named=two), AS_SET)
+    decision = decide(replace(QUIET, rest=7.2, rest_place="alpha", named=two), AS_SET)
     assert (decision.verdict, decision.kept) == (GapVerdict.UNKNOWN, 0)
-    assert verdict(replace(QUIET, rest=9.2, rest_place="q", named=two)) is not GapVerdict.UNKNOWN
-    strong = replace(QUIET, rest=9.2, rest_place="alpha", named=(named("alpha_lag", 40.0, 0.9, None, "alpha"),))
+    assert verdict(replace(QUIET, rest=7.2, rest_place="q", named=two)) is not GapVerdict.UNKNOWN
+    strong = replace(QUIET, rest=7.2, rest_place="alpha", named=(named("alpha_lag", 40.0, 0.9, None, "alpha"),))
     assert decide(strong, AS_SET).kept == 1
 
 
@@ -169,9 +169,9 @@ def test_names_of_a_gap_that_nothing_hidden_leaves_close_it_where_all_that_is_le
 LOUD = replace(QUIET, rest=10.0, covered=False)
 
 
-@pytest.mark.parametrize(("score", "kept"), [(19.0, 0), (21.0, 1)])
-def test_a_name_that_closes_little_stands_from_four_fifths_of_the_significance_on(score: float, kept: int) -> None:
-    """20^2 is four fifths of 20^2 + 10^2."""
+@pytest.mark.parametrize(("score", "kept"), [(29.0, 0), (31.0, 1)])
+def test_a_name_that_closes_little_stands_from_nine_tenths_of_the_significance_on(score: float, kept: int) -> None:
+    """30^2 is nine tenths of 30^2 + 10^2."""
     found = decide(replace(LOUD, named=(named(score=score, closed=0.3),)), AS_SET)
     assert (found.verdict, found.kept) == (GapVerdict.UNKNOWN, kept)
     assert found.withdrawn == (() if kept else (("Cn_da", "closes only 30% of the gap"),))
@@ -212,7 +212,7 @@ def test_a_name_for_an_instrument_goes_with_all_that_were_found_on_top_of_it() -
 
 
 def test_a_certain_effect_outweighs_a_small_nameless_rest() -> None:
-    assert outweighs(17.3, 6.0, AS_SET.named_weight)
+    assert outweighs(18.3, 6.0, AS_SET.named_weight)
     assert not outweighs(17.3, 12.0, AS_SET.named_weight)
     assert not outweighs(5.0, 50.0, AS_SET.named_weight)
 
@@ -253,8 +253,8 @@ def test_signatures_are_tied_from_a_cosine_of_nine_tenths_on(cosine: float, tied
 
 
 def test_the_nominal_threshold_is_that_of_a_normal_law() -> None:
-    assert nominal_threshold(1, AS_SET) == pytest.approx(1.95996, abs=1e-5)
-    assert nominal_threshold(50, AS_SET) == pytest.approx(3.29053, abs=1e-5)
+    assert nominal_threshold(1, AS_SET) == pytest.approx(2.24140, abs=1e-5)
+    assert nominal_threshold(50, AS_SET) == pytest.approx(3.48076, abs=1e-5)
 
 
 # ------------------------------------------------------------------------------------------------ steps
@@ -272,9 +272,9 @@ def test_a_derivative_that_moves_by_three_bounds_had_absorbed_the_effect(bounds:
     assert all(m.bounds == pytest.approx(bounds) and m.prior == 0.5 for m in moved.values())
 
 
-def test_surfaces_followed_that_moved_by_half_of_the_largest_shift() -> None:
-    moved = {"delta_a": -0.06, "delta_r": 0.033, "delta_e": 0.027}
-    assert followers(moved, AS_SET) == {"delta_a": -0.06, "delta_r": 0.033}
+def test_surfaces_followed_that_moved_by_two_fifths_of_the_largest_shift() -> None:
+    moved = {"delta_a": -0.06, "delta_r": 0.026, "delta_e": 0.022}
+    assert followers(moved, AS_SET) == {"delta_a": -0.06, "delta_r": 0.026}
     assert followers({}, AS_SET) == {}
 
 
@@ -284,24 +284,24 @@ def test_surfaces_followed_that_moved_by_half_of_the_largest_shift() -> None:
      ({"phi": 1.9}, False), ({"phi": 2.1}, True), ({"ay": 99.0}, False)],
 )  # fmt: skip
 def test_what_stays_within_simulator_tolerances_is_real_but_immaterial(worth: dict[str, float], beyond: bool) -> None:
-    assert worth_in_words(worth, AS_SET).startswith("matters" if beyond else "real but within")
+    assert worth_in_words(worth).startswith("matters" if beyond else "real but within")
 
 
 def test_worth_is_said_beside_its_tolerance() -> None:
-    text = worth_in_words({"beta": 1.5, "p": 0.5}, AS_SET)
+    text = worth_in_words({"beta": 1.5, "p": 0.5})
     assert text == "matters: p 0.5 against 2 deg/s, beta 1.5 against 1 deg (beyond it)"
 
 
 # ------------------------------------------------------------------------------------------------ where it lives
-def test_channels_that_gain_a_tenth_of_the_best_show_the_effect() -> None:
-    assert channels_that_gain(np.array([9.0, 100.0, 11.0, -5.0]), AS_SET) == [1, 2]
+def test_channels_that_gain_a_fifth_of_the_best_show_the_effect() -> None:
+    assert channels_that_gain(np.array([18.0, 100.0, 22.0, -5.0]), AS_SET) == [1, 2]
 
 
-def test_stretches_that_gain_a_quarter_of_the_best_show_the_effect() -> None:
+def test_stretches_that_gain_a_fifth_of_the_best_show_the_effect() -> None:
     """Boxes of 2 s at 20 Hz: smoothing over a second leaves their height and their half-height ends."""
     time = 0.05 * np.arange(400)
     gain = np.zeros(400)
-    gain[40:80], gain[160:200], gain[280:320] = 0.27, 1.0, 0.22
+    gain[40:80], gain[160:200], gain[280:320] = 0.22, 1.0, 0.18
     found = spans_of(time, gain, AS_SET)
     assert [round(a) for a, _ in found] == [8, 2]
 
@@ -328,16 +328,15 @@ def test_a_regime_holds_the_three_tenths_of_largest_values_and_more_than_its_sha
     assert where(0.7, 1.35 * 0.7 / (1 - 1.35 * 0.3)) == "|p| > 0.7 deg/s"
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.045, False), (0.055, True), (0.25, True)])
-def test_large_values_must_not_be_rare(share: float, told: bool) -> None:
-    """A control that is out of neutral for so much of the time."""
-    large = np.arange(2000) < 2000 * share
-    text = regime({"x": np.where(large, 1.0 + 0.001 * np.arange(2000), 0.0)}, np.where(large, 1.0, 0.0), AS_SET)
-    assert (text != "everywhere") is told
+@pytest.mark.parametrize(("share", "told"), [(0.05, True), (0.25, True), (0.4, False)])
+def test_a_signal_of_two_values_has_a_regime_where_one_of_them_is_rare(share: float, told: bool) -> None:
+    """A switch that is on for so much of the time; of one that is on for long no value is larger than its large ones."""
+    on = np.arange(2000) < 2000 * share
+    assert (regime({"x": on.astype(float)}, on.astype(float), AS_SET) != "everywhere") is told
 
 
 def test_the_map_over_the_regime_has_six_equal_bins() -> None:
-    rows = binned(np.arange(600.0), np.repeat(np.arange(1.0, 7.0) ** 2, 100), AS_SET)
+    rows = binned(np.arange(600.0), np.repeat(np.arange(1.0, 7.0) ** 2, 100))
     assert len(rows) == 6
     assert rows[0]["gap"] == pytest.approx(1.0)
     assert rows[-1]["gap"] == pytest.approx(6.0)
@@ -345,7 +344,7 @@ def test_the_map_over_the_regime_has_six_equal_bins() -> None:
 
 def test_the_map_over_time_has_windows_of_two_seconds() -> None:
     time = 0.05 * np.arange(200)
-    found = windows(time, np.full((200, 2), 4.0), AS_SET)
+    found = windows(time, np.full((200, 2), 4.0))
     assert [w[0] for w in found] == pytest.approx([0.0, 2.0, 4.0, 6.0, 8.0])
     assert found[-1][1] == pytest.approx(9.95)
     assert all(w[2] == 2.0 for w in found)

@@ -77,7 +77,7 @@ def test_a_level_is_left_open_for_every_flight_as_widely_as_the_reconstruction_s
     made = with_nuisance(with_levels(pitching, {"V": 0.4}), {"V": 0.1, "q": 0.01}, 0.02, AS_SET)
     assert made.parameter("bias_V").prior_std == 0.4
     assert made.parameter("bias_V").local
-    assert made.parameter("bias_q").prior_std == AS_SET.bias_share * 0.01
+    assert made.parameter("bias_q").prior_std == 0.01
 
 
 def test_what_was_found_from_the_motion_is_no_measurement() -> None:
