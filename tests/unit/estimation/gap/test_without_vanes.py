@@ -30,7 +30,7 @@ def flown(
     name: str, found: Mapping[str, float] | None = None, without: tuple[str, ...] = (), hz: float = 0.0
 ) -> Flight:
     """found: column that a reconstruction made -> its uncertainty. hz: of the attitude in its log."""
-    columns = {c: np.full(TIME.size, 1.0 + k) for k, c in enumerate(COLUMNS) if c not in without}
+    columns = {c: 1.0 + k + 0.01 * np.sin(TIME) for k, c in enumerate(COLUMNS) if c not in without}
     columns |= {f"{c}_std": np.full(TIME.size, std) for c, std in (found or {}).items()}
     detail: dict[str, object] = {RECONSTRUCTED: {"columns": list(found)}} if found else {}
     if hz:
@@ -40,11 +40,11 @@ def flown(
 
 def test_a_model_is_not_compared_in_angles_that_some_flight_did_not_measure() -> None:
     vane, found, bare = flown("a"), flown("b", {"beta": 0.02, "alpha": 0.03}), flown("c", without=("beta",))
-    assert compared(LATERAL, [vane]) == (LATERAL, [])
+    assert compared(LATERAL, [vane], AS_SET) == (LATERAL, [])
     assert not_compared(LATERAL, LATERAL) == ""
     said = {"b": "b: beta found from the motion: not compared", "c": "c: beta not measured: not compared"}
     for other in (found, bare):
-        model, notes = compared(LATERAL, [vane, other])
+        model, notes = compared(LATERAL, [vane, other], AS_SET)
         assert model.output_names == ("p", "r", "phi", "ay")
         assert model.input_names == LATERAL.input_names
         assert notes == [said[other.name]]
@@ -105,7 +105,7 @@ def test_a_base_without_beliefs_and_without_a_vane_is_begun_where_maximum_likeli
     """A business jet without vanes: no regression, and from derivatives of nothing the fit crept nowhere and was refused."""
     (flight, *_) = flights(truth.fly(requests({}, 61001, 0.15, "rich")))
     blind = replace(flight, columns={c: v for c, v in flight.columns.items() if c != "beta"})
-    unknown, _ = compared(LATERAL.with_starts(dict.fromkeys(LATERAL.free_names, 0.0)), [blind])
+    unknown, _ = compared(LATERAL.with_starts(dict.fromkeys(LATERAL.free_names, 0.0)), [blind], AS_SET)
     lost = GapError("runs away")
     begun = _estimated(unknown, [blind], lost).starts()
     assert begun["Cl_p"] < -0.3
