@@ -66,7 +66,7 @@ def _stuck_in_words(flight: Flight, column: str) -> str:
     if not runs:
         return ""
     first, last = flight.time[runs[0][0]], flight.time[runs[-1][1] - 1]
-    times = f", {len(runs)} times" if len(runs) > 1 else ""
+    times = f", {len(runs)} times" if len(runs) > 1 else f" at {flight[column][runs[0][0]]:.3g}"
     return f"on {flight.name} (between {first:.1f} and {last:.1f} s{times})"
 
 

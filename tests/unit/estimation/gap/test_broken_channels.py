@@ -15,8 +15,10 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.decision import held_out
 from estimation.gap.decision.held_out import FAR, held_out_step, not_predicted
 from estimation.gap.effects import catalogue
+from estimation.gap.fit.spectra import rms_measured
 from estimation.gap.records.broken import broken_in_words, dead_everywhere, unmoved_in_words, without_stuck
 from estimation.gap.records.reconstructed import compared, not_compared
+from estimation.gap.significance.measure import odd_flights, repeatability
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
@@ -68,7 +70,7 @@ def test_an_input_that_is_dead_on_one_flight_is_named_and_one_that_nobody_moved_
 @pytest.mark.parametrize(("column", "what"), [("beta", "not compared there"), ("delta_a", "those times are left out")])
 def test_what_a_channel_shows_while_it_is_stuck_is_no_measurement(column: str, what: str) -> None:
     given = moving("a", stuck=(column,))
-    assert words(given) == [f"{column} is stuck on a (between 12.0 and 19.9 s): {what}"]
+    assert words(given) == [f"{column} is stuck on a (between 12.0 and 19.9 s at {given[column][240]:.3g}): {what}"]
     read = without_stuck(given, MOVING)
     assert np.array_equal(np.isnan(read[column]), TIME >= 12.0)
     for other in set(MOVING) - {column}:
@@ -85,6 +87,12 @@ def test_a_model_is_not_compared_in_what_is_dead_on_every_flight() -> None:
     assert compared(LATERAL, [flown[0], moving("bb")], AS_SET)[0] == LATERAL
     dead = tuple(s.source for s in LATERAL.outputs)
     assert dead_everywhere(LATERAL, [moving("a", dead)], AS_SET) == [], "that is for the fit to refuse"
+
+
+def test_nothing_stands_out_of_a_channel_that_a_record_did_not_measure() -> None:
+    """Its scatter had been no number, and with it what a surface does to the outputs."""
+    values = np.array([[3.0, np.nan, np.nan], [4.0, np.nan, 2.0]])
+    assert rms_measured(values).tolist() == [np.sqrt(12.5), np.inf, 2.0]
 
 
 # ------------------------------------------------------------------------------------------------ held-out flights
@@ -146,3 +154,39 @@ def test_an_aileron_of_the_wrong_sign_on_the_held_out_flight_is_no_gap_no_more()
     (step,) = result.steps
     assert step.to_json()["form"]["flight"] == "f3"
     assert "p" in step.where.channels
+
+
+# ------------------------------------------------------------------------------------------------ which training flight it is
+
+
+def round_of(values: tuple[float, ...]) -> Any:
+    """Flights that each measure one number a hundred times, exactly what is given; nulls scatter by one bound."""
+    rng = np.random.default_rng(7)
+    grams = []
+    for value in values:
+        z = np.concatenate([[value], 0.1 * rng.standard_normal(200)])
+        gram = np.zeros((1 + z.size, 1 + z.size))
+        gram[0, 0], gram[0, 1:], gram[1:, 0] = 100.0, 100.0 * z, 100.0 * z
+        grams.append(gram)
+
+    def total(flights: list[int] | None = None) -> Array:
+        return np.sum([g for k, g in enumerate(grams) if flights is None or k in flights], axis=0)
+
+    screen = SimpleNamespace(n=1, k=0, flights=tuple(range(len(values))), total=total)
+    return SimpleNamespace(screen=screen, criteria=AS_SET)
+
+
+@pytest.mark.parametrize(
+    ("values", "odd"),
+    [
+        ((0.0, 0.1, -0.1), []),
+        ((0.0, 9.0, 0.1), ["b"]),  # that pulls the others away from their joint fit
+        ((0.0, 9.0, -4.0), ["a", "b", "c"]),  # each has a number of its own
+        ((0.0, 9.0, 0.1, -0.1), ["b"]),
+        ((0.0, 9.0), ["a", "b"]),  # of two nobody can tell
+    ],
+)
+def test_the_one_flight_without_which_the_others_repeat_each_other_is_odd_alone(
+    values: tuple[float, ...], odd: list[str]
+) -> None:
+    assert odd_flights(repeatability(round_of(values), ("a", "b", "c", "d"))) == odd
