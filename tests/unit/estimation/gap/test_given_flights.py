@@ -283,6 +283,14 @@ def test_flights_of_one_name_are_told_apart(tmp_path: Path, monkeypatch: pytest.
     assert seen == 2 * ["flight", "flight#2", "flight#3"]
 
 
+@pytest.mark.parametrize("after", [[], ["--aircraft", "cdfp"]])
+def test_holdout_without_a_flight_after_it_is_a_mistake(after: list[str]) -> None:
+    """It had been passed over: an empty pattern of the shell, and nothing was held out."""
+    answer = CliRunner().invoke(gap_verb, ["f0.csv", "f1.csv", "--holdout", *after])
+    assert answer.exit_code == 2
+    assert "--holdout has no flight after it" in answer.output
+
+
 def stepping(seed: int) -> Array:
     """A surface that goes up and down again, and its pot."""
     course = np.where((np.arange(COUNT) >= 100) & (np.arange(COUNT) < 200), 0.1, 0.0)
