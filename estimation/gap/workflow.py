@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from estimation.errors import EstimationError
 from estimation.estimators.output_error import output_error
-from estimation.gap.answer.result import GapResult
+from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.decision.conclusion import concluded
 from estimation.gap.decision.lineage import late_commands, turned_signs
 from estimation.gap.effects import catalogue
@@ -122,8 +122,12 @@ def run_gap(
     tell("measuring what is closed", 0.95)
     answer = concluded(setting, search, check)
     unmoved = unmoved_in_words(flights, model, options.criteria)
-    further = (moved, late_commands(training_flights, baseline), not_compared(full_model, model), unmoved)
-    answer = replace(answer, text=" ".join(t for t in (answer.text, *further) if t))
+    further = (moved, late_commands(training_flights, baseline), not_compared(full_model, model))
+    explained = (
+        answer.verdict is GapVerdict.UNKNOWN
+    )  # by a control whose channel is dead, perhaps: that is the first to look at
+    sentences = (unmoved, answer.text, *further) if explained else (answer.text, *further, unmoved)
+    answer = replace(answer, text=" ".join(t for t in sentences if t))
     return _with_doubts(answer, doubts)
 
 

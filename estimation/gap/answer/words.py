@@ -228,7 +228,8 @@ def conclude(
         )
     if odd:
         none_repeats = len(odd) == flights
-        parts.insert(0 if none_repeats else len(parts), odd_in_words(odd, none_repeats))
+        explains = none_repeats or verdict is GapVerdict.UNKNOWN  # then it is the first place to look
+        parts.insert(0 if explains else len(parts), odd_in_words(odd, none_repeats))
     if stale:
         parts.append(
             f"{' and '.join(stale)} repeat{'s' if len(stale) == 1 else ''} the last value in many samples (a stale, slow or "

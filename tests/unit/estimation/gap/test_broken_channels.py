@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from estimation.engine.kernel import Array
-from estimation.gap.answer.result import Gap
+from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.answer.words import conclude, describe_not_predicted, describe_step
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision import held_out
 from estimation.gap.decision.held_out import FAR, held_out_step, not_predicted
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.spectra import rms_measured
+from estimation.gap.pages.first_screen import next_steps
 from estimation.gap.records.broken import broken_in_words, dead_everywhere, unmoved_in_words, without_stuck
 from estimation.gap.records.reconstructed import compared, not_compared
 from estimation.gap.significance.measure import odd_flights, repeatability
@@ -140,7 +141,9 @@ def test_the_words_on_such_a_flight_say_which_where_and_what_to_do(monkeypatch: 
     assert "Look at the instruments" in text
     form = json.loads(json.dumps(step.to_json()))["form"]
     assert (form["kind"], form["flight"], form["gap"], form["highest"]) == ("held_out", "f3", 9.0, 2.0)
-    beside = conclude("cannot_tell", (), {}, (), (), True, unlike=describe_not_predicted(found))  # type: ignore[arg-type]
+    page = cast(Any, SimpleNamespace(steps=(step,), verdict=GapVerdict.UNKNOWN))
+    assert next_steps(page) == ["Look at the instruments and the configuration of f3, or hold another flight out."]
+    beside = conclude(GapVerdict.CANNOT_TELL, (), {}, (), (), True, unlike=describe_not_predicted(found))
     assert "And the model does not predict the held-out f3" in beside
 
 
@@ -154,6 +157,15 @@ def test_an_aileron_of_the_wrong_sign_on_the_held_out_flight_is_no_gap_no_more()
     (step,) = result.steps
     assert step.to_json()["form"]["flight"] == "f3"
     assert "p" in step.where.channels
+
+
+def test_the_odd_flight_comes_first_where_something_unknown_stands_out() -> None:
+    """It had been the last sentence but one, behind what that flight makes of the model."""
+    texts = {v: conclude(v, (), {}, (), (), True, ["f1"], flights=3) for v in GapVerdict}
+    first = {v for v, text in texts.items() if text.startswith("f1 does not repeat the other training flights")}
+    assert GapVerdict.UNKNOWN in first
+    assert GapVerdict.NO_GAP not in first
+    assert all("f1 does not repeat" in text for text in texts.values())
 
 
 # ------------------------------------------------------------------------------------------------ which training flight it is
