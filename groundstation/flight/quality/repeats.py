@@ -272,6 +272,9 @@ ROWS_IN_A_ROW = 20  # rows in a row that have to be the same
 ROWS_MOVING = 0.5  # of them have to differ from the row before: aircraft at rest and simulated trims look alike
 SHARED = 0.25  # of the shorter flight: flights simulated without noise may begin alike
 FEWEST_COLUMNS = 3  # that all have measured
+TENTH_OF_STEP = (
+    0.1  # five digits of a channel are a thousandth of its noise or less: one window of five has a row that flips
+)
 
 
 def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:
@@ -279,7 +282,8 @@ def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:
     columns = [c for c in SENSED if all(f.measured(c) for f in flights)]
     if len(columns) < FEWEST_COLUMNS:
         return None
-    prints = [_fingerprints(f, columns) for f in flights]
+    steps = np.array([_coarse_step([f[c] for f in flights]) for c in columns])
+    prints = [_fingerprints(f, columns, steps) for f in flights]
     for a, b in combinations(range(len(flights)), 2):
         shared = len(prints[a] & prints[b])
         if shared and shared >= SHARED * min(len(flights[a]), len(flights[b])):
@@ -287,10 +291,18 @@ def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:
     return None
 
 
-def _fingerprints(flight: Flight, columns: Sequence[str]) -> set[int]:
-    """A number for the contents of every window of rows that move."""
-    # single precision, so that a file of seven digits is the same; bits, so that what is not measured is; zero and minus zero are
-    rows = np.column_stack([flight[c].astype(np.float32) + np.float32(0.0) for c in columns]).view(np.uint32)
+def _coarse_step(courses: Sequence[Array]) -> float:
+    """Tenth of how far a column usually goes from row to row: what a copy written with fewer digits is rounded by is far less,
+    what two flights differ by far more. 1 for one that mostly rests."""
+    usual = [float(np.nanmedian(np.abs(np.diff(v)))) for v in courses if np.isfinite(np.diff(v)).any()]
+    return TENTH_OF_STEP * float(np.median(usual)) if usual and np.median(usual) > 0.0 else 1.0
+
+
+def _fingerprints(flight: Flight, columns: Sequence[str], steps: Array) -> set[int]:
+    """A number for the contents of every window of rows that move. steps: (columns,) to which values are rounded."""
+    courses = [np.round(flight[c] / q) if q != 1.0 else flight[c] for c, q in zip(columns, steps, strict=True)]
+    # bits, so that what is not measured is the same; zero and minus zero are
+    rows = np.column_stack([v.astype(np.float32) + np.float32(0.0) for v in courses]).view(np.uint32)
     changes = np.concatenate([[0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1))])
     return {
         hash(rows[end - ROWS_IN_A_ROW : end].tobytes())
