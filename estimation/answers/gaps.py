@@ -53,7 +53,8 @@ def gap(
         answer = ss.gap("lateral", ["f0.mcap", "f1.mcap"], holdout=["f2.mcap"])
         print(answer.verdict, answer.effects)
     """
-    from estimation.gap.effects import catalogue
+    from estimation.gap.effects import catalogue, load_effects
+    from estimation.gap.errors import GapError
     from estimation.gap.workflow import Options, run_gap
     from estimation.prepare.measured_cg import at_stated_cg
     from estimation.prepare.measured_mass import at_mean_mass
@@ -61,17 +62,37 @@ def gap(
     from estimation.simulation.base_model import Free
 
     files = tuple(Path(f) for f in effects)
-    catalogue(files)  # what is mistyped in them is said before a flight is read
+    own = {path: [e.name for e in load_effects(path)] for path in files}  # mistakes are said before a flight is read
     training = as_listed(flights)
     every_flight = [*training, *as_listed(holdout)]
     problem = resolve(every_flight, model, aircraft, simulation=simulation, free=Free.FACTORS)
     effect_list = catalogue(files, problem.model)
     first, rest = problem.flights[: len(training)], problem.flights[len(training) :]
     options = Options(seed=seed, nulls=nulls)
-    result = run_gap(problem.model, first, rest, effect_list, options, progress or (lambda what, share: None))
+    try:
+        result = run_gap(problem.model, first, rest, effect_list, options, progress or (lambda what, share: None))
+    except GapError as error:
+        if not files:
+            raise
+        hint = "where it goes without --effects, an effect of your own is no number along these flights"
+        raise GapError(f"{error}; {hint}") from error
     before, after = (at_stated_cg(at_mean_mass(m)) for m in (result.model_before, result.model_after))
     result = replace(result, model_before=before, model_after=after)
-    return GapAnswer(result, problem.flights, tuple(effect_list), seed, problem.notes)
+    notes = (*problem.notes, *never_asked(own, result))
+    return GapAnswer(result, problem.flights, tuple(effect_list), seed, notes)
+
+
+def never_asked(own: "Mapping[Path, Sequence[str]]", result: "GapResult") -> list[str]:
+    """A sentence on each file of a person's own effects, path -> names, of which some were not asked: silence is no answer."""
+    untold = {c["effect"] for c in result.details["cannot_tell"]}
+    asked = {*result.scores, *untold, *(s.effect for s in result.steps)}
+    missing = {path: [n for n in names if n not in asked] for path, names in own.items()}
+    return [
+        f"effects {path}: {', '.join(names)} not asked: a term needs a signal, coefficient or instrument that this model or "
+        "these flights do not have, or it changes nothing"
+        for path, names in missing.items()
+        if names
+    ]
 
 
 @dataclass(frozen=True, repr=False)

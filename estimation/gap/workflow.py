@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from estimation.errors import EstimationError
 from estimation.estimators.output_error import output_error
-from estimation.gap.answer.result import GapResult
+from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.decision.conclusion import concluded
 from estimation.gap.decision.lineage import late_commands, turned_signs
 from estimation.gap.effects import catalogue
@@ -26,6 +26,7 @@ from estimation.gap.fit.channel_noise import (
 )
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.attitudes import with_attitudes_between
+from estimation.gap.records.broken import broken_in_words, unmoved_in_words, without_stuck
 from estimation.gap.records.candidate_model import rare_commands, stamped_attitudes, with_dormant, with_nuisance
 from estimation.gap.records.doubts import doubts_of, refuse_twice, sample_notes, stale_channels
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
@@ -73,6 +74,8 @@ def run_gap(
     tell("preparing the flights", 0.0)
     controls = [s.source for s in model.inputs if s.control and not s.computed]
     outputs = [s.source for s in model.outputs]
+    sensed = [*outputs, *(s.source for s in model.inputs if not s.computed)]
+    training, holdout = ([without_stuck(f, sensed) for f in group] for group in (training, holdout))
     gridded = (
         [with_attitudes_between(with_lost_rows(f), options.criteria) for f in group] for group in (training, holdout)
     )
@@ -93,7 +96,7 @@ def run_gap(
         tell("fitting the baseline", 0.05)
         return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
 
-    doubts, moved = doubts_of(flights, model), ""
+    doubts, moved = [*broken_in_words(flights, full_model), *doubts_of(flights, model)], ""
     try:
         try:
             setting, baseline = begun(model)
@@ -118,8 +121,13 @@ def run_gap(
     check = kinematic_check(measured, setting.effects, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
     answer = concluded(setting, search, check)
+    unmoved = unmoved_in_words(flights, model)
     further = (moved, late_commands(training_flights, baseline), not_compared(full_model, model))
-    answer = replace(answer, text=" ".join(t for t in (answer.text, *further) if t))
+    explained = (
+        answer.verdict is GapVerdict.UNKNOWN
+    )  # by a control whose channel is dead, perhaps: that is the first to look at
+    sentences = (unmoved, answer.text, *further) if explained else (answer.text, *further, unmoved)
+    answer = replace(answer, text=" ".join(t for t in sentences if t))
     return _with_doubts(answer, doubts)
 
 

@@ -113,8 +113,17 @@ def _refuse_sign(flight: Flight, name: str, values: Array) -> None:
     reason = no_airspeed(flight) if name == "V" else ""
     raise DataError(
         f"{flight.name}: {name} is {values.min():.3g} {unit} (zero or less at {times.size} samples, first at t = "
-        f"{times[0]:g} s)" + (reason or "; turn its sign, or leave that time out with --segments")
+        f"{times[0]:g} s)" + (reason or _instead(name, values))
     )
+
+
+def _instead(name: str, values: Array) -> str:
+    """What to do about a column that is nowhere, or not everywhere, above zero."""
+    if not values.any():
+        return f"; a dead channel: fill {name} in, or leave its column out"
+    if (values <= 0.0).all():
+        return "; turn its sign"
+    return "; turn its sign, or leave that time out (--segments of estimate and match, or cut the file)"
 
 
 def _refuse_other_unit(flight: Flight, rate: str, angle: str) -> None:

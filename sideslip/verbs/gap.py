@@ -25,8 +25,10 @@ class _ManyHoldouts(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         spread: list[str] = []
         flight_count = holding = 0
-        for word in args:
+        for word, following in zip(args, [*args[1:], "-"], strict=True):
             if word == "--holdout":
+                if following.startswith("-"):  # as an empty pattern of a shell leaves it
+                    raise click.UsageError("--holdout has no flight after it; name one, or leave --holdout out", ctx)
                 holding = 1
             elif word.startswith("-"):
                 holding = 0

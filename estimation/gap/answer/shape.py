@@ -199,6 +199,31 @@ class HeldInstrument:
 
 
 @dataclass(frozen=True)
+class NotPredicted:
+    """A held-out flight that the model does not predict, though nothing stands out on the training flights.
+
+    channels: outputs in which it is off, the worst first. segments: stretches [s] of it. gap: of the held-out flights; highest:
+    up to where nothing hidden has it.
+    """
+
+    flight: str
+    channels: tuple[str, ...]
+    segments: tuple[tuple[float, float], ...]
+    gap: float
+    highest: float
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "kind": "held_out",
+            "nameless": True,
+            "flight": self.flight,
+            "channels": list(self.channels),
+            "gap": rounded(self.gap, 3),
+            "highest": rounded(self.highest, 3),
+        }
+
+
+@dataclass(frozen=True)
 class Happened:
     """Events that leave nothing else to explain, first the one that stands out most."""
 

@@ -3,7 +3,15 @@
 from collections.abc import Mapping, Sequence
 
 from estimation.gap.answer.result import EffectStep, Gap, GapVerdict
-from estimation.gap.answer.shape import TURN, Happened, HeldInstrument, LaggedTerm, ShapeCurve, SwingingTerm
+from estimation.gap.answer.shape import (
+    TURN,
+    Happened,
+    HeldInstrument,
+    LaggedTerm,
+    NotPredicted,
+    ShapeCurve,
+    SwingingTerm,
+)
 from estimation.gap.effects.base import Effect
 
 EXAMPLES = (
@@ -53,6 +61,8 @@ def describe_unknown(step: EffectStep) -> str:
         return describe_events(step.shape)
     if isinstance(step.shape, HeldInstrument):
         return describe_held(step.shape)
+    if isinstance(step.shape, NotPredicted):
+        return f"The training flights show nothing, but {describe_not_predicted(step.shape)}"
     location = step.where
     place = (
         f"it lives in {', '.join(location.channels)} ({location.regime})"
@@ -164,6 +174,17 @@ def describe_held(held: HeldInstrument) -> str:
     )
 
 
+def describe_not_predicted(found: NotPredicted) -> str:
+    """Which held-out flight is off, how far and where, and what to look at; begins in lower case."""
+    place = f", mostly in {' and '.join(found.channels)}" if found.channels else ""
+    when = f", for example at {found.segments[0][0]:.1f} to {found.segments[0][1]:.1f} s" if found.segments else ""
+    return (
+        f"the model does not predict the held-out {found.flight}: a gap of {found.gap:.3g}, up to {found.highest:.3g} with "
+        f"nothing hidden{place}{when}. Look at the instruments, the signs and the configuration of {found.flight} before "
+        "anything is concluded from it."
+    )
+
+
 def conclude(
     verdict: GapVerdict,
     steps: Sequence[EffectStep],
@@ -177,10 +198,12 @@ def conclude(
     left: str = "",
     flights: int = 0,
     inputs: str = "",
+    unlike: str = "",
 ) -> str:
     """The paragraph of the verdict. odd: training flights, of so many `flights`, that do not repeat the others. stale: outputs
     that repeat their last value in many samples. following: controls that only follow the motion. left: how what is left beside
-    a shape shows. inputs: what of the rest may be errors of the inputs, as of `rest_of_inputs`."""
+    a shape shows. inputs: what of the rest may be errors of the inputs, as of `rest_of_inputs`. unlike: of a held-out flight that
+    is not predicted, as of `describe_not_predicted`."""
     parts = []
     if verdict is GapVerdict.NO_GAP:
         parts.append(
@@ -196,6 +219,8 @@ def conclude(
     parts += [s.text for s in steps]
     if inputs and verdict is not GapVerdict.CANNOT_TELL:
         parts.append(f"Beside this, {inputs}")
+    if unlike:
+        parts.append(f"And {unlike}")
     if left:
         parts.append(f"Beside all this something is left that is not explained ({left}).")
     if steps and not holdout:
@@ -205,7 +230,8 @@ def conclude(
         )
     if odd:
         none_repeats = len(odd) == flights
-        parts.insert(0 if none_repeats else len(parts), odd_in_words(odd, none_repeats))
+        explains = none_repeats or verdict is GapVerdict.UNKNOWN  # then it is the first place to look
+        parts.insert(0 if explains else len(parts), odd_in_words(odd, none_repeats))
     if stale:
         parts.append(
             f"{' and '.join(stale)} repeat{'s' if len(stale) == 1 else ''} the last value in many samples (a stale, slow or "

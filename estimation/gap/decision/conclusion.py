@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.gap.answer.result import EffectStep, Gap, GapResult, GapVerdict, Histories, Rejected
 from estimation.gap.answer.shape import Happened, HeldInstrument, LaggedTerm, SwingingTerm
-from estimation.gap.answer.words import conclude, describe_step, rest_of_inputs
+from estimation.gap.answer.words import conclude, describe_not_predicted, describe_step, rest_of_inputs
 from estimation.gap.decision.beside import ShapeContinuation, in_its_place, names_beside, without_doubted
 from estimation.gap.decision.decide import (
     Decision,
@@ -21,6 +21,7 @@ from estimation.gap.decision.decide import (
     with_shape,
 )
 from estimation.gap.decision.followers import beside_memory, late_rest, settled_follower
+from estimation.gap.decision.held_out import held_out_step, not_predicted
 from estimation.gap.decision.lineage import models
 from estimation.gap.decision.location import views
 from estimation.gap.decision.steps import (
@@ -185,6 +186,9 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
         and (stale := find_held_instrument(state.model, prepared))
     ):
         decision, unnamed = as_unknown(decision), held_step(stale, unchanged_gap)
+    unlike = not_predicted(final, prepared, state.floor)
+    if unlike is not None and decision.verdict is GapVerdict.NO_GAP:
+        decision, unnamed, unlike = as_unknown(decision), held_out_step(unlike, unchanged_gap, state.floor), None
     effect_steps = [with_final_estimates(s, f, final) for s, f in zip(state.named, state.kept, strict=False)]
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
     odd = odd_flights(repeats)
@@ -209,6 +213,7 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
             remainder,
             len(repeats),
             _of_inputs(state, rest),
+            describe_not_predicted(unlike) if unlike is not None else "",
         ),
         minimum_detectable=detectable,
         steps=steps,

@@ -92,11 +92,12 @@ def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> Disagreemen
 
 
 def windows(time: Array, squares: Array) -> list[tuple[float, float, float]]:
-    """(from, to [s], gap) of successive windows."""
+    """(from, to [s], gap) of successive windows in which something is compared."""
     width = max(round(MAPPED / float(np.median(np.diff(time)))), 2)
     return [
         (float(time[k]), float(time[min(k + width, time.size) - 1]), float(np.sqrt(np.nanmean(squares[k : k + width]))))
         for k in range(0, time.size - width // 2, width)
+        if np.isfinite(squares[k : k + width]).any()
     ]
 
 

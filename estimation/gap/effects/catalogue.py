@@ -20,6 +20,7 @@ from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.errors import EffectError
 from estimation.models.base import InputTransform, Model, Signal
 from estimation.models.expressions import parse
+from estimation.own_code import mistake_text
 
 ENTRY_POINTS = "sideslip.effects"
 LARGEST_NUMBER = 1e12  # of a bound or size, in any SI unit: no quantity of an aircraft comes near it
@@ -106,8 +107,13 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         assert spec is not None
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        if not hasattr(module, "EFFECTS"):
+        try:
+            spec.loader.exec_module(module)
+        except SystemExit as end:
+            raise EffectError(f"effects {path}: it ends Python (exit {end.code}) in place of giving EFFECTS") from end
+        except Exception as mistake:
+            raise EffectError(f"effects {path}: cannot be run: {mistake_text(mistake)}") from mistake
+        if not isinstance(getattr(module, "EFFECTS", None), tuple | list):
             raise EffectError(f"effects {path}: no tuple EFFECTS in it")
         return _checked(module.EFFECTS, str(path))
     raise EffectError(f"effects {path}: give a .toml or a .py file")
@@ -118,6 +124,14 @@ def _checked(found: Any, where: str) -> tuple[Effect, ...]:
     for effect in effects:
         if not isinstance(effect, Effect):
             raise EffectError(f"{where}: EFFECTS holds {effect!r}, which is no Effect")
+    return _each_once(effects, where)
+
+
+def _each_once(effects: tuple[Effect, ...], where: str) -> tuple[Effect, ...]:
+    """The effects; EffectError where two have one name, of which the first would be lost."""
+    names = [e.name for e in effects]
+    if twice := [n for n in names if names.count(n) > 1]:
+        raise EffectError(f"{where}: two effects are called {twice[0]!r}; give each a name of its own")
     return effects
 
 
@@ -127,7 +141,7 @@ def _from_toml(path: Path, may_lack_forms: bool = False) -> tuple[Effect, ...]:
     if not isinstance(tables, list) or not tables:
         raise EffectError(f"effects {path}: write each effect as a table [[effect]]")
     try:
-        return tuple(_effect(table, may_lack_forms) for table in tables)
+        return _each_once(tuple(_effect(table, may_lack_forms) for table in tables), f"effects {path}")
     except KeyError as error:
         raise EffectError(f"effects {path}: the key {error} is missing in one of its tables") from error
     except (TypeError, ValueError, AttributeError, ModelError) as error:

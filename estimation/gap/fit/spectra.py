@@ -119,7 +119,7 @@ class Shapes:
 @dataclass(frozen=True)
 class Linear:
     """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u over `controls`, dt [s] between samples;
-    scale: (ny,) rms of the measured outputs about their steady values."""
+    scale: (ny,) rms of the measured outputs about their steady values, infinite of one that is not measured."""
 
     A: Array
     B: Array
@@ -157,8 +157,15 @@ def linear_motion(model: Model, simulator: Simulator, segment: Segment, values: 
         D=by_controls(y),
         controls=tuple(model.inputs[i].name for i in controls),
         dt=float(np.median(np.diff(segment.time))),
-        scale=np.maximum(np.sqrt(np.nanmean((segment.z - steady_outputs(model, segment)) ** 2, axis=0)), 1e-9),
+        scale=np.maximum(rms_measured(segment.z - steady_outputs(model, segment)), 1e-9),
     )
+
+
+def rms_measured(values: Array) -> Array:
+    """(ny,) rms of each column of (N, ny) where it is finite; infinite of one that nowhere is: nothing stands out of that."""
+    finite = np.isfinite(values)
+    counts, squares = finite.sum(axis=0), np.sum(np.where(finite, values, 0.0) ** 2, axis=0)
+    return np.sqrt(np.divide(squares, counts, out=np.full(counts.shape, np.inf), where=counts > 0))
 
 
 def shapes_of(

@@ -6,6 +6,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from estimation.gap.answer.result import EffectStep, GapResult, GapVerdict
+from estimation.gap.answer.shape import NotPredicted
 from estimation.gap.pages.gap_tables import value_and_unit
 from estimation.report.drawing.figures import Picture
 from estimation.report.flight_tables import collected
@@ -62,6 +63,8 @@ def next_steps(result: GapResult) -> list[str]:
         ]
     if result.verdict is GapVerdict.NO_GAP:
         steps.append("Watch the next flights with this model: watch FLIGHT --model MODEL.toml.")
-    if result.verdict is GapVerdict.UNKNOWN:
+    unlike = [step for step in result.steps if isinstance(step.shape, NotPredicted)]
+    steps += [f"{step.separate_by[:1].upper()}{step.separate_by[1:]}." for step in unlike]
+    if result.verdict is GapVerdict.UNKNOWN and not unlike:
         steps.append("Fly the same manoeuvre again: what is real comes back; then look where it lives, below.")
     return steps or ["Fly more of the motion that the model is to predict, and ask again."]

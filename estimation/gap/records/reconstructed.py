@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimation.gap.records.broken import dead_everywhere
 from estimation.gap.records.candidate_model import nuisance_parameter
 from estimation.models.base import InputTransform, Model
 from groundstation.flight import Flight
@@ -20,8 +21,9 @@ LEVEL = "level_"  # of an input that was found from the motion
 
 
 def compared(model: Model, flights: Sequence[Flight]) -> tuple[Model, list[str]]:
-    """`model` compared only in flow angles that every flight measured, and a note for each flight that lacks one."""
-    excluded, notes = set[str](), []
+    """`model` compared only in flow angles that every flight measured, and in what moves on any; and a note for each flight that
+    lacks an angle."""
+    excluded, notes = set(dead_everywhere(model, flights)), []
     for flight in flights:
         reconstructed = [s.name for s in model.outputs if s.source in ANGLES and s.source in flight.reconstructed]
         absent = [s.name for s in model.outputs if s.source in ANGLES and not flight.measured(s.source)]

@@ -217,13 +217,28 @@ class Repeatability:
 
 
 def repeatability(round_: Round, names: Sequence[str]) -> tuple[Repeatability, ...]:
-    """Every training flight against the others, by linear theory about the joint fit; empty for one flight alone."""
-    screen = round_.screen
-    flights = sorted(set(screen.flights))
-    if len(flights) < 2:
+    """Every training flight against the others, by linear theory about the joint fit; empty for one flight alone.
+
+    One flight that is wrong pulls the joint fit away from all others, and then none repeats it. Where the others repeat each
+    other without it they are measured so, and it alone is odd.
+    """
+    flights = sorted(set(round_.screen.flights))
+    if len(flights) < PAIR:
         return ()
+    table = _against_each_other(round_, flights, names)
+    if len(flights) > PAIR and all(r.odd for r in table.values()):
+        without = {f: _against_each_other(round_, [o for o in flights if o != f], names) for f in flights}
+        lone = [f for f, others in without.items() if not any(r.odd for r in others.values())]
+        if len(lone) == 1:
+            table |= without[lone[0]]
+    return tuple(table[f] for f in flights)
+
+
+def _against_each_other(round_: Round, flights: Sequence[int], names: Sequence[str]) -> dict[int, Repeatability]:
+    """Each of these flights by itself against all of them together."""
+    screen = round_.screen
     n, first = screen.n, screen.n + screen.k
-    pooled = screen.total()
+    pooled = screen.total(flights)
     joint = solved(pooled[:n, :n], pooled[:n, first:])
     chi2 = []
     for flight in flights:
@@ -233,7 +248,7 @@ def repeatability(round_: Round, names: Sequence[str]) -> tuple[Repeatability, .
     table = np.array(chi2)
     medians, limit = usual_and_limit(table[:, 1:], round_.criteria)
     rows = zip(flights, table[:, 0], medians, limit, strict=True)
-    return tuple(Repeatability(names[f], float(chi), float(u), float(upper)) for f, chi, u, upper in rows)
+    return {f: Repeatability(names[f], float(chi), float(u), float(upper)) for f, chi, u, upper in rows}
 
 
 def odd_flights(repeats: Sequence[Repeatability]) -> list[str]:

@@ -155,7 +155,8 @@ def _changes(problem: LikelihoodProblem, found: ModelFit, index: int, asks: Sequ
     for place, regressor in asks:
         if place in outputs:
             change, column = np.zeros_like(z), outputs.index(place)
-            change[:, column] = regressor * (TENTH * float(np.nanstd(z[:, column])) or 1.0)
+            measured = z[np.isfinite(z[:, column]), column]
+            change[:, column] = regressor * ((TENTH * float(measured.std()) if measured.size else 0.0) or 1.0)
         else:
             change = next(responses)
         changes.append(change)

@@ -276,6 +276,9 @@ ROWS_IN_A_ROW = 20  # consecutive rows that must be equal
 ROWS_MOVING = 0.5  # of them must differ from the row before: all aircraft at rest, and simulated trims, are alike
 SHARED = 0.25  # of the shorter flight: flights simulated without noise may have the same beginning
 FEWEST_COLUMNS = 3  # that all flights have measured
+TENTH_OF_STEP = (
+    0.1  # five digits of a channel are a thousandth of its noise or less: one window of five has a row that flips
+)
 
 
 def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:
@@ -283,7 +286,8 @@ def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:
     columns = [c for c in SENSED if all(f.measured(c) for f in flights)]
     if len(columns) < FEWEST_COLUMNS:
         return None
-    prints = [_fingerprints(f, columns) for f in flights]
+    steps = np.array([_coarse_step([f[c] for f in flights]) for c in columns])
+    prints = [_fingerprints(f, columns, steps) for f in flights]
     for a, b in combinations(range(len(flights)), 2):
         shared = len(prints[a] & prints[b])
         if shared and shared >= SHARED * min(len(flights[a]), len(flights[b])):
@@ -291,10 +295,18 @@ def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:
     return None
 
 
-def _fingerprints(flight: Flight, columns: Sequence[str]) -> set[int]:
-    """A hash of every window of ROWS_IN_A_ROW rows in which the values move."""
-    # Single precision, so that a file with seven digits is equal; as bits, so that NaN equals NaN; + 0.0 makes -0.0 equal 0.0.
-    rows = np.column_stack([flight[c].astype(np.float32) + np.float32(0.0) for c in columns]).view(np.uint32)
+def _coarse_step(courses: Sequence[Array]) -> float:
+    """A tenth of the usual change of a column from row to row; 1 for a column that mostly rests. A copy written with fewer digits
+    is rounded by far less, and two flights differ by far more."""
+    usual = [float(np.nanmedian(np.abs(np.diff(v)))) for v in courses if np.isfinite(np.diff(v)).any()]
+    return TENTH_OF_STEP * float(np.median(usual)) if usual and np.median(usual) > 0.0 else 1.0
+
+
+def _fingerprints(flight: Flight, columns: Sequence[str], steps: Array) -> set[int]:
+    """A hash of every window of ROWS_IN_A_ROW rows in which the values move. steps: (columns,) to which values are rounded."""
+    courses = [np.round(flight[c] / q) if q != 1.0 else flight[c] for c, q in zip(columns, steps, strict=True)]
+    # single precision, so that a file with seven digits is equal; as bits, so that NaN equals NaN; + 0.0 makes -0.0 equal 0.0
+    rows = np.column_stack([v.astype(np.float32) + np.float32(0.0) for v in courses]).view(np.uint32)
     changes = np.concatenate([[0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1))])
     return {
         hash(rows[end - ROWS_IN_A_ROW : end].tobytes())

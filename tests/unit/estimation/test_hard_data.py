@@ -37,7 +37,8 @@ def run(*arguments: object) -> Result:
     ("change", "said"),
     [
         (lambda f: {"V": -f["V"]}, "V is -1"),
-        (lambda f: {"V": 0 * f["V"]}, "leave that time out with --segments"),
+        (lambda f: {"V": 0 * f["V"]}, "a dead channel: fill V in"),
+        (lambda f: {"rho": np.where(f.time < 3.0, 0.0, f["rho"])}, r"leave that time out \(--segments"),
         (lambda f: {"beta": np.degrees(f["beta"])}, "beta reaches"),
         (lambda f: {"delta_a": np.degrees(f["delta_a"])}, "looks like degrees"),
         (lambda f: {"p": np.degrees(f["p"])}, "p reaches"),

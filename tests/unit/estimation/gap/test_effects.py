@@ -3,10 +3,13 @@
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from estimation.answers.gaps import never_asked
 from estimation.engine.simulate import simulate
 from estimation.gap.effects import add_effect, catalogue, load_effects
 from estimation.gap.effects.base import EffectParameter, Form
@@ -155,6 +158,10 @@ parameters = [{ name = "Cl_r2", unit = "1/rad2", typical = 0.5, lower = -5.0, up
             '[[effect]]\nname="a"\ntitle="b"\n[[effect.form]]\nparameters=[]\noptional=["w"]\n[effect.form.outputs]\nq="2*q"\n',
             "optional 'w' is none of the form's outputs",
         ),
+        (
+            '[[effect]]\nname="a"\ntitle="b"\n[[effect.form]]\nparameters=[]\n' * 2,
+            "two effects are called 'a'; give each a name of its own",
+        ),
     ],
 )
 def test_a_bad_effect_file_says_what_is_wrong(tmp_path: Path, text: str, words: str) -> None:
@@ -186,3 +193,31 @@ def test_a_gyro_turned_in_its_mount_shows_rates_turned_and_not_longer(label: str
     shown = [float(evaluate(form.outputs[n], rates, FUNCTIONS)) for n in pair]
     assert np.hypot(*shown) == pytest.approx(np.hypot(*(rates[n] for n in pair)))
     assert shown[0] == pytest.approx(rates[pair[0]] - 0.24 * rates[pair[1]], abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("raise RuntimeError('boom')", "cannot be run: RuntimeError: boom"),
+        ("EFFECTS = (", "cannot be run: SyntaxError"),
+        ("import nothing_of_that_name", "cannot be run: ModuleNotFoundError"),
+        ("import sys; sys.exit(3)", "it ends Python"),
+        ("EFFECTS = 5", "no tuple EFFECTS in it"),
+        ("EFFECTS = (1, 2)", "EFFECTS holds 1, which is no Effect"),
+    ],
+)
+def test_a_python_file_that_does_not_run_is_refused_with_its_name(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(EffectError, match=words) as refused:
+        load_effects(path)
+    assert str(path) in str(refused.value)
+
+
+def test_effects_of_ones_own_that_could_not_be_asked_are_named() -> None:
+    """A misspelt signal had made an effect silently absent, and `no_gap` read as if it had been looked for."""
+    details = {"cannot_tell": [{"effect": "b", "separate_by": ""}]}
+    result = cast(Any, SimpleNamespace(scores={"a": 1.0}, steps=(), details=details))
+    assert never_asked({Path("mine.toml"): ["a", "b"]}, result) == []
+    (words,) = never_asked({Path("mine.toml"): ["a", "c", "d"], Path("more.toml"): ["b"]}, result)
+    assert words.startswith("effects mine.toml: c, d not asked: a term needs a signal")

@@ -171,6 +171,15 @@ def test_one_record_given_twice_is_refused() -> None:
         refuse_twice([one, two], [half])
 
 
+def test_a_copy_with_fewer_digits_and_a_clock_of_its_own_is_the_same_record() -> None:
+    """A second export of one flight had been taken for another, and confirmed what the first had shown."""
+    one = named("one", motion(1))
+    copy = Flight.build("copy", TIME + 1000.0, {c: np.round(v, 6) for c, v in motion(1).items()})
+    assert one_record_twice([one, named("two", motion(2)), copy]) == (0, 2)
+    other = Flight.build("other", TIME, {c: v + 2e-3 * noisy(9) for c, v in motion(1).items()})
+    assert one_record_twice([one, other]) is None, "a tenth of the noise apart"
+
+
 def test_aircraft_at_rest_and_flights_that_begin_alike_are_not_one_record() -> None:
     rest = {c: np.full(COUNT, 0.01) for c in motion(1)}
     assert one_record_twice([named("one", rest), named("two", rest)]) is None
@@ -281,6 +290,14 @@ def test_flights_of_one_name_are_told_apart(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(DataError, match="seen"):
         sideslip.gap("lateral", paths[:2], paths[2:], aircraft="cdfp")
     assert seen == 2 * ["flight", "flight#2", "flight#3"]
+
+
+@pytest.mark.parametrize("after", [[], ["--aircraft", "cdfp"]])
+def test_holdout_without_a_flight_after_it_is_a_mistake(after: list[str]) -> None:
+    """It had been passed over: an empty pattern of the shell, and nothing was held out."""
+    answer = CliRunner().invoke(gap_verb, ["f0.csv", "f1.csv", "--holdout", *after])
+    assert answer.exit_code == 2
+    assert "--holdout has no flight after it" in answer.output
 
 
 def stepping(seed: int) -> Array:

@@ -30,7 +30,7 @@ def flown(
     name: str, found: Mapping[str, float] | None = None, without: tuple[str, ...] = (), hz: float = 0.0
 ) -> Flight:
     """found: column that a reconstruction made -> its uncertainty. hz: of the attitude in its log."""
-    columns = {c: np.full(TIME.size, 1.0 + k) for k, c in enumerate(COLUMNS) if c not in without}
+    columns = {c: 1.0 + k + 0.01 * np.sin(TIME) for k, c in enumerate(COLUMNS) if c not in without}
     columns |= {f"{c}_std": np.full(TIME.size, std) for c, std in (found or {}).items()}
     detail: dict[str, object] = {RECONSTRUCTED: {"columns": list(found)}} if found else {}
     if hz:
