@@ -17,12 +17,7 @@ from tempfile import TemporaryDirectory
 
 from daq.utilities.durable import make_directories, write_bytes
 
-FLAGS = (
-    "-O1", "-ftree-vectorize", "-fstrict-aliasing", "-fpeel-loops",
-    "-march=native", "-fno-math-errno", "-fPIC", "-shared",
-)  # fmt: skip
-"""What -O3 wins here is the vectors of the loops over sensitivities; the rest of it doubles the time of the compiler on the long
-straight lines that CasADi writes, and no fit takes less."""
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared")
 _SEAL = hashlib.sha256().digest_size
 
 

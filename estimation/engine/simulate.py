@@ -48,7 +48,7 @@ def _kernel(structure: ModelStructure, compile_: Compile) -> Kernel:
 
 
 def kernel_for(model: Model, compile_: Compile = "auto") -> Kernel:
-    """The back end for a model: compiled (0.4 s once on each computer, then cached), or the virtual machine where there is no
+    """The back end for a model: compiled (0.6 s once on each computer, then cached), or the virtual machine where there is no
     compiler."""
     return _kernel(model.structure, compile_)
 
