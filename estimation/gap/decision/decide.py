@@ -134,7 +134,7 @@ def standing(facts: VerdictFacts, criteria: Criteria) -> tuple[int, tuple[tuple[
         last = names.pop()
         withdrawn.append((last.effect, f"closes only {last.gap.closed:.0%} of the gap"))
     for k, name in enumerate(names):
-        if facts.rest_place in name.instruments and not outweighs(name.score, facts.rest, criteria.named_weight):
+        if facts.rest_place in name.instruments and not outweighs(name.score, facts.rest, criteria.own_weight):
             reason = (
                 f"the nameless rest in {facts.rest_place} is too large beside it: "
                 "the instrument does something else than this"

@@ -168,7 +168,7 @@ def _late_rest(setting: Setting, search: SearchState, kept: Sequence[AcceptedEff
 
 def stands_out(follower: Follower, criteria: Criteria) -> bool:
     """Whether a lag or swing beside names is more than restless scatter."""
-    return follower.score > criteria.strong * follower.threshold
+    return follower.score > criteria.restless_margin * follower.threshold
 
 
 def significant_beside(gain: float, finding: AcceptedEffect) -> bool:

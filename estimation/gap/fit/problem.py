@@ -265,7 +265,7 @@ class LikelihoodProblem:
 
     def limits(self, name: str) -> tuple[float, float]:
         if name in self.curvatures:
-            return -np.inf, np.inf
+            return -self.criteria.curvature_limit, self.criteria.curvature_limit
         p = self.model.parameter(name)
         return p.lower, p.upper
 

@@ -63,7 +63,8 @@ class SurfaceSteps:
 
     def spread(self, freedom: Mapping[str, float]) -> Array:
         """(m,) prior standard deviations in steps."""
-        return np.array([freedom.get(n, self.criteria.step_freedom) for n in self.name])
+        c = self.criteria
+        return np.array([freedom.get(n, c.jump_freedom if n in self.jumping else c.surface_freedom) for n in self.name])
 
 
 def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria: Criteria) -> SurfaceSteps:
@@ -180,10 +181,13 @@ def displaced(
 def freedom_of(steps: Sequence[SurfaceSteps], told: Sequence[tuple[Array, Array]]) -> dict[str, float]:
     """Typical displacement of every control and of every jumping output in steps, from what all records tell."""
     squares: dict[str, list[float]] = {}
+    jumping = frozenset[str]().union(*(e.jumping for e in steps))
     for e, (mean, variance) in zip(steps, told, strict=True):
         for name, m, v in zip(e.name, mean, variance, strict=True):
             squares.setdefault(name, []).append(float(m * m + v))
-    return {n: float(np.sqrt(np.mean(s))) for n, s in squares.items()}
+    c = steps[0].criteria
+    jump, move = (c.jump_freedom_least, c.jump_freedom_most), (c.surface_freedom_least, c.surface_freedom_most)
+    return {n: float(np.clip(np.sqrt(np.mean(s)), *(jump if n in jumping else move))) for n, s in squares.items()}
 
 
 @dataclass(frozen=True)

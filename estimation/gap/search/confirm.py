@@ -32,10 +32,10 @@ AT_NOTHING = 1e-3  # usual sizes: so near to none it has shrunk to nothing, and 
 ABOVE = 1.0  # of the log-likelihood: a fit that ends so far above the base, which it holds, is lost
 AFAR = 4.0  # usual sizes: where a lag begins that the base may have taken for slow motion of the aircraft
 FOLLOWS = 1.5  # of the cost of the base: derivatives with a wrong lag of that size cost twice to forty times as much
-LOOK_STEPS, NEARLY = (
-    2,
-    2.0,
-)  # steps after which a fit has to be so near that cost: the right lag is from the first one or two
+LOOK_STEPS = (
+    2  # after which a fit from there is given up unless it is near that cost: the right lag is after one or two
+)
+NEARLY = 2.0  # times that cost
 STRAYED = 0.5  # of what the model states: a derivative farther from it, and by three bounds, may hold such a lag
 
 

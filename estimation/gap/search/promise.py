@@ -18,11 +18,8 @@ from estimation.gap.records.candidate_model import awakened
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import Hypothesis, Projected, Screen, gram_of
 
-SIZES = (
-    0.3,
-    1.0,
-    3.0,
-)  # usual sizes: from what the screen takes for a small step to the farthest from which a fit starts
+SIZES = (0.3, 1.0, 3.0)
+"""Usual sizes: from what the screen takes for a small step to the farthest from which a fit starts."""
 BEYOND = 4.0  # times the last size, to where the way goes on straight
 HOPELESS = 0.5  # of the gain that a name needs: a hypothesis that promises less gets no fit, a fit that does is not gone on with
 

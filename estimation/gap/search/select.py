@@ -129,9 +129,7 @@ def shared_inflation(round_: Round) -> dict[tuple[str, str], float]:
     common = float(round_.inflation[order[0]])
     shared: dict[tuple[str, str], float] = {}
     quiet: list[int] = []  # linear ones so far that take the common one
-    groups: list[
-        tuple[list[bool], float]
-    ] = []  # of those that do not: who has the signature of the best, its own inflation
+    groups: list[tuple[list[bool], float]] = []  # of the others: who has the signature of the best, its own inflation
     for h in order:
         own, hypothesis = float(round_.inflation[h]), screen.hypotheses[h]
         shared[hypothesis.key] = common

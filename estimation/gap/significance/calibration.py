@@ -101,8 +101,13 @@ def like_the_flights(energy: Array, criteria: Criteria) -> NDArray[np.bool_]:
 
 def significant_above(largest: Array, criteria: Criteria) -> float:
     """Score from which something is significant, from the largest score of every null, (nulls,): the one rule for a name, a
-    nameless rest, a shape, an event in time, an instrument's error, and a flight that does not repeat the others."""
+    shape, an instrument's error, and a flight that does not repeat the others."""
     return criteria.null_margin * upper_quantile(largest, criteria.null_level)
+
+
+def unknown_above(largest: Array, criteria: Criteria) -> float:
+    """Score from which a nameless rest or an event in time is an unknown effect. largest: (nulls,) score of every null."""
+    return criteria.unknown_margin * upper_quantile(largest, criteria.nameless_level)
 
 
 def null_inflation(screen: Screen, nulls: int) -> Array:

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.engine.kernel import Array
+from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measured_again import MeasuredAgain
-from estimation.gap.significance.screen import SEEN, Projected, gram_of
+from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent, is_door, through_doors
 
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
@@ -74,7 +75,7 @@ def nameless_terms(tangent: Tangent) -> tuple[list[OmnibusSignal], Array]:
     functions = sorted(regressors_of(tangent.problem, tangent.fit, 0))
     keys = [(place, *f) for place in (*model.output_names, *doors) for f in functions if (place, "linear") != f]
     projected = _projected(tangent, keys)
-    z, standard = standardised(projected)
+    z, standard = standardised(projected, tangent.problem.criteria)
     signals = [
         OmnibusSignal(
             "term",
@@ -135,14 +136,14 @@ def own_shares(signed: Array, mean: Array) -> Array:
     return np.asarray(np.maximum(1.0 - towards / np.maximum(np.abs(signed), NOTHING), 0.0))
 
 
-def standardised(projected: Projected) -> tuple[Array, Array]:
+def standardised(projected: Projected, criteria: Criteria) -> tuple[Array, Array]:
     """(k, 1 + nulls) signed scores, and their sizes in units of the scatter on the nulls; zero where the base absorbs all."""
     z = projected.scores()
     # a null that all but runs away scatters without limit, and nothing stands out of it
     with np.errstate(over="ignore"):
         scatter = np.sqrt(np.maximum(1.0, np.mean(z[:, 1:] ** 2, axis=1)))
     standard = np.abs(z) / scatter[:, None]
-    standard[np.diag(projected.B) <= SEEN * projected.raw] = 0.0
+    standard[np.diag(projected.B) <= criteria.nameless_seen * projected.raw] = 0.0
     return z, standard
 
 

@@ -178,7 +178,7 @@ class NullFlyer:
         for j, signal in enumerate(self.problem.model.inputs):
             if signal.control:
                 step = u[2::2, j] - u[:-2:2, j]
-                freedom = self.noise.freedom.get(signal.name, self.problem.criteria.step_freedom)
+                freedom = self.noise.freedom.get(signal.name, self.problem.criteria.surface_freedom)
                 u[1::2, j] += freedom * rng.standard_normal(step.size) * step
 
     def _disturb(self, u: Array, h: float, rng: np.random.Generator) -> None:

@@ -15,7 +15,7 @@ from estimation.estimators.normal_equations import solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.surface_steps import jumping_outputs
-from estimation.gap.significance.calibration import Round, significant_above
+from estimation.gap.significance.calibration import Round, unknown_above
 from estimation.gap.significance.nameless_terms import (
     OmnibusSignal,
     beyond_control_noise,
@@ -64,7 +64,7 @@ def examine(round_: Round) -> Omnibus:
 def summed_up(signals: Sequence[OmnibusSignal], largest: Array, criteria: Criteria) -> Omnibus:
     """The strongest signals against the largest score of every null, (nulls,)."""
     ranked = tuple(sorted(signals, key=lambda s: -s.score)[:LEADING])
-    return Omnibus(ranked[0].score if ranked else 0.0, significant_above(largest, criteria), ranked)
+    return Omnibus(ranked[0].score if ranked else 0.0, unknown_above(largest, criteria), ranked)
 
 
 def whitened(problem: LikelihoodProblem, found: ModelFit, round_: Round) -> list[Array]:

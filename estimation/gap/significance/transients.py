@@ -19,7 +19,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
-from estimation.gap.significance.calibration import Round, significant_above
+from estimation.gap.significance.calibration import Round, unknown_above
 from estimation.gap.significance.screen import SEEN, SMALLEST_TAIL, TINY, shared_prior
 from estimation.gap.significance.tangent import Tangent, is_door, through_doors
 
@@ -304,7 +304,7 @@ def _scored(
             gains[e] = single[columns[0]] if len(columns) == 1 else _gains(products, projected, e)
     unknowns = np.array([len(c) for c in events.inside])
     scores, largest = standing_out(gains, unknowns, [(e.kind, e.channel, e.air) for e in events.events])
-    return scores, gains[:, 0], significant_above(largest, criteria)
+    return scores, gains[:, 0], unknown_above(largest, criteria)
 
 
 def _without(round_: Round, asked: Asked, sizes: Mapping[int, float]) -> Round | None:
