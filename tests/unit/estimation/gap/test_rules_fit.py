@@ -15,6 +15,7 @@ from estimation.gap.significance.calibration import (
     like_the_flights,
     null_inflation,
     significant_above,
+    unknown_above,
 )
 from estimation.gap.significance.kinematic_check import kinematic_model, origin_of_error
 from estimation.gap.significance.measure import Floors, usual_and_limit
@@ -26,7 +27,7 @@ from estimation.gap.significance.omnibus import (
     summed_up,
     window_energy,
 )
-from estimation.gap.significance.screen import SEEN, HypothesisColumn, Projected, Screen, one_sided
+from estimation.gap.significance.screen import HypothesisColumn, Projected, Screen, one_sided
 
 
 def stub(**fields: Any) -> Any:
@@ -76,10 +77,11 @@ def test_significant_is_a_quarter_more_than_one_set_of_nulls_in_forty_shows() ->
     assert significant_above(LARGEST, AS_SET) == pytest.approx(SIGNIFICANT, abs=0.005)
 
 
-def test_a_nameless_signal_is_significant_as_a_name_is() -> None:
+def test_a_nameless_signal_or_an_event_is_unknown_a_third_above_one_set_of_nulls_in_a_hundred() -> None:
     signals = [OmnibusSignal("term", "p", "beta", 4.0), OmnibusSignal("time", "r", "burst", 6.0)]
     omnibus = summed_up(signals, LARGEST, AS_SET)
-    assert omnibus.threshold == pytest.approx(SIGNIFICANT, abs=0.005)
+    assert omnibus.threshold == pytest.approx(1.3 * (3.0 - 0.3 * np.log(-np.log(0.99))), abs=0.005)
+    assert omnibus.threshold == unknown_above(LARGEST, AS_SET)
     assert omnibus.score == 6.0
     assert [s.place for s in omnibus.leading] == ["r", "p"]
     assert omnibus.significant
@@ -123,10 +125,10 @@ def test_without_an_instrument_to_ask_the_check_is_undecided() -> None:
 
 
 # ------------------------------------------------------------------------------------------------ nameless signals
-@pytest.mark.parametrize(("left", "seen"), [(0.9 * SEEN, False), (1.1 * SEEN, True)])
+@pytest.mark.parametrize(("left", "seen"), [(0.9e-3, False), (1.1e-3, True)])
 def test_a_term_that_the_base_absorbs_says_nothing(left: float, seen: bool) -> None:
     projected = Projected(np.array([[left]]), np.array([[1.0, 0.01, -0.01]]), np.zeros(3), np.ones(1))
-    z, standard = standardised(projected)
+    z, standard = standardised(projected, AS_SET)
     assert z[0, 0] == pytest.approx(1.0 / np.sqrt(left))
     assert bool(standard[0, 0] > 0.0) is seen
 

@@ -33,10 +33,11 @@ def _flown(scale: float, reach: float) -> Any:
     return SimpleNamespace(scale={"Cn": scale}, reach=lambda name: reach)
 
 
-def test_a_memory_beside_names_stands_out_where_it_is_strong() -> None:
-    limit = 1.5 * MEMORY.threshold
+def test_a_memory_beside_names_stands_out_at_twice_its_threshold() -> None:
+    limit = AS_SET.restless_margin * MEMORY.threshold
     assert not stands_out(replace(MEMORY, score=0.99 * limit), AS_SET)
     assert stands_out(replace(MEMORY, score=1.01 * limit), AS_SET)
+    assert AS_SET.restless_margin == 2.0
 
 
 def test_a_name_is_needed_beside_a_memory_where_it_would_have_been_named() -> None:
