@@ -166,10 +166,6 @@ class Criteria:
     control_noise_known: float = criterion(0.2, "1",
         "so much of what the noise of the controls gives a hypothesis may be its own, or not",
         "theory: twice a tenth, to which the scatter of 100 differences between steps tells a standard deviation")
-    unsampled: float = criterion(0.2, "sample intervals",
-        "a surface late by less is not told from one that was sampled so",
-        "0.25 with the flights through the simulated bus (2026-11-21); lowered with own_timing_share (2026-11-23): lags of "
-        "15 ms at 20 Hz are estimated at 12, for all surfaces together may be late")
     play_in_noise: float = criterion(2.25, "noise of the control",
         "a play no wider than that takes noise off a measured control, and says nothing of its linkage",
         "nothing hidden at 5 and 10 Hz was given plays of 1.5 to 2.2 of it; the smallest hidden ones are 2.5, 2026-11-25")
@@ -191,8 +187,9 @@ class Criteria:
         "above it linear theory and held-out flights may say a little against an effect, and a nameless rest beside names that "
         "bring the gap within the nulls' is no restless scatter", FOREIGN)
     certain: float = criterion(3.0, "standard deviations",
-        "of one unknown: what is less may be chance (a size from none, the move of a derivative, what held-out flights say, by "
-        "what a rival beats an accepted effect), what is more may be an outlier (a single sample's energy, an activity)",
+        "of one unknown: what is less may be chance (a size from none, a surface late by what sampling leaves open, the move of a "
+        "derivative, what held-out flights say, by what a rival beats an accepted effect), what is more may be an outlier (a single "
+        "sample's energy, an activity)",
         "theory; wrong names had sizes of 1.4 to 2.9 (a separation by the states it begins anew, an offset centre of gravity and "
         "a play of a light aircraft) and right ones of 3.4 and more, of 330; 2026-11-26")
     followed_share: float = criterion(0.4, "1",

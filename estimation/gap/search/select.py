@@ -1,5 +1,6 @@
 """Choose what explains the flights: full fits, evidence, set, held-out test, exchange and backward checks."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -172,9 +173,9 @@ def by_derivatives(hypothesis: Hypothesis) -> str:
 def material(
     candidate: FittedHypothesis, interval: float, noise: Mapping[str, float], criteria: Criteria
 ) -> FittedHypothesis:
-    """The candidate, rejected where its estimate is far below the size at which the effect matters, where a surface would
-    be late by so little of the sample `interval` [s] that nobody sampled it finely enough to tell, or where a play is no wider
-    than the noise of its control. noise: input -> standard deviation."""
+    """The candidate, rejected where its estimate is far below the size at which the effect matters, where a surface would be late
+    by no more than what samples at `interval` [s] leave open, or where a play is no wider than the noise of its control. noise:
+    input -> standard deviation."""
     if candidate.why_not:
         return candidate
     if carried := by_derivatives(candidate.hypothesis):
@@ -182,14 +183,18 @@ def material(
     if candidate.size < criteria.immaterial:
         return replace(candidate, why_not=f"fits {candidate.size:.0%} of its usual size: too small to matter")
     delays = [t.parameters[0] for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")]
-    if delays and all(abs(candidate.estimates[n][0]) < criteria.unsampled * interval for n in delays):
-        return replace(
-            candidate, why_not=f"is less than {criteria.unsampled:.0%} of a sample interval: sampling does the same"
-        )
+    if delays and not any(later_than_sampled(*candidate.estimates[n], interval, criteria) for n in delays):
+        return replace(candidate, why_not="is within what sampling leaves open of any time")
     for play in (t for t in candidate.hypothesis.form.transforms if t.kind == "backlash"):
         if abs(candidate.estimates[play.parameters[0]][0]) < criteria.play_in_noise * noise.get(play.input, 0.0):
             return replace(candidate, why_not=f"is no wider than the noise of {play.input}, which it takes off")
     return candidate
+
+
+def later_than_sampled(time: float, std: float, interval: float, criteria: Criteria) -> bool:
+    """Whether a surface is late (or early) by more than may be chance: by its bound [s] and what samples at `interval` [s] leave
+    open of when a surface moves."""
+    return abs(time) > criteria.certain * math.hypot(std, criteria.timing_share * interval)
 
 
 def _compared_again(

@@ -22,7 +22,7 @@ CATALOGUE = ROOMS / "effects"  # sizes of effects are physics, not decisions
 
 def test_every_criterion_says_what_it_is_and_where_it_comes_from() -> None:
     every = list(AS_SET.described())
-    assert len(every) <= 70
+    assert len(every) <= 69
     assert all(c.meaning and c.unit and c.origin for c in every)
     with pytest.raises(FrozenInstanceError):
         AS_SET.strong = 2.0  # type: ignore[misc]
