@@ -187,9 +187,9 @@ class Criteria:
         "above it linear theory and held-out flights may say a little against an effect, and a nameless rest beside names that "
         "bring the gap within the nulls' is no restless scatter", FOREIGN)
     certain: float = criterion(3.0, "standard deviations",
-        "of one unknown: what is less may be chance (a size from none, a surface late by what sampling leaves open, the move of a "
-        "derivative, what held-out flights say, by what a rival beats an accepted effect), what is more may be an outlier (a single "
-        "sample's energy, an activity)",
+        "of one unknown: what is less may be chance (a size from none, a surface late by what sampling leaves open, the move of "
+        "a derivative, what held-out flights say, by what a rival beats an accepted effect), what is more may be an outlier "
+        "(a single sample's energy, an activity)",
         "theory; wrong names had sizes of 1.4 to 2.9 (a separation by the states it begins anew, an offset centre of gravity and "
         "a play of a light aircraft) and right ones of 3.4 and more, of 330; 2026-11-26")
     followed_share: float = criterion(0.4, "1",
