@@ -14,9 +14,10 @@ from estimation.gap.fit.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.significance.measure import Floors, plain_residuals, rms_over_noise
 
-FAR = 1.5
-"""Of the largest gap that nothing hidden leaves: a held-out flight farther off is another one. Seven sets with nothing hidden
-lay at 0.83 to 1.06, a vane 0.15 s late at 1.66, an aileron of the wrong sign at 14 (2026-11-28)."""
+FAR = 3.0
+"""Of the largest gap that nothing hidden leaves: a held-out flight farther off is another one. Seven sets with nothing hidden lay
+at 0.83 to 1.06, one with four times the gusts on that flight at 1.6, a dead aileron at 7.7, one of the wrong sign
+at 14 (2026-11-28)."""
 
 
 def not_predicted(baseline: Baseline, prepared: FlightRecords, floor: Floors) -> NotPredicted | None:
