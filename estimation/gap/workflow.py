@@ -123,10 +123,9 @@ def run_gap(
     answer = concluded(setting, search, check)
     unmoved = unmoved_in_words(flights, model)
     further = (moved, late_commands(training_flights, baseline), not_compared(full_model, model))
-    explained = (
-        answer.verdict is GapVerdict.UNKNOWN
-    )  # by a control whose channel is dead, perhaps: that is the first to look at
-    sentences = (unmoved, answer.text, *further) if explained else (answer.text, *further, unmoved)
+    # a control whose channel is dead may be the unknown itself: then it is the first to look at
+    unknown = answer.verdict is GapVerdict.UNKNOWN
+    sentences = (unmoved, answer.text, *further) if unknown else (answer.text, *further, unmoved)
     answer = replace(answer, text=" ".join(t for t in sentences if t))
     return _with_doubts(answer, doubts)
 

@@ -1,6 +1,5 @@
 """From the state of the search to the answer: facts, decision, steps, models before and after, histories for pictures."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -48,7 +47,7 @@ from estimation.gap.decision.unnamed import (
 from estimation.gap.effects.base import Effect
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.channel_noise import sample_interval
+from estimation.gap.fit.channel_noise import sample_interval, time_bound
 from estimation.gap.search.accept import estimates_of
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.shapes.search import ShapeSearch
@@ -252,9 +251,11 @@ def with_final_estimates(step: EffectStep, finding: AcceptedEffect, after: Basel
     """A step with the size of its effect in the final model: what was missing beside it when it was found had bent it. The bound
     of a time has what sampling leaves open in it."""
     estimates = estimates_of(finding.round_, finding.candidate, after)
-    left_open = after.criteria.timing_share * sample_interval(after.problem.records)
-    times = {n: (v, math.hypot(std, left_open)) for n, (v, std) in estimates.items() if step.units.get(n) == "s"}
-    return replace(step, estimates={**estimates, **times}, sampling_bound=left_open if times else 0.0)
+    interval, criteria = sample_interval(after.problem.records), after.criteria
+    stated = {n: estimates[n] for n in estimates if step.units.get(n) == "s"}
+    times = {n: (value, time_bound(std, interval, criteria)) for n, (value, std) in stated.items()}
+    left_open = time_bound(0.0, interval, criteria) if times else 0.0
+    return replace(step, estimates={**estimates, **times}, sampling_bound=left_open)
 
 
 def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:

@@ -1,5 +1,6 @@
 """How noisy every channel is, and which attitudes are the output of a filter: before anything is fitted."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -126,3 +127,8 @@ def _measured(record: FlightRecord, outputs: Sequence[str], name: str) -> Array:
 def sample_interval(records: Sequence[FlightRecord]) -> float:
     """Median over the records of their sample interval [s]."""
     return float(np.median([np.median(np.diff(r.time)) for r in records]))
+
+
+def time_bound(std: float, interval: float, criteria: Criteria) -> float:
+    """Standard deviation [s] of a time that a fit knows to `std` [s], with what samples at `interval` [s] leave open of it."""
+    return math.hypot(std, criteria.timing_share * interval)

@@ -1,6 +1,5 @@
 """Choose what explains the flights: full fits, evidence, set, held-out test, exchange and backward checks."""
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -9,7 +8,7 @@ import numpy as np
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import whiteners_for
-from estimation.gap.fit.channel_noise import sample_interval
+from estimation.gap.fit.channel_noise import sample_interval, time_bound
 from estimation.gap.fit.fitting import fit
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
 from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, begun_afar, fit_hypothesis
@@ -194,7 +193,7 @@ def material(
 def later_than_sampled(time: float, std: float, interval: float, criteria: Criteria) -> bool:
     """Whether a surface is late (or early) by more than may be chance: by its bound [s] and what samples at `interval` [s] leave
     open of when a surface moves."""
-    return abs(time) > criteria.certain * math.hypot(std, criteria.timing_share * interval)
+    return abs(time) > criteria.certain * time_bound(std, interval, criteria)
 
 
 def _compared_again(
