@@ -50,16 +50,17 @@ def resolve(
     each_segment: bool = False,
     simulation: str | None = None,
     free: Free = Free.FACTORS,
+    controls: Model | None = None,
     needs_aircraft: bool = False,
     hold_initial: Names = "",
     free_initial: Names = "",
 ) -> ResolvedCall:
     """The flights with names of their own, the model, and the aircraft it is of.
 
-    segments: stretches as of `select_segments`; each_segment: every one as a flight. free: what of a simulation is estimated.
-    needs_aircraft: the call takes geometry and mass itself, whatever the model. hold_initial, free_initial: as of
-    `with_initial_states`. Raises a UserError of one sentence for what cannot be found or does not fit; what is mistyped in
-    methods or model, before a flight is read.
+    segments: stretches as of `select_segments`; each_segment: every one as a flight. free: what of a simulation is estimated;
+    controls: a model that says how its control surfaces move, where not as recorded. needs_aircraft: the call takes geometry and
+    mass itself, whatever the model. hold_initial, free_initial: as of `with_initial_states`. Raises a UserError of one sentence
+    for what cannot be found or does not fit; what is mistyped in methods or model, before a flight is read.
     """
     method_names = tuple(dict.fromkeys(comma_separated(methods)))
     estimators = [find_estimator(name) for name in method_names]
@@ -67,7 +68,7 @@ def resolve(
         check_model(str(model))
     read = read_flights(flights, segments, each_segment=each_segment)
     if simulation is not None:
-        attached = _on_simulation(simulation, model, read, aircraft, free)
+        attached = _on_simulation(simulation, model, read, aircraft, free, controls)
         loaded, craft, read, notes = attached.model, attached.aircraft, list(attached.flights), attached.notes
     else:
         craft = which_aircraft(read, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
@@ -102,13 +103,18 @@ def _takes_aircraft(model: AnyModel, estimators: Iterable[Estimator]) -> bool:
 
 
 def _on_simulation(
-    spec: str, model: AnyModel, flights: Sequence[Flight], aircraft: AnyAircraft, free: Free
+    spec: str,
+    model: AnyModel,
+    flights: Sequence[Flight],
+    aircraft: AnyAircraft,
+    free: Free,
+    controls: Model | None,
 ) -> Attached:
     """The simulation under the model along the flights: at the motion of the fit where derivatives are free, at the motion
     predicted where nothing is."""
     if not isinstance(model, str | Path):
         raise EstimationError("a simulation takes its model by name or as a MODEL.toml; give one of these")
-    attached = attach(spec, str(model), flights, aircraft, free)
+    attached = attach(spec, str(model), flights, aircraft, free, controls)
     if free is Free.DERIVATIVES:
         return estimated_about_its_motion(attached)
     return motion_settled(attached) if free is Free.NOTHING else attached

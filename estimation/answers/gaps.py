@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from estimation.gap.answer.result import GapResult
     from estimation.gap.effects.base import Effect
     from estimation.models import Model
-    from estimation.resolve import AnyAircraft, AnyModel, Flights
+    from estimation.resolve import AnyAircraft, AnyModel, Flights, ResolvedCall
     from groundstation.flight import Flight
 
 
@@ -53,6 +53,7 @@ def gap(
         answer = ss.gap("lateral", ["f0.mcap", "f1.mcap"], holdout=["f2.mcap"])
         print(answer.verdict, answer.effects)
     """
+    from estimation.gap.decision.moved_controls import more_beside_moved_controls
     from estimation.gap.effects import catalogue, load_effects
     from estimation.gap.errors import GapError
     from estimation.gap.workflow import Options, run_gap
@@ -65,12 +66,19 @@ def gap(
     own = {path: [e.name for e in load_effects(path)] for path in files}  # mistakes are said before a flight is read
     training = as_listed(flights)
     every_flight = [*training, *as_listed(holdout)]
-    problem = resolve(every_flight, model, aircraft, simulation=simulation, free=Free.FACTORS)
-    effect_list = catalogue(files, problem.model)
-    first, rest = problem.flights[: len(training)], problem.flights[len(training) :]
     options = Options(seed=seed, nulls=nulls)
+
+    def searched(controls: "Model | None" = None) -> "tuple[ResolvedCall, tuple[Effect, ...], GapResult]":
+        problem = resolve(every_flight, model, aircraft, simulation=simulation, free=Free.FACTORS, controls=controls)
+        effect_list = catalogue(files, problem.model)
+        first, rest = problem.flights[: len(training)], problem.flights[len(training) :]
+        look = progress or (lambda what, share: None)
+        return problem, effect_list, run_gap(problem.model, first, rest, effect_list, options, look)
+
     try:
-        result = run_gap(problem.model, first, rest, effect_list, options, progress or (lambda what, share: None))
+        problem, effect_list, result = searched()
+        if simulation is not None and more_beside_moved_controls(result):
+            problem, effect_list, result = searched(result.model_after)
     except GapError as error:
         if not files:
             raise
@@ -79,7 +87,7 @@ def gap(
     before, after = (at_stated_cg(at_mean_mass(m)) for m in (result.model_before, result.model_after))
     result = replace(result, model_before=before, model_after=after)
     notes = (*problem.notes, *never_asked(own, result))
-    return GapAnswer(result, problem.flights, tuple(effect_list), seed, notes)
+    return GapAnswer(result, problem.flights, effect_list, seed, notes)
 
 
 def never_asked(own: "Mapping[Path, Sequence[str]]", result: "GapResult") -> list[str]:

@@ -3,7 +3,8 @@
 At each sample the coefficients C and, by central differences, their slopes J with each variable x that the model knows are
 taken at the measured (de-noised) motion x_m. The columns hold J and C - J x_m, so that a model has C + J (x - x_m) of its own
 motion x: exact where it flies as measured, and to second order beside it. Control surfaces are among the variables: what an
-effect does to a surface, it does to the simulation too.
+effect does to a surface, it does to the simulation too. Where a model has its surfaces late or loose, x_m has them as that model
+moves them: a drag by |elevator| has no slope that holds on both sides of zero.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimation.engine.transforms import acting_on, apply_transforms
 from estimation.models.base import Model, Signal
 from estimation.prepare.columns import alpha_rate
 from estimation.prepare.flight_data import FlightData, Preparation
@@ -56,11 +58,13 @@ def simulate_along(
     moved: Sequence[Mapping[str, Array]] = (),
     preparation: Preparation = WITHOUT_DRAWS,
     names: Sequence[str] | None = None,
+    controls: Model | None = None,
 ) -> Along:
     """Evaluate a simulation along flights for the coefficients and variables of `plain`, a model with lines for them.
 
-    moved: of each flight, variable -> (samples,) motion to take in place of the measured one, NaN where it says nothing. names:
-    the columns that are wanted, of a model that is written already; by default those that are not zero throughout. A slope that
+    moved: of each flight, variable -> (samples,) motion to take in place of the measured one, NaN where it says nothing.
+    controls: a model by whose input transforms control surfaces are late or loose; by default they move as measured. names: the
+    columns that are wanted, of a model that is written already; by default those that are not zero throughout. A slope that
     is not among them stays in the constant part, as it is at the motion. Raises SimulationError where the simulation lacks a
     coefficient of the model, DataError or MissingColumnError for a flight that cannot feed it.
     """
@@ -69,7 +73,7 @@ def simulate_along(
     slopes: list[dict[str, Array]] = []
     flight_answers, absent = [], set(VARIABLES)
     for i, flight in enumerate(flights):
-        states, usable, unmeasured = motion(plain, flight, moved[i] if i < len(moved) else {}, preparation)
+        states, usable, unmeasured = motion(plain, flight, moved[i] if i < len(moved) else {}, preparation, controls)
         absent &= unmeasured
         base_values, by_variable = _asked_around(simulation, states, coefficients, variables)
         flight_answers.append((states, usable, base_values))
@@ -123,7 +127,7 @@ def coefficients_in(model: Model) -> tuple[str, ...]:
 
 
 def motion(
-    model: Model, flight: Flight, moved: Mapping[str, Array], preparation: Preparation
+    model: Model, flight: Flight, moved: Mapping[str, Array], preparation: Preparation, controls: Model | None = None
 ) -> tuple[States, np.ndarray, set[str]]:  # type: ignore[type-arg]
     """De-noised states of a flight where it can be used, which samples these are, and the variables that it does not measure."""
     signal_names = {s.name for s in (*model.inputs, *model.states)}
@@ -141,6 +145,8 @@ def motion(
         usable[s] = True
         for name in (*VARIABLES, "rho"):
             measured = _course(probe, data, s, segment.u, name)
+            if controls is not None and name.startswith("delta_"):
+                measured = as_moved_by(controls, name, segment.time, measured)
             moved_values = moved.get(name)
             values[name][s] = (
                 measured if moved_values is None else np.where(np.isfinite(moved_values[s]), moved_values[s], measured)
@@ -155,6 +161,12 @@ def motion(
     unmeasured = {v for v in VARIABLES if not flight.measured(v)}
     usable_values = {n: values[n][usable] for n in VARIABLES}
     return States(usable_values, values["rho"][usable], values[ALPHA_RATE][usable]), usable, unmeasured
+
+
+def as_moved_by(model: Model, control: str, time: Array, measured: Array) -> Array:
+    """(N,) course of a control surface by the delays, lags and plays that a model has of it; `measured` itself without any."""
+    transforms, _ = acting_on({control}, model.transforms, model.input_names)
+    return apply_transforms(transforms, (control,), time, measured[:, None], model.starts())[:, 0]
 
 
 def _course(probe: Model, data: FlightData, s: slice, u: Array, name: str) -> Array:

@@ -74,10 +74,12 @@ def attach(
     flights: Sequence[Flight],
     given: str | Path | Aircraft | None = None,
     free: Free = Free.FACTORS,
+    controls: Model | None = None,
 ) -> Attached:
     """The simulation `spec` with the model `which`: a built-in name, or a MODEL.toml that was estimated on a simulation.
 
-    given: the requested aircraft; without one that of the flights, else the simulation's. Raises SimulationError, ModelError,
+    given: the requested aircraft; without one that of the flights, else the simulation's. controls: a model that says how control
+    surfaces move where they are not what was recorded; a MODEL.toml says it itself. Raises SimulationError, ModelError,
     AircraftError or DataError (one sentence each).
     """
     simulation = simulation_of(spec)
@@ -85,11 +87,12 @@ def attach(
     if simulation.referred is not None:
         simulation = simulation.referred(aircraft)
     if which in BUILDERS:
-        along_flights = simulate_along(simulation, load_model(which, aircraft), flights)
+        along_flights = simulate_along(simulation, load_model(which, aircraft), flights, controls=controls)
         model = base_model(simulation, which, aircraft, along_flights, free)
     else:
         model = _model_on_simulation(which)
-        along_flights = simulate_along(simulation, without_simulation(model), flights, names=computed(model))
+        plain, names = without_simulation(model), computed(model)
+        along_flights = simulate_along(simulation, plain, flights, names=names, controls=controls or model)
     return Attached(
         simulation, aircraft, model, carrying(flights, along_flights), (*simulation.notes, *_unmeasured(along_flights))
     )
@@ -106,6 +109,7 @@ def renewed_attachment(attached: Attached, fitted: Model | None = None) -> Attac
     along_flights = simulate_along(
         attached.simulation, without_simulation(attached.model), attached.flights,
         [_motion_of(motion_model, flight) for flight in attached.flights], names=computed(attached.model),
+        controls=motion_model,
     )  # fmt: skip
     return replace(attached, flights=carrying(attached.flights, along_flights))
 

@@ -23,10 +23,7 @@ import numpy as np
 
 from daq.utilities.errors import UserError
 from estimation.aircraft import Aircraft
-from estimation.gap.effects import catalogue
-from estimation.gap.workflow import Options, run_gap
-from estimation.models import load_model
-from estimation.simulation.attach import attach
+from estimation.answers.gaps import gap
 from groundstation.flight import Flight, Provenance
 from tests.studies.gap_benchmark import outcome, same_class
 from tests.support.gallery.aircraft import RATE, Array, Kind, executive, glide, properties, put_surfaces
@@ -184,12 +181,9 @@ def ask(kind: Kind, label: str, model: str, base: str, seed: int, nulls: int) ->
     row: dict[str, Any] = {"kind": kind.name, "hidden": label, "model": model, "base": base, "seed": seed}
     begun = time.process_time()
     try:
-        if base == "simulation":
-            attached = attach(f"jsbsim:{kind.name}", model, four)
-            asked, training, holdout = attached.model, attached.training(3), attached.holdout(3)
-        else:
-            asked, training, holdout = load_model(model, craft), four[:3], four[3:]
-        result = run_gap(asked, training, holdout, catalogue(model=asked), Options(seed=1, nulls=nulls))
+        simulation = f"jsbsim:{kind.name}" if base == "simulation" else None
+        aircraft = craft if simulation is None else None
+        result = gap(model, four[:3], four[3:], aircraft=aircraft, simulation=simulation, nulls=nulls).result
     except UserError as error:
         return {**row, "verdict": "error", "steps": [], "why": str(error)}
     return {**row, **outcome(result), "seconds": round(time.process_time() - begun, 1)}

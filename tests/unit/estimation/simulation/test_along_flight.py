@@ -8,7 +8,7 @@ import pytest
 
 from estimation.errors import AircraftError, EstimationError
 from estimation.estimators.output_error import output_error
-from estimation.models import load_model, read_model, write_model
+from estimation.models import InputTransform, Model, Parameter, load_model, read_model, write_model
 from estimation.session.proof_of_match import predict_flight
 from estimation.simulation import along_flight
 from estimation.simulation.attach import (
@@ -98,7 +98,11 @@ class TestFunction:
 @pytest.fixture(scope="module")
 def short() -> Flight:
     """Twelve seconds by the second truth."""
-    (columns,) = truth.fly([truth.Request(3, duration=12.0)])
+    return flown()
+
+
+def flown(manoeuvres: str = "rich") -> Flight:
+    (columns,) = truth.fly([truth.Request(3, duration=12.0, manoeuvres=manoeuvres)])
     return Flight.build("f", columns.pop("time"), columns, provenance=Provenance(aircraft="cdfp"))
 
 
@@ -164,6 +168,39 @@ def test_a_prediction_far_from_the_flight_is_renewed_at_its_own_motion(short: Fl
     assert off[0] > 0.01  # rad and rad/s, of what moves by tenths
     assert off[1] < 0.2 * off[0]
     assert off[2] < 0.02 * off[0]
+
+
+LOOSE = {
+    "lag": ("elevator_late", 0.08),
+    "delay": ("elevator_late", 0.07),
+    "backlash": ("elevator_loose", 0.03),
+}
+
+
+@pytest.mark.parametrize("kind", list(LOOSE))
+def test_a_simulation_is_asked_where_a_late_or_loose_surface_was(kind: str, tmp_path: Path) -> None:
+    """A drag by |elevator| has no slope that holds on both sides of zero: asked at the elevator as recorded it is wrong until the
+    late one has crossed, asked at the late one it is right."""
+    plain, short = load_model("longitudinal", "cdfp").with_starts(CD_k=0.0), flown("longitudinal")
+    kinked = plain.plus(terms={"CD": "0.8*sqrt(delta_e^2 + 1e-8)"})
+    write_model(kinked, tmp_path / "kinked.toml")
+    name, size = LOOSE[kind]
+    late = InputTransform(kind, "delta_e", (name,))
+
+    def moved(model: Model) -> Model:
+        return model.plus(parameters=[Parameter(name, "1", size, fixed=True)], transforms=[late])
+
+    exact = predict_flight(moved(kinked), short).predicted
+    spec, off = str(tmp_path / "kinked.toml"), []
+    for controls in (None, moved(plain)):
+        attached = attach(spec, "longitudinal", [short], free=Free.NOTHING, controls=controls)
+        write_model(moved(attached.model), tmp_path / "late.toml")
+        off.append(np.nanstd(predict_flight(moved(attached.model), attached.flights[0]).predicted[:, 0] - exact[:, 0]))
+    assert np.ptp(short["delta_e"]) > 0.05
+    assert off[1] < 0.2 * off[0]  # the rest is the measured motion, beside which slopes hold
+    # of a model file that says itself how the surface moves nobody has to say it again
+    read_back = attach(spec, str(tmp_path / "late.toml"), [short])
+    np.testing.assert_allclose(read_back.flights[0]["sim_CD_0"], attached.flights[0]["sim_CD_0"], atol=1e-12)
 
 
 class TestAircraft:
