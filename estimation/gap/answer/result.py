@@ -1,4 +1,4 @@
-"""What the gap workflow answers, as data: it becomes the JSON file, the page and the lines on the terminal."""
+"""The answer of the gap workflow as data: the source of the JSON file, the page and the lines on the terminal."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,8 +28,10 @@ class GapVerdict(StrEnum):
 
 @dataclass(frozen=True)
 class Gap:
-    """rms over all outputs of residual over measurement noise, and how much of what lies above the floor is gone. highest: up to
-    where flights with nothing hidden have it; enough: share from which it counts as closed."""
+    """Rms over all outputs of residual over measurement noise, before and after an effect is added.
+
+    floor, highest: median and upper end of the same for simulated flights with nothing hidden; enough: closed share from which
+    the gap counts as closed."""
 
     before: float
     after: float
@@ -39,18 +41,18 @@ class Gap:
 
     @property
     def says_nothing(self) -> bool:
-        """Whether nothing stood above the floor, or little is closed of no more than nothing hidden leaves: of neither a share
-        can be told."""
+        """Whether a closed share has no meaning: nothing stood above the floor, or little is closed of a gap that flights with
+        nothing hidden have too."""
         return self.within_floor or (self.before <= self.highest and self.closed < self.enough)
 
     @property
     def within_floor(self) -> bool:
-        """Whether the gap was no larger than nothing hidden usually leaves, so that there was none to close."""
+        """Whether the gap was no larger than flights with nothing hidden usually have: nothing to close."""
         return self.before <= self.floor
 
     @property
     def share(self) -> str:
-        """What is closed, as a reader sees it."""
+        """The closed share as text; "-" where it has no meaning."""
         return "-" if self.says_nothing else f"{self.closed:.0%}"
 
     @property
@@ -63,7 +65,7 @@ class Gap:
 
     @property
     def counted(self) -> float:
-        """The same as it counts for the verdict: of a gap that says nothing, what made it smaller closed it."""
+        """The closed share for the verdict: a gap that says nothing is closed by whatever made it smaller."""
         return self._closed_of_nothing if self.says_nothing else self.closed
 
     @property
@@ -81,13 +83,14 @@ class Gap:
 
 @dataclass(frozen=True)
 class Where:
-    """Where the disagreement lives."""
+    """Where the disagreement is. segments: (from, to [s]). regime: the flight condition in words. origin: sensor | physics |
+    undecided, by the kinematic check."""
 
     equation: str
     channels: tuple[str, ...]
     segments: tuple[tuple[float, float], ...]
     regime: str
-    origin: str = ""  # sensor | physics | undecided, by the kinematic check
+    origin: str = ""
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -101,7 +104,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Migration:
-    """A base derivative that had absorbed part of the effect. change: in bounds."""
+    """A base derivative that had absorbed part of the effect. bounds: its change over its standard deviation."""
 
     before: float
     after: float
@@ -133,9 +136,10 @@ class Weighed:
 class EffectStep:
     """One effect found.
 
-    estimates: parameter -> (value, bound). followed: control -> time [s] by which the base had moved it to follow the effect,
-    where that is more than sampling leaves open; the gap before is then without it. shape: of an unknown, what could be said
-    of it beyond where it lives. sampling_bound: of the bounds of times [s], what sampling leaves open, which no flight tells.
+    estimates: parameter -> (value, standard deviation). absorbed: share of the signature that the base's own parameters can
+    imitate. followed: control -> time [s] by which the base had shifted it to imitate the effect, where sampling leaves less
+    open; the gap before is then without that shift. sampling_bound: part of the bound of a time [s] that comes from sampling and
+    that no flight can reduce. shape: what is known of an unknown effect beyond where it acts.
     """
 
     effect: str
@@ -152,7 +156,7 @@ class EffectStep:
     gap: Gap
     holdout: Gap | None
     migrated: Mapping[str, Migration]
-    absorbed: float | None = None  # share of the signature that the base's own parameters can take over
+    absorbed: float | None = None
     equation: str = ""
     practical: str = ""
     followed: Mapping[str, float] = field(default_factory=dict)
@@ -194,7 +198,8 @@ class Tie:
 
 @dataclass(frozen=True)
 class Histories:
-    """Measured, before and after per flight for pictures: arrays (N, ny)."""
+    """One flight for pictures: (N, ny) measured, and of the model before and after. floor: (ny,) standard deviation of the
+    residual of simulated flights with nothing hidden."""
 
     flight: str
     holdout: bool
@@ -202,10 +207,10 @@ class Histories:
     measured: Array
     before: Array
     after: Array
-    floor: Array  # (ny,) band, one standard deviation of the null residual
+    floor: Array
 
 
-PRIOR_FROZEN = "prior parameters frozen"  # the stage of the base as it was believed before the flights
+PRIOR_FROZEN = "prior parameters frozen"  # the stage with the base parameters as believed before the flights
 
 
 @dataclass(frozen=True)
@@ -213,8 +218,8 @@ class DisagreementView:
     """The disagreement at one stage.
 
     gap: rms of residual over noise; channels: the same of each output; times: (flight, from, to [s], gap) in windows;
-    regime: signal -> bins; equations: rms of what is missing in each coefficient (rates where the model names none);
-    missing: per record, equation -> (N,) course of it.
+    regime: signal -> bins; equations: rms of the part missing in each coefficient (of a state's rate where the model has no
+    coefficient); missing: per record, equation -> (N,) history of that part.
     """
 
     stage: str

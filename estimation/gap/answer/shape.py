@@ -1,4 +1,4 @@
-"""What can be said of an effect without a name: a curve, a memory, or something that happened at one time."""
+"""The shapes of an effect without a name: a curve, a lag, a swing, an event in time, a held instrument, a held-out flight."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,15 +11,15 @@ TURN = 2.0 * math.pi  # rad
 
 
 def rounded(value: float, digits: int = 4) -> float:
-    """Rounded for a file; numbers that are not finite have no place in JSON and become None."""
+    """Rounded for a file; None where `value` is not finite, which JSON cannot hold."""
     value = float(value)
-    return round(value, digits) if value - value == 0.0 else None  # type: ignore[return-value]
+    return round(value, digits) if math.isfinite(value) else None  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
 class Alike:
-    """An effect of the catalogue that has the form of a shape. estimate: (value, bound) of its parameter; why_not: why it is not
-    the shape's name."""
+    """An effect of the catalogue with the form of a shape. estimate: (value, bound) of its parameter; why_not: the reason why the
+    shape is not given its name."""
 
     effect: str
     title: str
@@ -38,15 +38,16 @@ class Alike:
 
 @dataclass(frozen=True)
 class ShapeCurve:
-    """A nameless part of a coefficient as a function of what the data chose.
+    """A nameless part of a coefficient as a function of one or two variables.
 
     output: the coefficient. variables: one, or two where it is a function of the first times the second. grid: (n,) values of
-    the first; value, std: (n,) the part there and its standard deviation (per unit of the second). unit: of the grid. low, high:
-    range flown, outside which it is held. closed: share of the held-out gap above what nothing hidden would leave, by whitened
-    energy or plain. analytic: a formula that does as well, or None; candidates: (formula, unknown -> (estimate, bound), share of
-    the whitened energy closed, whether that is as good). rivals: (coefficient, variables, share of this one's gain). left_out:
-    (training flight, share of it in the range of the others, twice the log-likelihood gained where it is predicted from them).
-    alike: effects of the catalogue that one of the formulas as good as the curve is the form of.
+    the first; value, std: (n,) the part and its standard deviation there (per unit of the second). unit: of the grid. low, high:
+    range flown; the function is constant outside. closed: share of the gap above that of flights with nothing hidden, held-out
+    where there are such flights, by whitened energy or plain. analytic: a formula that does as well, or None; candidates:
+    (formula, unknown -> (estimate, bound), share of the whitened energy closed, whether that is as good). rivals: (coefficient,
+    variables, share of this one's gain). left_out: (training flight, share of it within the range of the others, twice the
+    log-likelihood gained where it is predicted from them). alike: effects of the catalogue with the form of a candidate that is
+    as good as the curve.
     """
 
     output: str
@@ -85,8 +86,8 @@ class ShapeCurve:
 
 @dataclass(frozen=True)
 class LaggedTerm:
-    """A coefficient that follows a variable with a lag, where no function of the motion closes the gap. line: of the
-    coefficient; time: s; gain: twice the log-likelihood by linear theory."""
+    """A coefficient that lags a variable, where no function of the motion closes the gap. line: the coefficient; time: time
+    constant [s]; gain: twice the log-likelihood by linear theory."""
 
     line: str
     variable: str
@@ -108,10 +109,9 @@ class LaggedTerm:
 
 @dataclass(frozen=True)
 class SwingingTerm:
-    """A coefficient that an oscillator adds to. line: of the coefficient. by: acceleration (ax, ay, az m/s2; p_dot, q_dot, r_dot
-    rad/s2) -> what of the coefficient it makes when it is steady. frequency: rad/s, without damping, damping: of critical, each
-    with its standard deviation once it is fitted. gain: twice the log-likelihood by linear theory, less what chance makes of the
-    unknowns."""
+    """A coefficient with a part that an oscillator adds. line: the coefficient. by: acceleration (ax, ay, az m/s2; p_dot, q_dot,
+    r_dot rad/s2) -> steady change of the coefficient per unit of it. frequency: undamped [rad/s]; damping: of critical; each with
+    its standard deviation once fitted. gain: twice the log-likelihood by linear theory, less one for each unknown."""
 
     line: str
     by: Mapping[str, float]
@@ -142,9 +142,9 @@ class SwingingTerm:
 @dataclass(frozen=True)
 class EventReport:
     """One event. what: drift | slip | burst. channel: the output, "" for a disturbance of the motion. flight: its name, "" for
-    all of them. start, end: s on the flight's clock. sizes: (estimate, bound) in `unit`: of a drift the change over each flight,
-    of a slip the step, of a burst the peak rates it adds to the force equations, of a gust, which moves the state `air`, the
-    largest change of that."""
+    all of them. start, end: s on the flight's clock. air: the state that a gust changes. sizes: (estimate, bound) in `unit`: the
+    change over each flight by a drift, the step of a slip, the peak rates that a burst adds to the force equations, the largest
+    change of `air` by a gust."""
 
     what: str
     channel: str
@@ -174,10 +174,10 @@ class EventReport:
 
 @dataclass(frozen=True)
 class HeldInstrument:
-    """An instrument that holds its values: no term of the model is wrong.
+    """An instrument that holds its values; no term of the model is wrong.
 
-    channel: the output. every: s from one new value to the next, on average. share: of the samples that repeat. ratio: distance
-    from the model there over that at new values, rms; threshold: from which that is too far.
+    channel: the output. every: mean time [s] between new values. share: of the samples that repeat. ratio: rms residual there
+    over that at new values; threshold: the ratio that is too large.
     """
 
     channel: str
@@ -202,8 +202,8 @@ class HeldInstrument:
 class NotPredicted:
     """A held-out flight that the model does not predict, though nothing stands out on the training flights.
 
-    channels: outputs in which it is off, the worst first. segments: stretches [s] of it. gap: of the held-out flights; highest:
-    up to where nothing hidden has it.
+    channels: outputs with large residuals, the worst first. segments: (from, to [s]) with large residuals. gap: of the held-out
+    flights; highest: upper end of the gap with nothing hidden.
     """
 
     flight: str
@@ -225,7 +225,7 @@ class NotPredicted:
 
 @dataclass(frozen=True)
 class Happened:
-    """Events that leave nothing else to explain, first the one that stands out most."""
+    """Events that leave nothing else to explain, the most significant first."""
 
     events: Sequence[EventReport]
 

@@ -1,4 +1,4 @@
-"""The verdict in words a flight-test engineer can act on."""
+"""The answer in words that a flight-test engineer can act on."""
 
 from collections.abc import Mapping, Sequence
 
@@ -14,14 +14,8 @@ from estimation.gap.answer.shape import (
 )
 from estimation.gap.effects.base import Effect
 
-EXAMPLES = (
-    "Cn_da",
-    "CY_da",
-    "beta_lag",
-    "Cl_beta3",
-    "aileron_delay",
-    "p_sin_alpha",
-)  # of sizes that would have been seen
+EXAMPLES = ("Cn_da", "CY_da", "beta_lag", "Cl_beta3", "aileron_delay", "p_sin_alpha")
+"""Effects with which the paragraph shows what size would have been seen."""
 FEW, NAMES, MANOEUVRES = 4, 8, 3  # examples, effects and manoeuvres in one paragraph; the JSON file has all
 
 
@@ -54,7 +48,7 @@ def describe_step(step: EffectStep) -> str:
 
 
 def describe_unknown(step: EffectStep) -> str:
-    """What is known of an effect the catalogue does not hold."""
+    """What is known of an effect that the catalogue does not hold."""
     if isinstance(step.shape, ShapeCurve):
         return describe_curve(step.shape)
     if isinstance(step.shape, Happened):
@@ -63,18 +57,10 @@ def describe_unknown(step: EffectStep) -> str:
         return describe_held(step.shape)
     if isinstance(step.shape, NotPredicted):
         return f"The training flights show nothing, but {describe_not_predicted(step.shape)}"
-    location = step.where
-    place = (
-        f"it lives in {', '.join(location.channels)} ({location.regime})"
-        if location.channels
-        else "no channel shows it alone"
-    )
-    example = (
-        f", for example at {location.segments[0][0]:.1f} to {location.segments[0][1]:.1f} s"
-        if location.segments
-        else ""
-    )
-    text = f"Something the catalogue does not hold: {place}{example}. No name is given, because none explains enough of it."
+    channels, regime = ", ".join(step.where.channels), step.where.regime
+    place = f"it lives in {channels} ({regime})" if channels else "no channel shows it alone"
+    text = f"Something the catalogue does not hold: {place}{_example(step.where.segments)}. "
+    text += "No name is given, because none explains enough of it."
     if step.gap.within_floor:
         text += course_stands_out(step.gap)
     if isinstance(step.shape, LaggedTerm):
@@ -88,8 +74,12 @@ def describe_unknown(step: EffectStep) -> str:
     return text
 
 
+def _example(segments: Sequence[tuple[float, float]]) -> str:
+    return f", for example at {segments[0][0]:.1f} to {segments[0][1]:.1f} s" if segments else ""
+
+
 def course_stands_out(gap: Gap) -> str:
-    """A sentence on what is certain though the gap is one that flights have with nothing hidden."""
+    """A sentence on an effect that is certain although flights with nothing hidden have such a gap too."""
     usual = f"{gap.floor:.3g}" if gap.within_floor else f"up to {gap.highest:.3g}"
     return (
         f" Its size is no larger than gusts and errors of the inputs leave (a gap of {gap.before:.3g}, "
@@ -98,7 +88,7 @@ def course_stands_out(gap: Gap) -> str:
 
 
 def describe_swing(swing: SwingingTerm) -> str:
-    """What swings, how fast, and what may be looked at."""
+    """What swings, how fast, and where to look."""
     hertz, std = swing.frequency / TURN, swing.frequency_std
     fast = f"{hertz:.2g} Hz" if std is None else f"{hertz:.3g} +- {std / TURN:.1g} Hz"
     return (
@@ -109,7 +99,7 @@ def describe_swing(swing: SwingingTerm) -> str:
 
 
 def describe_curve(curve: ShapeCurve) -> str:
-    """A nameless shape in words: where, how sure, in which range, what would settle it."""
+    """A curve in words: where, how certain, in which range, and what would settle it."""
     dependence = " times ".join((f"a function of {curve.variables[0]}", *curve.variables[1:]))
     subject = (
         "Something that no effect of the catalogue stands for"
@@ -140,7 +130,7 @@ def describe_curve(curve: ShapeCurve) -> str:
 
 
 def describe_events(happened: Happened) -> str:
-    """What happened, when, and that it is no term of the model."""
+    """Which events, when, and that they are no term of the model."""
     sentences = []
     for e in happened.events:
         place = f"on {e.flight}" if e.flight else "on these flights"
@@ -165,7 +155,7 @@ def describe_events(happened: Happened) -> str:
 
 
 def describe_held(held: HeldInstrument) -> str:
-    """What holds its values, for how long, and that it is no term of the model."""
+    """Which instrument holds its values, for how long, and that this is no term of the model."""
     return (
         f"{held.channel} holds its values: a new one comes every {held.every:.2g} s, and at the {held.share:.0%} of the samples "
         f"that repeat the last it is {held.ratio:.1f} times as far from the model as at new ones. At new ones nothing is left "
@@ -174,14 +164,13 @@ def describe_held(held: HeldInstrument) -> str:
     )
 
 
-def describe_not_predicted(found: NotPredicted) -> str:
-    """Which held-out flight is off, how far and where, and what to look at; begins in lower case."""
-    place = f", mostly in {' and '.join(found.channels)}" if found.channels else ""
-    when = f", for example at {found.segments[0][0]:.1f} to {found.segments[0][1]:.1f} s" if found.segments else ""
+def describe_not_predicted(unlike: NotPredicted) -> str:
+    """Which held-out flight the model misses, by how much and where, and what to look at; begins in lower case."""
+    place = f", mostly in {' and '.join(unlike.channels)}" if unlike.channels else ""
     return (
-        f"the model does not predict the held-out {found.flight}: a gap of {found.gap:.3g}, up to {found.highest:.3g} with "
-        f"nothing hidden{place}{when}. Look at the instruments, the signs and the configuration of {found.flight} before "
-        "anything is concluded from it."
+        f"the model does not predict the held-out {unlike.flight}: a gap of {unlike.gap:.3g}, up to {unlike.highest:.3g} with "
+        f"nothing hidden{place}{_example(unlike.segments)}. Look at the instruments, the signs and the configuration of "
+        f"{unlike.flight} before anything is concluded from it."
     )
 
 
@@ -200,10 +189,14 @@ def conclude(
     inputs: str = "",
     unlike: str = "",
 ) -> str:
-    """The paragraph of the verdict. odd: training flights, of so many `flights`, that do not repeat the others. stale: outputs
-    that repeat their last value in many samples. following: controls that only follow the motion. left: how what is left beside
-    a shape shows. inputs: what of the rest may be errors of the inputs, as of `rest_of_inputs`. unlike: of a held-out flight that
-    is not predicted, as of `describe_not_predicted`."""
+    """The paragraph of the verdict.
+
+    detectable: effect -> smallest size that would have been seen. cannot: effects that these flights could not show. tied:
+    effects that no flight can tell from parameters of the base. odd: those of the `flights` training flights that do not repeat
+    the others. stale: outputs that repeat their last value in many samples. following: controls that only follow the motion.
+    left: the unexplained rest beside a shape, in words. inputs: sentence from `rest_of_inputs`. unlike: from
+    `describe_not_predicted`.
+    """
     parts = []
     if verdict is GapVerdict.NO_GAP:
         parts.append(
@@ -253,9 +246,7 @@ def conclude(
         parts.append(f"These flights cannot tell anything about {names} at {size}{fly}.")
     if tied and verdict in (GapVerdict.NO_GAP, GapVerdict.CANNOT_TELL):
         hidden = "; ".join(f"{e.name} cannot be told from {', '.join(e.tied_to)}" for e in tied)
-        if not any(
-            e.name == "rho_error" for e in tied
-        ):  # lateral: nothing but the derivatives carries mass and density
+        if all(e.name != "rho_error" for e in tied):  # lateral: only the derivatives carry mass and density
             hidden += "; errors of mass, of Ixx and Izz or of air density scale all coefficients alike"
             hidden += " and cannot be told from them"
         parts.append(f"Not visible in any flight: {hidden}.")
@@ -263,8 +254,8 @@ def conclude(
 
 
 def rest_of_inputs(commanded: Mapping[str, float], what: str, score: float, threshold: float) -> str:
-    """That `what` cannot be told from errors of surfaces that are known by commands. commanded: control -> interval [s] of its
-    records."""
+    """A sentence: `what` cannot be told from errors of surfaces that are recorded as commands. commanded: control -> interval [s]
+    of its records."""
     are = "are known by commands" if len(commanded) > 1 else "is known by commands"
     return (
         f"{' and '.join(commanded)} {are} that the log has every {1e3 * max(commanded.values()):.0f} ms, each move at an unknown "
@@ -275,8 +266,8 @@ def rest_of_inputs(commanded: Mapping[str, float], what: str, score: float, thre
 
 
 def odd_in_words(odd: Sequence[str], none_repeats: bool) -> str:
-    """A sentence on training flights that do not repeat the others. none_repeats: not one of them does, and then the joint fit is
-    of no aircraft."""
+    """A sentence on training flights that do not repeat the others. none_repeats: not one does, and the joint fit describes no
+    aircraft."""
     if none_repeats:
         return (
             "No training flight repeats the others even with this model: each has derivatives of its own, and what stands below "

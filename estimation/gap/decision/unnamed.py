@@ -173,12 +173,14 @@ def find_held_instrument(baseline: Baseline, prepared: FlightRecords) -> HeldIns
     """The stale output that is farthest from the model where it repeats; None where none is too far."""
     problem, fit = baseline.problem, baseline.fit
     modelled = [problem.modelled(i, fit.values, local) for i, local in enumerate(fit.locals)]
-    pairs = [(r, y) for r, y in zip(problem.records, modelled, strict=True) if y is not None and r.apart is not None]
+    pairs = [
+        (r, y) for r, y in zip(problem.records, modelled, strict=True) if y is not None and r.uncompared is not None
+    ]
     step = max(float(np.median(np.diff(r.time))) for r in problem.records)
     instruments = []
     for c, signal in enumerate(problem.model.outputs):
         if signal.source in prepared.stale and pairs:
-            repeated = np.concatenate([r.apart[:, c] - y[:, c] for r, y in pairs if r.apart is not None])
+            repeated = np.concatenate([r.uncompared[:, c] - y[:, c] for r, y in pairs if r.uncompared is not None])
             fresh = np.concatenate([r.z[:, c] - y[:, c] for r, y in pairs])
             instrument = held_instrument(
                 signal.source, repeated[np.isfinite(repeated)], fresh[np.isfinite(fresh)], step, baseline.criteria

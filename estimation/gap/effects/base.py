@@ -1,9 +1,9 @@
-"""What a candidate effect is: data that can be added to any model that has the lines it speaks of.
+"""A candidate effect, as data that can be added to any model with the equations it changes.
 
-An `Effect` has one or more `Form`s, each a way in which it can enter with unknowns of its own (a lever arm has an x and
-a z form). The search works on forms and answers with the effect's name; it knows nothing of any particular effect.
-A form names model lines, inputs and outputs by the words of `estimation.models`; where a model lacks what a form
-speaks of, or already contains it, the form does not apply and says why.
+An `Effect` has one or more `Form`s: ways in which it can enter a model, each with its own unknowns (a lever arm has an x and
+a z form). The search works on forms and answers with the effect's name; no code knows a particular effect.
+A form names model lines, inputs and outputs as `estimation.models` does. Where the model lacks them, or already contains the
+effect, the form does not apply and `obstacle` says why.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from estimation.models.expressions import names_in
 
 
 class Group(StrEnum):
-    """Where an effect lives; the kinematic check speaks of SENSOR against the rest."""
+    """Where an effect acts; the kinematic check tells SENSOR from all others."""
 
     DERIVATIVE = "omitted derivative"
     NONLINEAR = "aerodynamic nonlinearity"
@@ -58,8 +58,8 @@ class Form:
     pieces apply does not apply. requires: symbols the model must know. unless: (line, symbol) pairs; where the line
     (or a line it is made of) already contains the symbol, the model has the effect. inputs: flight columns the form
     brings in as inputs where the model does not have them already. frees: parameters the model has but holds fixed.
-    optional: outputs that are changed or delayed only where the model has them: one device may show more than a model asks of it.
-    equation: its own, where it is not that of the effect.
+    optional: outputs that are changed or delayed only where the model has them: one instrument may measure more than the model
+    compares. equation: of this form, where it differs from the effect's.
     """
 
     label: str
@@ -79,17 +79,17 @@ class Form:
 
     @property
     def nonlinear(self) -> bool:
-        """Whether the outputs depend on the unknowns in a way that a small step does not tell (delays, lags, plays)."""
+        """Whether the outputs depend on the unknowns in a way that a small step does not show (delays, lags, plays)."""
         return bool(self.states or self.transforms or self.output_delays)
 
     @property
     def slows_control(self) -> bool:
-        """Whether it makes a control late."""
+        """Whether the form delays a control."""
         return any(t.kind in ("delay", "lag") for t in self.transforms)
 
     @property
     def lagging(self) -> bool:
-        """Whether forces or moments follow the motion late, by a state of their own, and how late is what is asked."""
+        """Whether forces or moments lag the motion by a state of their own, with time constants as the only unknowns."""
         return bool(self.states and self.terms) and all(p.unit == "s" for p in self.parameters)
 
     def shown_by(self, model: Model) -> "Form":
@@ -104,7 +104,7 @@ class Form:
 
     def obstacle(self, model: Model) -> str | None:
         """Why the form cannot be added to `model`, or None where it can."""
-        symbols = _symbols(model)
+        symbols = symbols_of(model)
         present = [p.name for p in self.parameters if p.name in model.parameter_names and p.name not in self.frees]
         present += [s.name for s in self.states if s.name in model.state_names]
         if present:
@@ -112,9 +112,7 @@ class Form:
         missing = [s for s in self.requires if s not in symbols]
         visible = self.shown_by(model)
         missing += [o for o in (*visible.outputs, *visible.output_delays) if o not in model.output_names]
-        if not (
-            self.terms or visible.outputs or visible.output_delays
-        ):  # what it changes is optional, and the model has none
+        if not (self.terms or visible.outputs or visible.output_delays):  # all that it changes is optional, and absent
             missing += [*self.outputs, *self.output_delays]
         if self.transforms and not self._transforms(model):
             missing.append(self.transforms[0].input)
@@ -156,7 +154,7 @@ class Form:
             lines=self.lines,
             outputs=visible.outputs,
             states=self.states,
-            inputs=[s for s in self.inputs if s.name not in _symbols(model)],
+            inputs=[s for s in self.inputs if s.name not in symbols_of(model)],
             parameters=parameters,
             transforms=self._transforms(model),
             output_delays=visible.output_delays,
@@ -166,7 +164,7 @@ class Form:
         return tuple(t for t in self.transforms if t.input in model.input_names)
 
     def _pieces(self, model: Model) -> dict[str, str]:
-        symbols = _symbols(model) | {p.name for p in self.parameters} | {s.name for s in (*self.states, *self.inputs)}
+        symbols = symbols_of(model) | {p.name for p in self.parameters} | {s.name for s in (*self.states, *self.inputs)}
         symbols |= {line.partition("=")[0].strip() for line in self.lines}
         additions = {}
         for line, pieces in self.terms.items():
@@ -179,12 +177,11 @@ class Form:
 
 @dataclass(frozen=True)
 class Effect:
-    """A candidate explanation of a gap, with what a person must know to judge it.
+    """A candidate explanation of a gap, with what a person needs to judge it.
 
-    physics: a paragraph. equation: how it is written. source: where form and size come from. signature: what it leaves
-    in the residuals. confusions: other effects it can be mistaken for -> what tells them apart. separate_by: the
-    manoeuvre or bench test that isolates it. family: members of one family count as one class. tied_to: base
-    parameters that already carry it exactly.
+    physics: a paragraph. source: of form and size. signature: the trace it leaves in the residuals. confusions: other effects it
+    can be mistaken for -> what separates them. separate_by: the manoeuvre or bench test that isolates it. family: members of one
+    family count as one class. tied_to: base parameters that absorb the effect completely.
     """
 
     name: str
@@ -202,8 +199,8 @@ class Effect:
 
     def __post_init__(self) -> None:
         labels = [f.label for f in self.forms]
-        if len(set(labels)) < len(labels):
-            raise EffectError(f"effect {self.name}: two forms are called {labels}")
+        if twice := [n for n in labels if labels.count(n) > 1]:
+            raise EffectError(f"effect {self.name!r}: two forms are called {twice[0]!r}; give each a label of its own")
 
     def applicable(self, model: Model) -> tuple[Form, ...]:
         """The forms that can be added to `model`, as it shows them."""
@@ -227,18 +224,19 @@ def add_effect(effect: Effect, model: Model, size: float | None = None) -> Model
     raise EffectError(f"effect {effect.name}: cannot be added to model {model.name}: {effect.forms[0].obstacle(model)}")
 
 
-def _symbols(model: Model) -> set[str]:
+def symbols_of(model: Model) -> set[str]:
+    """All names that equations of `model` may use."""
     return {*model.state_names, *model.input_names, *model.parameter_names, *model.constants, *model.definitions}
 
 
 def _reach(model: Model, line: str) -> set[str]:
-    """Symbols that `line` is made of, through intermediate lines but not through coefficients' states."""
+    """Symbols in `line` and in the lines it is made of."""
     symbols: set[str] = set()
-    open_ = [line]
-    while open_:
-        symbol = open_.pop()
+    pending = [line]
+    while pending:
+        symbol = pending.pop()
         for name in names_in(model.definitions[symbol]) if symbol in model.definitions else ():
             if name not in symbols:
                 symbols.add(name)
-                open_.append(name)
+                pending.append(name)
     return symbols

@@ -1,8 +1,8 @@
-"""The catalogue: built-in effects, a TOML table each, extended by installed packages and by files a person names.
+"""The catalogue: built-in effects, extended by installed packages and by files that a person names.
 
-A laboratory adds an effect in one short file: a TOML file with the fields of `Effect` and `Form` (data only, nothing is
-executed), as the built-in ones beside this module are, or a Python file with a tuple `EFFECTS`; or installs it under the entry
-point group `sideslip.effects`.
+A laboratory adds effects in a TOML file with the fields of `Effect` and `Form` (data only, nothing is executed), like the
+built-in ones beside this module; in a Python file with a tuple `EFFECTS`; or in a package with an entry point of the group
+`sideslip.effects`.
 """
 
 import importlib.metadata
@@ -23,7 +23,7 @@ from estimation.models.expressions import parse
 from estimation.own_code import mistake_text
 
 ENTRY_POINTS = "sideslip.effects"
-LARGEST_NUMBER = 1e12  # of a bound or size, in any SI unit: no quantity of an aircraft comes near it
+LARGEST_NUMBER = 1e12  # for a bound or size in any SI unit: no quantity of an aircraft comes near it
 LATERAL_LINES, LONGITUDINAL_LINES = frozenset({"CY", "Cl", "Cn"}), frozenset({"CL", "CD", "Cm"})
 REFERENCE: Mapping[str, float] = {"m": 3.5, "b": 1.5, "S": 0.787}
 """Mass [kg], span [m] and area [m2] of the aircraft for which the catalogue states its sizes (docs/aircraft.md)."""
@@ -32,7 +32,8 @@ PER_PRESSURE = "1/(200 Pa)"
 
 @cache
 def plane(name: str) -> tuple[Effect, ...]:
-    """Built-in effects of one file: lateral, longitudinal (with those of other files that pitch too) or across_axes."""
+    """Built-in effects of one file: lateral, longitudinal (with effects of the other files that act in pitch too) or
+    across_axes."""
     effects = _from_toml(Path(__file__).with_name(f"{name}.toml"), may_lack_forms=True)
     if name == "longitudinal":
         effects += tuple(e for e in plane("across_axes") if e.name == "pitch_inertial_coupling")
@@ -41,21 +42,21 @@ def plane(name: str) -> tuple[Effect, ...]:
 
 
 def built_in(model: Model | None = None) -> tuple[Effect, ...]:
-    """The built-in effects of the axes `model` has: lateral (also without a model), longitudinal, or both with what couples
-    them. Where two planes know an effect by one name, the one of all axes holds."""
+    """The built-in effects of the axes that `model` has: lateral (also without a model), longitudinal, or both with their
+    coupling. Where two files have an effect of the same name, that of `across_axes` counts."""
     lines = frozenset(model.definitions) if model is not None else frozenset()
     if not lines & LONGITUDINAL_LINES:
         return plane("lateral")
     if not lines & LATERAL_LINES:
         return plane("longitudinal")
-    # where the aircraft rolls and yaws in the equations, p r tells the moment of inertia that Cm_* carry otherwise
+    # with roll and yaw in the equations the term p r shows Iyy, which the Cm_* absorb otherwise
     free = tuple(replace(e, tied_to=()) if e.name == "Iyy_error" else e for e in plane("longitudinal"))
     return tuple({e.name: e for e in (*plane("lateral"), *free, *plane("across_axes"))}.values())
 
 
 def catalogue(extra_files: Iterable[str | Path] = (), model: Model | None = None) -> tuple[Effect, ...]:
-    """Built-in effects of the axes of `model` (lateral where none is given) at the size of its aircraft, then those of installed
-    packages, then those of `extra_files`, as they are; a later name takes the place of an earlier one.
+    """Built-in effects of the axes of `model` (default lateral), scaled to its aircraft; then those of installed packages and of
+    `extra_files`, unscaled. A later effect replaces an earlier one of the same name.
 
     Raises EffectError naming the file and key that does not fit.
     """
@@ -70,11 +71,11 @@ def catalogue(extra_files: Iterable[str | Path] = (), model: Model | None = None
 
 
 def at_size_of(effects: Sequence[Effect], model: Model | None) -> tuple[Effect, ...]:
-    """The effects with usual sizes and limits for the aircraft whose mass, span and area are constants of `model`; as they are
-    where it has none.
+    """The effects with usual sizes and limits scaled to the aircraft whose mass, span and area are constants of `model`; unscaled
+    where the model lacks them.
 
-    What has no dimension and what an instrument or servo has of itself (a time constant) is the same on any aircraft. Lengths
-    are measured in spans, pressures in wing loadings, times of the motion by Froude's law as the square root of a length.
+    Dimensionless parameters and time constants of instruments and servos are the same on any aircraft. Lengths scale with the
+    span, pressures with the wing loading, times of the motion with the square root of a length (Froude).
     """
     ratio = {n: model.constants[n] / v for n, v in REFERENCE.items() if n in model.constants} if model else {}
     if len(ratio) < len(REFERENCE) or not all(0.0 < r < float("inf") for r in ratio.values()):
@@ -119,8 +120,8 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     raise EffectError(f"effects {path}: give a .toml or a .py file")
 
 
-def _checked(found: Any, where: str) -> tuple[Effect, ...]:
-    effects = tuple(found)
+def _checked(loaded: Any, where: str) -> tuple[Effect, ...]:
+    effects = tuple(loaded)
     for effect in effects:
         if not isinstance(effect, Effect):
             raise EffectError(f"{where}: EFFECTS holds {effect!r}, which is no Effect")
@@ -128,7 +129,7 @@ def _checked(found: Any, where: str) -> tuple[Effect, ...]:
 
 
 def _each_once(effects: tuple[Effect, ...], where: str) -> tuple[Effect, ...]:
-    """The effects; EffectError where two have one name, of which the first would be lost."""
+    """The effects; EffectError where two have the same name: the first would be lost."""
     names = [e.name for e in effects]
     if twice := [n for n in names if names.count(n) > 1]:
         raise EffectError(f"{where}: two effects are called {twice[0]!r}; give each a name of its own")
@@ -156,12 +157,6 @@ def _effect(table: Mapping[str, Any], may_lack_forms: bool) -> Effect:
     forms = tuple(_form(f, data.get("name", "")) for f in data.pop("form", []))
     if not forms and not may_lack_forms:
         raise EffectError(f"effect {data.get('name')!r}: at least one [[effect.form]] is needed")
-    labels = [f.label for f in forms]
-    if len(set(labels)) < len(labels):
-        duplicate = next(n for n in labels if labels.count(n) > 1)
-        raise EffectError(
-            f"effect {data.get('name')!r}: two forms are called {duplicate!r}; give each a label of its own"
-        )
     texts = {k: str(data.pop(k, "")) for k in ("physics", "equation", "source", "signature", "separate_by", "family")}
     effect = Effect(
         name=data.pop("name"),
@@ -178,7 +173,7 @@ def _effect(table: Mapping[str, Any], may_lack_forms: bool) -> Effect:
 
 
 def _parameter(table: Mapping[str, Any]) -> EffectParameter:
-    """An unknown of the file. Raises ValueError where its numbers are none, or do not enclose anything."""
+    """An unknown of a form. Raises ValueError where a number is none or too large, or the limits enclose nothing."""
     parameter = EffectParameter(**table)
     numbers = {"typical": parameter.typical, "lower": parameter.lower, "upper": parameter.upper}
     numbers |= {} if isinstance(parameter.none, str) else {"none": parameter.none}
@@ -195,7 +190,7 @@ def _parameter(table: Mapping[str, Any]) -> EffectParameter:
 
 
 def _form(table: Mapping[str, Any], effect: str) -> Form:
-    """A form of the file, called as its effect is where it has no label."""
+    """A form from its TOML table; its label defaults to the effect's name."""
     data = dict(table)
     terms = {k: (v,) if isinstance(v, str) else tuple(v) for k, v in data.pop("terms", {}).items()}
     for pieces in terms.values():

@@ -1,4 +1,4 @@
-"""Hypotheses made from the model itself: a derivative of the full linear model that the given one lacks or holds fixed."""
+"""Effects made from the model itself: derivatives of the full linear model that it lacks or holds fixed."""
 
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.models.base import Model
@@ -23,13 +23,15 @@ TYPICAL = {
     "Cl_da": 0.10, "Cl_dr": 0.02, "Cn_beta": 0.025, "Cn_p": 0.02, "Cn_r": 0.04, "Cn_dr": 0.04,
     "CL_alpha": 3.0, "CL_q": 3.3, "CL_de": 1.0, "Cm_alpha": 0.17, "Cm_q": 0.9, "Cm_de": 0.36,
 }  # fmt: skip
+UNLISTED = 0.1  # usual size of a derivative that is not in TYPICAL
+LARGEST = 12  # usual sizes to either side: wider than any aircraft, so that a limit decides nothing
 SUBSCRIPT = {"beta": "β", "p": "p", "r": "r", "da": "δa", "dr": "δr", "alpha": "α", "q": "q", "de": "δe", "0": "0"}
 
 
 def missing_derivatives(model: Model, known: set[str]) -> tuple[Effect, ...]:
-    """One effect for each derivative that `model` has no free parameter for. known: names the catalogue covers.
+    """One effect for each derivative that is no free parameter of `model`. known: names that the catalogue covers.
 
-    A derivative held at a number counts too: freeing it is the hypothesis that the number is wrong.
+    A derivative held at a number counts too: the hypothesis is then that the number is wrong.
     """
     effects = []
     for lines, regressors in ((LINES, REGRESSORS), (LONGITUDINAL_LINES, LONGITUDINAL_REGRESSORS)):
@@ -45,18 +47,11 @@ def missing_derivatives(model: Model, known: set[str]) -> tuple[Effect, ...]:
 
 def _effect(name: str, line: str, quantity: str, suffix: str, regressor: str, model: Model) -> Effect:
     is_fixed = name in model.parameter_names
-    prior = next((p for p in model.parameters if p.name == name), None)
-    typical = TYPICAL.get(name, 0.1)
-    start = prior.start if prior is not None else 0.0
-    parameter = EffectParameter(
-        name,
-        "1/rad",
-        typical,
-        start - 12 * typical,
-        start + 12 * typical,
-        none=start,
-        meaning=f"{quantity} per {WORDS[suffix]}",
-    )
+    typical = TYPICAL.get(name, UNLISTED)
+    start = model.parameter(name).start if is_fixed else 0.0
+    lower, upper = start - LARGEST * typical, start + LARGEST * typical
+    meaning = f"{quantity} per {WORDS[suffix]}"
+    parameter = EffectParameter(name, "1/rad", typical, lower, upper, none=start, meaning=meaning)
     form = (
         Form(name, (parameter,), frees=(name,))
         if is_fixed

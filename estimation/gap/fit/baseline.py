@@ -138,7 +138,9 @@ def whiteners_for(
     linear = [linear_motion(problem_model, simulator, s, values) for s in segments]
     shapes = [
         as_seen(
-            replace(shapes_of(problem_model, m, len(s), criteria, force_states(base), r.left), louder=r.louder),
+            replace(
+                shapes_of(problem_model, m, len(s), criteria, force_states(base), r.error_spectra), louder=r.louder
+            ),
             np.isfinite(s.z),
         )
         for m, s, r in zip(linear, segments, records, strict=True)
@@ -148,7 +150,7 @@ def whiteners_for(
         noise = estimated_noise(
             residuals, shapes, steps, *noise_parts(records, base.output_names, scatter, criteria), begin
         )
-    slow = [slow_errors(simulator, values, s, r.left) for r, s in zip(records, segments, strict=True)]
+    slow = [slow_errors(simulator, values, s, r.error_spectra) for r, s in zip(records, segments, strict=True)]
     return noise, tuple(
         loosened(whitener(noise, without_slow(s, w.below)), e, noise.freedom, w.response)
         for s, e, w in zip(shapes, steps, slow, strict=True)

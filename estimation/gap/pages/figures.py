@@ -1,4 +1,4 @@
-"""The picture of where the disagreement lives: over channel, time, equation and flight regime, stage by stage."""
+"""The picture of the disagreement over channel, time, equation and flight regime, stage by stage."""
 
 from typing import TYPE_CHECKING
 
@@ -71,7 +71,7 @@ def _times(axis: "Axes", stages: list[DisagreementView], colours: list[str]) -> 
 
 
 def _missing(axis: "Axes", name: str, stages: list[DisagreementView], colours: list[str]) -> None:
-    """What is missing in one coefficient over all training flights, one after the other."""
+    """The part missing in one coefficient over all training flights, one after the other."""
     for view, colour in zip(stages, colours, strict=True):
         course = np.concatenate([m[name] for m in view.missing])
         axis.plot(np.arange(course.size), course, lw=0.7, color=colour)
@@ -79,7 +79,7 @@ def _missing(axis: "Axes", name: str, stages: list[DisagreementView], colours: l
         axis.axvline(edge, color=EDGE, lw=0.8)
     visible = np.concatenate([m[name] for view in stages[-2:] for m in view.missing])
     limit = 1.3 * float(np.abs(visible).max()) or 1.0
-    axis.set_ylim(-limit, limit)  # the frozen prior may run out of the picture: its place is what counts
+    axis.set_ylim(-limit, limit)  # the frozen prior may leave the picture: only where it is large matters
     unit = "" if name.endswith("_dot") else " [1]"  # the rate of a state has that of its state
     axis.set_ylabel(f"missing ${tex(name)}${unit}", fontsize=8)
     axis.set_xticks([])

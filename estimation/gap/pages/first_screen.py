@@ -1,4 +1,4 @@
-"""The answer of `gap` on one screen: a sentence, what was found with its bounds, the leading scores, and what to do next."""
+"""The answer of `gap` on one screen: a sentence, the effects with their bounds, the leading scores, and the next steps."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +13,12 @@ from estimation.report.flight_tables import collected
 from estimation.report.page import Section, bullets, paragraph
 from estimation.report.tables import ReportTable, number
 
-SMALLEST = 8  # effects named with the smallest size seen, where none was found
-FLY_NEXT = 3  # manoeuvres named: the table of all is below
+SMALLEST = 8  # rows of the table of smallest sizes, where no effect was found
+FLY_NEXT = 3  # manoeuvres; the table further down has all
 
 
 def first_screen(result: GapResult, sizes: ReportTable, scores: Picture, note: Markup) -> list[Section]:
-    """Sentence; table beside picture; next. sizes: the smallest size of each effect that would have been seen."""
+    """Sentence; table beside picture; next steps. sizes: the smallest size of each effect that would have been seen."""
     table = _found(result) if result.steps else replace(sizes, name="smallest", rows=sizes.rows[:SMALLEST], filed=False)
     return [
         Section("", "", [paragraph(f"{result.text[:1].upper()}{result.text[1:]}", "verdict-line")]),
@@ -28,7 +28,7 @@ def first_screen(result: GapResult, sizes: ReportTable, scores: Picture, note: M
 
 
 def _found(result: GapResult) -> ReportTable:
-    """Each parameter of each effect, and what the effect closes."""
+    """Each parameter of each effect, and the share of the gap that the effect closes."""
     rows = [row for step in result.steps for row in _step_rows(step)]
     head = ("", "estimate", "± bound", "score", "threshold", "closed", "held out")
     caption = (

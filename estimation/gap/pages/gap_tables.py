@@ -1,4 +1,4 @@
-"""The tables of the gap page, each with heads and units; what several flights or effects share is said once."""
+"""The tables of the gap page, each with heads and units."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -11,15 +11,12 @@ from estimation.report.tables import ReportTable, number, significant, value_and
 
 GAP_HEAD = ("before [σ]", "after [σ]", "floor [σ]", "closed [%]")
 BEFORE_FLYING, MIGRATED = ("from [1/rad]", "to [1/rad]"), "moved by [bounds]"
-LISTED = 16
-"""Pairs that these flights cannot tell apart: the closest ones. A pair further down is told apart better than all of these."""
-
-
+LISTED = 16  # closest pairs in the table of ties; the JSON file has all
 SHARED = (
     (r"^fits \d+% of its usual size", "fits only a small part of its usual size"),
     (r"^closes only \d+% of the gap", "closes too little of the gap"),
 )
-"""Reasons for which effects are rejected in many rounds, with other numbers in each."""
+"""Reasons that come back in many rounds with other numbers, and their common wording."""
 
 
 def step_gap(step: EffectStep) -> ReportTable:
@@ -98,7 +95,7 @@ def step_formulas(step: EffectStep) -> ReportTable | None:
 
 
 def missing_table(result: GapResult) -> ReportTable:
-    """What is missing in each coefficient, stage by stage."""
+    """The part missing in each coefficient, stage by stage."""
     first = result.views[0]
     rows = tuple((n, *(significant(v.equations[n], 2) for v in result.views)) for n in first.equations)
     return ReportTable(
@@ -115,16 +112,8 @@ def repeat_table(result: GapResult) -> ReportTable | None:
     entries = result.details["repeatability"]
     if not entries:
         return None
-    rows = tuple(
-        (
-            f["flight"],
-            str(f["chi2"]),
-            str(f["usual"]),
-            str(f["limit"]),
-            "FAIL: unlike the others" if f["odd"] else "pass",
-        )
-        for f in entries
-    )
+    words = {True: "FAIL: unlike the others", False: "pass"}
+    rows = tuple((f["flight"], str(f["chi2"]), str(f["usual"]), str(f["limit"]), words[f["odd"]]) for f in entries)
     failed = frozenset((i, c) for i, f in enumerate(entries) if f["odd"] for c in (1, 4))
     return ReportTable(
         "repeatability",
@@ -173,7 +162,7 @@ def cannot_table(result: GapResult) -> ReportTable | None:
 
 
 def rejected_table(result: GapResult) -> ReportTable | None:
-    """What was looked at and not taken, by the reason; the same effect is looked at again in every round."""
+    """Rejected hypotheses by reason; an effect may be rejected in several rounds."""
     reasons = collected((_reason(r.why, r.effect), r.effect) for r in result.rejected)
     if not reasons:
         return None
@@ -188,7 +177,7 @@ def rejected_table(result: GapResult) -> ReportTable | None:
 
 
 def _reason(why: str, effect: str) -> str:
-    """A reason that others may share: without the effect's own name at its head, and without the numbers of one round."""
+    """A reason that several effects can share: without the effect's name at its head and without the numbers of one round."""
     for pattern, words in SHARED:
         why = re.sub(pattern, words, why)
     return why.removeprefix(f"{effect.partition(' ')[0]} ") if why.endswith("to nothing") else why
@@ -213,7 +202,7 @@ def sizes_table(result: GapResult, effects: Sequence[Effect]) -> ReportTable:
 
 
 def _units(effects: Sequence[Effect]) -> Mapping[str, str]:
-    """Unit of every parameter by its name, and by the effect's where it has one form."""
+    """Unit of every parameter by its name, and by the effect's name where that has one form."""
     units = {p.name: _unit(p.unit) for e in effects for form in e.forms for p in form.parameters}
     return units | {
         e.name: _unit(e.forms[0].parameters[0].unit) for e in effects if len(e.forms) == 1 and e.forms[0].parameters

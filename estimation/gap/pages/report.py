@@ -1,4 +1,4 @@
-"""The gap report: one self-contained HTML page that tells the story to a flight-test engineer."""
+"""The gap report: one self-contained HTML page for a flight-test engineer."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -33,12 +33,11 @@ TITLES = {
 def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] = ()) -> Path:
     """Write folder/index.html with its pictures inside, and its tables as CSV and LaTeX in folder/tables; returns the page.
 
-    effects: those that were asked for, for their units; by default the catalogue.
+    effects: those of the run, for their units; by default the catalogue.
     """
-    numbered = enumerate(result.steps, start=1)
-    places: list[Part] = (
-        [] if not result.views else [_stages(result), residual_maps(result), gap_tables.missing_table(result)]
-    )
+    places: list[Part] = []
+    if result.views:
+        places = [_stages(result), residual_maps(result), gap_tables.missing_table(result)]
     repeat = gap_tables.repeat_table(result)
     histories = [history_figure(h, result) for h in result.histories]
     sizes = gap_tables.sizes_table(result, effects or catalogue(model=result.model_before))
@@ -50,7 +49,7 @@ def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] 
         *first_screen(result, sizes, score_figure(result, LEADING), _meaning(result)),
         *(
             detail(f"step{n}", _step_title(n, step), _step_parts(step, result.text), step.effect)
-            for n, step in numbered
+            for n, step in enumerate(result.steps, start=1)
         ),
         detail("where", "Where the disagreement lives", places, "Where") if places else None,
         detail("repeat", "Repeatability", [repeat]) if repeat else None,
@@ -72,13 +71,10 @@ def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] 
 
 
 def _meaning(result: GapResult) -> Markup:
-    """What the numbers of the first screen mean."""
+    """The meaning of the numbers on the first screen."""
     gate = result.details["kinematic_gate"]
-    instrument = ""
-    if gate["best"]:
-        instrument = (
-            f" (best instrument error {gate['best']}, score {gate['score']} against {gate['threshold']}: {gate['why']})"
-        )
+    scored = f"score {gate['score']} against {gate['threshold']}"
+    instrument = f" (best instrument error {gate['best']}, {scored}: {gate['why']})" if gate["best"] else ""
     return paragraph(
         "Gaps are rms residuals in units of the measurement noise σ, over all outputs; the floor is their median over"
         f" {result.details['nulls']} simulated nulls (seed {result.details['seed']}). Family-wise threshold of the scores"
@@ -92,7 +88,7 @@ def _step_title(number: int, step: EffectStep) -> str:
 
 
 def _step_parts(step: EffectStep, verdict: str) -> list[Part]:
-    """A step: its equation, what it is and where, its curve where it has no name, its tables. verdict: said already."""
+    """A step: equation, description, place, curve where it has no name, tables. verdict: text that the page has already."""
     parts: list[Part] = [paragraph(typeset(step.equation), "eq")] if step.equation else []
     if step.text != verdict:
         parts.append(paragraph(step.text))
@@ -140,7 +136,7 @@ def _lineage(result: GapResult) -> Markup:
 
 
 def gap_figures(result: GapResult) -> dict[str, Callable[[], Picture]]:
-    """What draws each figure of the page, by name: scores, where the disagreement lives, every flight before and after."""
+    """The function that draws each figure of the page, by name: scores, residual maps, nameless curves, every flight."""
     figures: dict[str, Callable[[], Picture]] = {"scores": partial(score_figure, result)}
     if result.views:
         figures["residual_maps"] = partial(residual_maps, result)
@@ -151,7 +147,7 @@ def gap_figures(result: GapResult) -> dict[str, Callable[[], Picture]]:
 
 
 def _of_flight(note: str) -> tuple[str, str]:
-    """(flight, sentence) of a note; one of no flight is of all."""
+    """(flight, sentence) of a note; flight is "all" where the note names none."""
     flight, separator, text = note.partition(": ")
     return (flight, text) if separator else ("all", note)
 
@@ -162,7 +158,7 @@ def typeset(equation: str) -> Markup:
 
 
 def history_figure(h: Histories, result: GapResult) -> Picture:
-    """Measured, before and after of every channel of one flight, and what is left."""
+    """Measured and modelled values of every channel of one flight, before and after, with the residuals."""
     units = {s.name: s.unit for s in result.model_before.outputs}
     with styled():
         figure, axes = grid(len(result.outputs), 2, 1.45, own_scales=True, sharex=True)
@@ -193,7 +189,7 @@ def history_figure(h: Histories, result: GapResult) -> Picture:
 
 
 def curve_figure(curve: ShapeCurve) -> Picture:
-    """A nameless part of a coefficient with its band, two standard deviations to either side, over the range flown."""
+    """A nameless part of a coefficient over the range flown, with a band of two standard deviations to either side."""
     from matplotlib.figure import Figure
 
     variable, *multiplier = curve.variables
@@ -217,7 +213,7 @@ def curve_figure(curve: ShapeCurve) -> Picture:
 
 
 def score_figure(result: GapResult, most: int | None = None) -> Picture:
-    """Scores of the hypotheses, or of the `most` leading ones, and the threshold that simulated nulls set."""
+    """Scores of the hypotheses (of the `most` leading ones), and the threshold from simulated nulls."""
     from matplotlib.figure import Figure
 
     names = sorted(result.scores, key=lambda name: -result.scores[name])[:most]

@@ -15,6 +15,7 @@ from daq.utilities.packages import installed
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import GapResult, Histories
 from estimation.gap.errors import GapError
+from estimation.report.names import face
 from groundstation.flight.writing import rerun_file
 
 if TYPE_CHECKING:
@@ -25,18 +26,13 @@ CLOCK = "flight_time"
 COURSES = {"measured": [136, 153, 166], "before": [200, 85, 61], "after": [74, 158, 210]}
 FLOOR = [112, 122, 132]
 BAR = 28  # characters of the longest score
-# what rerun's only font does not hold; its native viewer ends at the first such letter
+# letters that rerun's only font lacks; its native viewer stops at the first of them
 UNDRAWN = re.compile("[^\n -~¡-¬®-ňŊ-ſΑ-ΡΣ-Ωα-ωА-я\u0302\u0307ḣṗṙẊ→−√≠■…]")
 
 
 def available() -> bool:
     """Whether rerun is installed."""
     return installed(["rerun"])
-
-
-def shown_unit(unit: str) -> tuple[str, float]:
-    """Unit in which a person reads a quantity of that SI unit, and the factor to it: angles in degrees."""
-    return (unit.replace("rad", "deg"), 180.0 / np.pi) if unit in ("rad", "rad/s") else (unit, 1.0)
 
 
 def drawable(text: str) -> str:
@@ -51,7 +47,7 @@ def write_gap_recording(result: GapResult, path: Path) -> Path:
     import rerun as rr
 
     stream = rr.RecordingStream(APPLICATION)
-    units = {s.name: shown_unit(s.unit) for s in result.model_before.outputs}
+    units = {s.name: face(s.name, s.unit) for s in result.model_before.outputs}
     try:
         make_directories(path.parent)
         with rerun_file(stream, path, _blueprint(result, units)):
@@ -65,8 +61,8 @@ def write_gap_recording(result: GapResult, path: Path) -> Path:
     return path
 
 
-def _channel(stream: "rr.RecordingStream", flight: str, h: Histories, c: int, name: str, unit: str, k: float) -> None:
-    """One channel of one flight: its courses, and what each model leaves beside the noise floor."""
+def _channel(stream: "rr.RecordingStream", flight: str, h: Histories, c: int, name: str, k: float, unit: str) -> None:
+    """One channel of one flight: measured and modelled values, and residuals with the noise floor. k: factor to `unit`."""
     import rerun as rr
 
     place, residual = f"{flight}/{name}", f"{flight}/residual/{name}"
@@ -87,7 +83,7 @@ def _channel(stream: "rr.RecordingStream", flight: str, h: Histories, c: int, na
 def _series(stream: "rr.RecordingStream", path: str, time: Array, values: Array, name: str, colour: list[int]) -> None:
     import rerun as rr
 
-    dots = path.endswith("/measured")  # so that they do not hide the models' lines
+    dots = path.endswith("/measured")  # a line would hide those of the models
     points = rr.SeriesPoints(colors=[colour], names=[name], markers="circle", marker_sizes=[1.2])
     stream.log(path, points if dots else rr.SeriesLines(colors=[colour], names=[name]), static=True)
     clock = rr.TimeColumn(CLOCK, duration=time)
@@ -106,7 +102,7 @@ def _places(result: GapResult) -> list[str]:
     return places
 
 
-def _blueprint(result: GapResult, units: dict[str, tuple[str, float]]) -> Any:
+def _blueprint(result: GapResult, units: dict[str, tuple[float, str]]) -> Any:
     import rerun.blueprint as rrb
 
     words = rrb.Vertical(
@@ -118,7 +114,7 @@ def _blueprint(result: GapResult, units: dict[str, tuple[str, float]]) -> Any:
         rows = []
         for row, name in enumerate(result.outputs):
             legend = rrb.PlotLegend(rrb.Corner2D.RightTop, visible=row == 0)  # colours are the same in all rows
-            unit = units[name][0]
+            _, unit = units[name]
             courses = rrb.TimeSeriesView(origin=f"{place}/{name}", name=f"{name} [{unit}]", plot_legend=legend)
             residuals = rrb.TimeSeriesView(
                 origin=f"{place}/residual/{name}", name=f"{name} residual [{unit}]", plot_legend=legend

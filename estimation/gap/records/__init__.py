@@ -1,1 +1,1 @@
-"""What is known before anything is fitted: flights as records, the base model with its candidates dormant."""
+"""Before any fit: flights as records, and the base model with the candidate effects dormant in it."""

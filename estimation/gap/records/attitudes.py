@@ -1,10 +1,10 @@
-"""Attitudes that come more rarely than samples, of filters that integrate the gyros: between their values as the gyros say.
+"""Attitudes of a filter that are logged more slowly than the gyros: filled in between their values with the gyro rates.
 
-An autopilot logs its attitude ten times a second beside rates at fifty. Repeats and straight lines between two values are
-nobody's measurement, and left out they cut a hole of every other sample into the one channel whose errors are slow: what is slow
-and seen with holes looks fast. The filter itself went from one value to the next as its gyros said, and those are recorded.
-Where its instants lie between the samples no sample shows a value, and lines are seen by what they cut off the turning.
-An attitude that is measured afresh each time (optically, say) is none of these and stays as it is.
+An autopilot logs its attitude ten times a second beside rates at fifty. Repeats and straight lines between two values are no
+measurement. Leaving them out would make holes in the one channel whose errors are slow, and a slow error seen through holes looks
+fast. The filter itself went from one value to the next by integrating its gyros, and their rates are recorded.
+Where the log's instants lie between the samples, no sample shows a value, and straight lines show by cutting off curvature.
+An attitude that is measured independently each time (optically, say) stays as it is.
 """
 
 import numpy as np
@@ -17,13 +17,13 @@ from groundstation.flight.arrays import integral
 from groundstation.flight.kinematics import attitude_rates
 
 MOTION = ("p", "q", "r", "phi", "theta")
-PHASES = 20  # instants within an interval at which its lines may begin: the sag of one is known to a hundredth
-FEWEST = 40  # values, for what is white in them to be told to a sixth
+PHASES = 20  # trial instants within a log interval: the sag of a line is then known to a hundredth
+FEWEST = 40  # values: the white share is then known to a sixth
 
 
 def with_attitudes_between(flight: Flight, criteria: Criteria) -> Flight:
-    """The flight with bank and pitch attitude of a filter filled in between the values that its log has, and a note for each;
-    itself where there is none to fill."""
+    """The flight with a filter's bank and pitch attitude filled in between the logged values, and a note for each; unchanged
+    where there is nothing to fill."""
     if not all(flight.measured(c) for c in MOTION):
         return flight
     courses = {c: _joined(flight, flight[c], np.isfinite(flight[c])) for c in MOTION}
@@ -47,13 +47,13 @@ def with_attitudes_between(flight: Flight, criteria: Criteria) -> Flight:
 
 
 def white_share(known: Array, summed: Array) -> float:
-    """What of an attitude's steps against the summed rates is white noise of its values, 0 to 1; 1 where too few are known.
+    """Share of white measurement noise in the steps of an attitude beside the integrated rates, 0 to 1; 1 for too few steps.
 
-    known, summed: (N,) values in a row, NaN where not measured, and the integral of the rates there.
+    known, summed: (N,) successive values, NaN where not measured, and the integral of the rates there.
 
-    White noise of the values makes a step too large and the next as much too small: of steps that are nothing else two in a row
-    have a correlation of -1/2. Of a filter, which errs slowly and by its gyros' noise, none. Told where the aircraft turns
-    evenly: an attitude that is late errs by what the rate changes.
+    White noise makes one step too large and the next too small by as much: successive steps have a correlation of -1/2. The
+    errors of a filter are slow, with its gyros' noise, and give no correlation. Only samples with a steady rate count: a late
+    attitude errs where the rate changes.
     """
     steps, turned = np.diff(known - summed), np.abs(np.diff(summed, 2))
     pairs = np.column_stack([steps[:-1], steps[1:]])
@@ -75,7 +75,7 @@ def _filled(flight: Flight, values: Array, known: Mask, rate: Array, criteria: C
         summed = integral(time, rate[segment])
         at_knots = values[segment][knots]
         shares.append(white_share(at_knots, summed[knots]))
-        reach = int(np.median(np.diff(knots)))  # nobody held the last value for longer
+        reach = int(np.median(np.diff(knots)))  # no value was held for longer
         inside = np.arange(max(knots[0] - reach, 0), min(knots[-1] + reach, time.size))
         between = np.interp(time[inside], time[knots], at_knots - summed[knots])
         filled[segment.start + inside] = summed[inside] + between
@@ -83,10 +83,10 @@ def _filled(flight: Flight, values: Array, known: Mask, rate: Array, criteria: C
 
 
 def _rounded(flight: Flight, values: Array, spacing: float, rate: Array, criteria: Criteria) -> Array | None:
-    """Lines drawn between instants that lie `spacing` samples apart and on none of them, given back what they cut off.
+    """(N,) an attitude logged every `spacing` samples and interpolated by straight lines, with the curvature that these cut off.
 
-    The summed rates lose as much where they are drawn so: of all instants the lines may begin at, those after which the least is
-    left from sample to sample.
+    The integrated rates, interpolated in the same way, lose as much. Of the trial instants of the log those count that leave the
+    smallest second differences. None where the attitude is no filter's.
     """
     if spacing <= criteria.slow_control:
         return None
@@ -97,20 +97,20 @@ def _rounded(flight: Flight, values: Array, spacing: float, rate: Array, criteri
         time, course = flight.time[segment], values[segment]
         if time.size < FEWEST * spacing or not np.isfinite(course).sum() > FEWEST * spacing:
             continue
-        summed, every = integral(time, rate[segment]), spacing * flight.sample_interval
-        knots = np.arange(time[0] - every, time[-1] + 2.0 * every, every)
+        summed, interval = integral(time, rate[segment]), spacing * flight.sample_interval
+        knots = np.arange(time[0] - interval, time[-1] + 2.0 * interval, interval)
         smooth = CubicSpline(time, summed)
         drawn = [
             np.interp(time, knots + begin, smooth(knots + begin))
-            for begin in np.linspace(0.0, every, PHASES, endpoint=False)
+            for begin in np.linspace(0.0, interval, PHASES, endpoint=False)
         ]
-        left = [float(np.nanmean(np.diff(course - lines, 2) ** 2)) for lines in drawn]
-        filled[segment] = course - drawn[int(np.argmin(left))] + summed
-        once = slice(None, None, round(spacing))
-        shares.append(white_share(course[once], summed[once]))
+        roughness = [float(np.nanmean(np.diff(course - lines, 2) ** 2)) for lines in drawn]
+        filled[segment] = course - drawn[int(np.argmin(roughness))] + summed
+        logged = slice(None, None, round(spacing))
+        shares.append(white_share(course[logged], summed[logged]))
     return filled if shares and max(shares) < criteria.filter_white else None
 
 
 def _joined(flight: Flight, values: Array, known: Mask) -> Array:
-    """(N,) straight lines through what is known of a column."""
+    """(N,) straight lines through the known values of a column."""
     return np.interp(flight.time, flight.time[known], values[known]) if known.any() else np.zeros(values.size)

@@ -1,7 +1,7 @@
-"""Channels that are broken on a flight: what shows while its sensor is dead or stuck is no measurement, and that is said.
+"""Channels with a dead or stuck sensor: their values are no measurement, and the answer says so.
 
-A fit does without a dead channel in silence, and an answer from the others alone reads as if all had been compared. A dead input
-has no stand-in: the fit takes it as it is, so the person has to know.
+A fit silently ignores a dead output, and the answer reads as if all channels had been compared. A dead input cannot be
+replaced: the fit uses it as recorded, so the person has to know.
 """
 
 from collections.abc import Iterable, Sequence
@@ -13,19 +13,19 @@ from groundstation.flight import Flight
 from groundstation.flight.arrays import true_runs
 from groundstation.flight.quality.repeats import repeats
 
-FEWEST = 10  # values: fewer may be alike in flight
+FEWEST = 10  # values: fewer may be equal by chance
 
 
 def without_stuck(flight: Flight, columns: Iterable[str]) -> Flight:
-    """The flight without what the named columns show while their sensor is stuck: of an output nothing is compared there, of an
-    input the stretch is left out."""
+    """The flight with NaN in the named columns while their sensor is stuck: an output is not compared there, and the stretch of a
+    stuck input is left out."""
     stuck = {c: repeats(flight, c).stuck for c in columns if flight.measured(c)}
     changed = {c: np.where(mask, np.nan, flight[c]) for c, mask in stuck.items() if mask.any()}
     return flight.with_columns(**changed) if changed else flight
 
 
 def stands_still(flight: Flight, column: str) -> bool:
-    """Whether a channel shows one value from beginning to end."""
+    """Whether a channel has one value from beginning to end."""
     if not flight.measured(column):
         return False
     values = flight[column][np.isfinite(flight[column])]
@@ -33,7 +33,7 @@ def stands_still(flight: Flight, column: str) -> bool:
 
 
 def dead_everywhere(model: Model, flights: Sequence[Flight]) -> list[str]:
-    """Outputs of `model` that stand still on every flight; none where all of them do, which the fit itself refuses."""
+    """Outputs of `model` that stand still on every flight; none where all outputs do, which the fit itself refuses."""
     still = [s.name for s in model.outputs if all(stands_still(f, s.source) for f in flights)]
     return still if len(still) < len(model.outputs) else []
 
@@ -41,7 +41,7 @@ def dead_everywhere(model: Model, flights: Sequence[Flight]) -> list[str]:
 def broken_in_words(flights: Sequence[Flight], model: Model) -> list[str]:
     """One sentence for each channel that the model needs and that is dead or stuck on some flights.
 
-    An input that stands still on every flight may never have been moved: of controls `unmoved_in_words` speaks.
+    An input that stands still on every flight may never have been moved: `unmoved_in_words` reports controls.
     """
     outputs = {s.source for s in model.outputs}
     inputs = {s.source for s in model.inputs if not s.computed} - outputs

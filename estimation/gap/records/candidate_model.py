@@ -1,19 +1,22 @@
-"""The base model with what every fit carries along and with every candidate effect dormant.
+"""The base model with nuisance parameters that every fit estimates and with every candidate effect dormant.
 
-No flight is free of instrument biases (about as large as the noise of the channel), of the time at which a surface really moves
-between two samples (a tenth of the sample interval, for all surfaces together; they are sampled by one clock, and one of them
-differs from the others by a few hundredths), of what an attitude filter makes of sampled rates (again a tenth of the interval,
-and the rounding of rolling edges by straight lines between samples, at most h^2/12 times the angular acceleration), and of what
-its plumb line makes of slipping: it takes the side acceleration of a changing sideslip for gravity, an error in bank that follows
-sideslip (V/(g T) of it where nothing is done against that, T the memory; a few hundredths with airspeed or GPS velocity).
-A simulation of fixed steps is not free of their length: one that steps rates by the moments of the last step, and attitudes by
-the rates of the last, has gyros half a step early and moments a step late (JSBSim as it is set: 2.5 and 5 ms at 200 Hz).
-An attitude that a log has with times of its own is a tenth of its own interval off, be it a filter's or not. All are estimated
-with priors of that width, so that none is mistaken for an effect.
+The nuisance parameters, each with a prior as wide as its usual size, so that none is mistaken for an effect:
 
-One compiled right-hand side serves the whole workflow: all terms and lines that need no state of their own are written into the
-equations once, their parameters held at the value without effect. Awakening a form frees its parameters (and attaches its
-transforms and delays); forms with states, and forms that clash with one already dormant, are added when awakened.
+- instrument biases, about as large as the noise of the channel;
+- the time at which a surface really moves between two samples: a tenth of the sample interval for all surfaces together, which
+  one clock samples, and a few hundredths for one surface beside the others;
+- errors of an attitude filter: a time (a tenth of the interval), and the rounding of rolling edges by straight lines between
+  samples (at most h^2/12 times the angular acceleration);
+- errors of a filter's plumb line, which takes the side acceleration of a changing sideslip for gravity: an error in bank
+  proportional to sideslip (V/(g T) of it with the filter's memory T; a few hundredths where the filter corrects that with
+  airspeed or GPS velocity);
+- times in a simulation of fixed steps: one that integrates rates with the moments of the last step, and attitudes with the rates
+  of the last, has gyros half a step early and moments a step late (JSBSim by default: 2.5 and 5 ms at 200 Hz);
+- the time of an attitude with its own times in the log: a tenth of its own interval.
+
+One compiled right-hand side serves the whole workflow: all terms and lines that need no state are written into the equations
+once, their parameters held at the value without effect. Awakening a form frees its parameters and attaches its transforms and
+delays. Forms with states, and forms that clash with a dormant one, are added when awakened.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -26,13 +29,13 @@ from estimation.gap.effects.base import Effect, Form
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole, Signal
 from groundstation.flight import Flight
 
-TIMING = "timing_"  # of what moves late
-TOGETHER = TIMING + "controls"  # all of them
+TIMING = "timing_"  # prefix of a delay
+TOGETHER = TIMING + "controls"  # of all controls
 GYROS, MOMENTS = TIMING + "gyros", TIMING + "moments"
-STATIC_MOMENTS = {"Cl": "beta", "Cn": "beta", "Cm": "alpha"}  # coefficient -> the angle by which it holds the aircraft
+STATIC_MOMENTS = {"Cl": "beta", "Cn": "beta", "Cm": "alpha"}  # coefficient -> angle of its static derivative
 RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it
 DISTURBANCE = "disturbance_{}"
-RARE = 0.9  # of a sample: a command recorded more rarely than that is late by a time to tell
+RARE = 0.9  # samples: the unknown time of a command recorded at longer intervals matters
 
 
 def with_nuisance(
@@ -43,22 +46,21 @@ def with_nuisance(
     filtered: Collection[str] = (),
     stamped: Mapping[str, float] = MappingProxyType({}),
 ) -> Model:
-    """`model` with local biases on its outputs and small timing offsets on its controls, all with priors.
+    """`model` with the nuisance parameters and their priors.
 
-    noise: output -> standard deviation of its noise. filtered: attitudes among the outputs that are a filter's, which
-    get a small timing offset and the rounding of sampled rates. stamped: attitude among the outputs -> interval [s] of its own
-    times in a log.
+    noise: output -> standard deviation of its noise. filtered: outputs that are attitudes of a filter. stamped: attitude among
+    the outputs -> interval [s] of its own times in the log.
     """
     biased = [n for n in model.output_names if noise.get(n, 0.0) > 0 and f"bias_{n}" not in model.parameter_names]
     bias_names = {f"bias_{n}" for n in biased}
     extended = model.with_biases(*biased)
     extended = extended.with_prior(**{f"bias_{n}": (0.0, noise[n]) for n in biased})
-    extended = _stepped(_timed(extended, sample_interval, criteria), sample_interval, criteria)
+    extended = _with_step_times(_with_control_times(extended, sample_interval, criteria), sample_interval, criteria)
     for attitude, interval in stamped.items():
         width = criteria.timing_share * max(sample_interval, interval)
-        extended = _shown(extended, attitude, {f"{TIMING}{attitude}": (f"{attitude}_dot", "s", width)})
+        extended = _with_output_errors(extended, attitude, {f"{TIMING}{attitude}": (f"{attitude}_dot", "s", width)})
     for attitude in filtered:
-        extended = _shown(extended, attitude, _of_a_filter(attitude, sample_interval, criteria))
+        extended = _with_output_errors(extended, attitude, _filter_errors(attitude, sample_interval, criteria))
     marked = tuple(replace(p, role=ParameterRole.NUISANCE) if p.name in bias_names else p for p in extended.parameters)
     extended = replace(extended, parameters=marked)
     beliefs = {
@@ -70,7 +72,7 @@ def with_nuisance(
 
 
 def stamped_attitudes(model: Model, flights: Iterable[Flight]) -> dict[str, float]:
-    """Attitude among the outputs -> the longest interval [s] at which the log of a flight has it with times of its own."""
+    """Attitude among the outputs with its own times in the log -> longest interval [s] of these on any flight."""
     intervals: dict[str, float] = {}
     for flight in flights:
         for signal in model.outputs:
@@ -81,15 +83,15 @@ def stamped_attitudes(model: Model, flights: Iterable[Flight]) -> dict[str, floa
 
 
 def rare_commands(model: Model, flights: Sequence[Flight]) -> dict[str, float]:
-    """Controls that flights have as commands, no oftener than the motion -> the longest interval [s] between these, within
-    which it is not known when each move began."""
+    """Controls recorded as commands, no more often than the motion -> longest interval [s] between commands, within which the
+    beginning of a move is unknown."""
     step = max(f.sample_interval for f in flights)
     controls = [s for s in model.inputs if s.control and not s.computed]
     intervals = {s.name: max(f.held(s.source) or 0.0 for f in flights) for s in controls}
     return {n: i for n, i in intervals.items() if i > RARE * step}
 
 
-def _timed(model: Model, sample_interval: float, criteria: Criteria) -> Model:
+def _with_control_times(model: Model, sample_interval: float, criteria: Criteria) -> Model:
     """`model` with controls that move a little before or after they were sampled: all together, and each by itself."""
     controls = [s.name for s in model.inputs if s.control and f"{TIMING}{s.name}" not in model.parameter_names]
     several = len(controls) > 1 and TOGETHER not in model.parameter_names
@@ -105,9 +107,9 @@ def _timed(model: Model, sample_interval: float, criteria: Criteria) -> Model:
     )
 
 
-def _stepped(model: Model, sample_interval: float, criteria: Criteria) -> Model:
-    """`model` with what simulations of fixed steps make of motion: gyros that show the turning of a moment before or after the
-    other channels do, and moments that act on the incidence of a moment ago."""
+def _with_step_times(model: Model, sample_interval: float, criteria: Criteria) -> Model:
+    """`model` with the times of a simulation of fixed steps: gyros a little before or after the other channels, and moments
+    by the flow angles of a moment ago."""
     rates = [n for n in RATE_OF.values() if n in model.output_names and f"{n}_dot" in model.definitions]
     late = {
         c: f"-{MOMENTS}*{c}_{angle}*{angle}_dot"
@@ -130,30 +132,30 @@ def timing_of(control: str, values: Mapping[str, float]) -> float:
 
 
 def nuisance_parameter(name: str, unit: str, width: float) -> Parameter:
-    """An unknown that no effect is named for, expected at nothing within `width`."""
+    """An unknown that is no effect, with a prior of zero mean and standard deviation `width`."""
     return Parameter(name, unit, prior_mean=0.0, prior_std=width, role=ParameterRole.NUISANCE)
 
 
-def _of_a_filter(attitude: str, sample_interval: float, criteria: Criteria) -> dict[str, tuple[str, str, float]]:
-    """What a filter that integrates sampled rates and has a plumb line makes of an attitude; see `_shown`."""
+def _filter_errors(attitude: str, sample_interval: float, criteria: Criteria) -> dict[str, tuple[str, str, float]]:
+    """Errors of a filter that integrates sampled rates and has a plumb line; as `_with_output_errors` takes them."""
     widths = {
         f"{TIMING}{attitude}": (f"{attitude}_dot", "s", criteria.timing_share * sample_interval),
         f"rounding_{attitude}": (f"{RATE_OF[attitude]}_dot", "s2", sample_interval**2 / 12.0),
     }
     if attitude == "phi":
         widths["plumb_phi"] = ("beta", "1", criteria.plumb_share)
-    if attitude == "theta":  # speeding up along the path is taken for gravity, as slipping is in bank
+    if attitude == "theta":  # the plumb line takes acceleration along the path for gravity, as that of sideslip in bank
         widths["plumb_theta"] = ("V_dot", "s2/m", criteria.plumb_share / GRAVITY)
     return widths
 
 
-def _shown(model: Model, attitude: str, widths: Mapping[str, tuple[str, str, float]]) -> Model:
-    """`model` with an attitude that shows more than itself. widths: unknown -> signal that it follows, unit, width."""
+def _with_output_errors(model: Model, attitude: str, errors: Mapping[str, tuple[str, str, float]]) -> Model:
+    """`model` with errors added to a measured attitude. errors: unknown factor -> (signal it multiplies, unit, prior width)."""
     symbols = {*model.definitions, *model.state_names}
-    for name, (follows, unit, width) in widths.items():
-        if follows in symbols and name not in model.parameter_names:
+    for name, (signal, unit, width) in errors.items():
+        if signal in symbols and name not in model.parameter_names:
             model = model.plus(
-                outputs={attitude: f"{attitude} + {name}*{follows}"},
+                outputs={attitude: f"{attitude} + {name}*{signal}"},
                 parameters=[nuisance_parameter(name, unit, width)],
             )
     return model
@@ -164,15 +166,15 @@ def with_dormant(
 ) -> Model:
     """`model` with every applicable form without states dormant.
 
-    available: inputs all flights have. disturbed: states whose rates get an input `disturbance_<state>`, zero in every
-    fit, through which simulated nulls are shaken.
+    available: inputs that all flights have. disturbed: states whose rates get an input `disturbance_<state>`: zero in every fit,
+    gusts in simulated nulls.
     """
     extended = model.plus(
         inputs=[Signal(DISTURBANCE.format(s)) for s in disturbed],
         terms={f"{s}_dot": DISTURBANCE.format(s) for s in disturbed},
     )
     for effect in effects:
-        # the richest form first: where forms share unknowns, its lines hold those of the others
+        # the form with most unknowns first: its lines hold those of forms that share unknowns with it
         for form in sorted(effect.forms, key=lambda f: -len(f.parameters)):
             if form.states or form.lines or form.frees or not all(s.name in available for s in form.inputs):
                 continue
@@ -182,15 +184,15 @@ def with_dormant(
 
 
 def _dormant(model: Model, form: Form) -> Model:
-    quiet = replace(form, transforms=(), output_delays={})
-    extended = quiet.added_to(model, fixed=True)
+    """`model` with a form whose parameters are fixed at the value without effect."""
+    extended = replace(form, transforms=(), output_delays={}).added_to(model, fixed=True)
     names = {p.name for p in form.parameters}
     marked = tuple(replace(p, role=ParameterRole.DORMANT) if p.name in names else p for p in extended.parameters)
     return replace(extended, parameters=marked)
 
 
 def awakened(model: Model, form: Form, at: Mapping[str, float] | None = None) -> Model:
-    """`model` with a form free to act, its parameters starting at `at` (by default without effect)."""
+    """`model` with the parameters of a form free, starting at `at` (by default without effect)."""
     dormant = {p.name: p for p in model.parameters if p.role is ParameterRole.DORMANT}
     if not all(p.name in dormant for p in form.parameters):
         return form.added_to(model, at)
@@ -198,14 +200,9 @@ def awakened(model: Model, form: Form, at: Mapping[str, float] | None = None) ->
     for p in form.parameters:
         old = dormant[p.name]
         start = (at or {}).get(p.name, old.start)
-        fresh[p.name] = replace(
-            old,
-            fixed=False,
-            start=start,
-            lower=min(old.lower, start),
-            upper=max(old.upper, start),
-            role=ParameterRole.DERIVATIVE,
-        )
+        lower, upper = min(old.lower, start), max(old.upper, start)
+        role = ParameterRole.DERIVATIVE
+        fresh[p.name] = replace(old, fixed=False, start=start, lower=lower, upper=upper, role=role)
     return replace(
         model,
         parameters=tuple(fresh.get(p.name, p) for p in model.parameters),

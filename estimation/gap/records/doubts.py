@@ -1,5 +1,5 @@
-"""What of the flights themselves is to be doubted, in words: one record given twice, a column of another unit or sign, or not
-measured, times that are not those of the samples, stale, clipped and missing samples."""
+"""Doubts about the flights themselves, in words: one record given twice, a column of another unit or sign, or not measured,
+times that are not those of the samples, stale, clipped and missing samples."""
 
 from collections.abc import Sequence
 
@@ -36,7 +36,7 @@ def stale_channels(flights: Sequence[Flight], columns: Sequence[str], criteria: 
 
 
 def _repeats(values: Array) -> float:
-    """Share of the samples that repeat the one before, its ends apart: a clipped channel rests there."""
+    """Share of the samples that repeat the one before, except at the ends of the range: a clipped channel rests there."""
     measured = values[np.isfinite(values)]
     if measured.size < 2:
         return 0.0
@@ -46,6 +46,7 @@ def _repeats(values: Array) -> float:
 
 
 def _channel(name: str, values: Array, criteria: Criteria) -> list[str]:
+    """What a channel lacks, in words: missing, repeated or clipped samples."""
     measured = values[np.isfinite(values)]
     notes = []
     if measured.size < (1.0 - criteria.missing_share) * values.size:
@@ -65,7 +66,7 @@ def _channel(name: str, values: Array, criteria: Criteria) -> list[str]:
 
 
 def refuse_twice(training: Sequence[Flight], holdout: Sequence[Flight]) -> None:
-    """DataError where one record is given twice: fitted jointly it counts double, and held out it proves nothing."""
+    """DataError where one record is given twice: in a joint fit it counts double, and held out it confirms nothing."""
     duplicates = one_record_twice([*training, *holdout])
     if duplicates is None:
         return
@@ -76,8 +77,8 @@ def refuse_twice(training: Sequence[Flight], holdout: Sequence[Flight]) -> None:
 
 
 def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
-    """One sentence for every channel that the model needs and that looks like another unit or sign, or was found from the
-    others without saying how well, for uneven times, and for sensors that were not brought to one time, of each flight."""
+    """Per flight, one sentence for each channel of the model that looks like another unit or sign or was reconstructed without an
+    uncertainty, for uneven times, and for sensors that were not brought to one time."""
     compared = {s.source for s in (*model.inputs, *model.outputs)}
     columns = {"time", *compared, *(s.source for s in model.states)}
     doubts = [f"{f.name}: {s.text}" for f in flights for s in suspicions(f.time, f.columns) if columns & set(s.columns)]

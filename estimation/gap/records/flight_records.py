@@ -1,11 +1,11 @@
 """Flight records: flights prepared once for every model the workflow tries.
 
-De-noising the inputs is the costly part and does not depend on the hypothesis, so the union of all inputs that any
-candidate could bring in is prepared once; a model then takes the columns it needs.
+De-noising the inputs is slow and does not depend on the hypothesis. So all inputs that any candidate could need are prepared
+once, and a model then takes the columns it needs.
 
-Long records are cut into stretches, each with an initial state of its own: simulated from one a slow mode that grows, or that
-gusts drive, has left the record after a minute or two, whatever is right about the model; and what is asked of a record (slow
-errors, events in time) grows with the square of its length. The cut is made where the controls rest: a step is seen whole.
+Long records are cut into stretches, each with its own initial state. Simulated from a single one, a slow mode that grows, or that
+gusts drive, leaves the record after a minute or two even with the right model; and the work for a record (slow errors, events in
+time) grows with the square of its length. The cuts are made where the controls rest, so that no step is cut.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
-from estimation.gap.effects.base import Effect, Form
+from estimation.gap.effects.base import Effect, Form, symbols_of
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.sampling import command_times, unseen_paths
 from estimation.models.base import Model, Signal
@@ -28,18 +28,18 @@ from estimation.signals.controls import noise_between_steps, with_raw_steps
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Flight
 
-NEAR = 0.1  # of a stretch, to either side of an even cut, in which the controls may be at rest
+NEAR = 0.1  # of a stretch, to either side of an even cut, in which the best cut is sought
 ROUNDING = 1e-6
-AROUND = 0.5  # s, to either side of a cut, in which they should be
-PATHS = 20  # of the random stream of paths across samples that a control lacks
-QUIETEST = 1e-4  # of the scatter of a rate: a coarsely rounded one shows no noise
-TINY = 1e-12  # rad/s, of a rate that stands still
-LOST = 0.005  # of the samples of a record, which may go unused
-SMALL_PRIMES = (2, 3, 5, 7, 11)  # for which a Fourier transform has its own steps
+AROUND = 0.5  # s, to either side of a cut, in which the controls should rest
+PATHS = 20  # seed of the paths across samples that a control lacks
+QUIETEST = 1e-4  # of the scatter of a rate: a coarsely rounded rate shows no noise
+TINY = 1e-12  # rad/s, noise of a rate that stands still
+LOST = 0.005  # of the samples of a record may go unused
+SMALL_PRIMES = (2, 3, 5, 7, 11)  # with fast steps in a Fourier transform
 
 
 def stretches(segment: Segment, controls: list[int], criteria: Criteria) -> list[slice]:
-    """Samples of a segment in stretches of equal length but for the rest of the controls. controls: their columns in `u`."""
+    """Samples of a segment in stretches of about equal length, cut where the controls rest. controls: their columns in `u`."""
     count = len(segment)
     step = float(np.median(np.diff(segment.time)))
     parts = int(np.ceil((count - 1) * step / criteria.longest_record - ROUNDING))
@@ -56,7 +56,7 @@ def stretches(segment: Segment, controls: list[int], criteria: Criteria) -> list
 
 
 def movement(controls: Array, reach: int) -> Array:
-    """(N,) how far the controls (N, controls) go within `reach` samples of each, in units of what they do in all."""
+    """(N,) range of the controls (N, controls) within `reach` samples of each sample, over their range in all, summed."""
     motion = np.zeros(len(controls))
     for course in controls.T:
         span = float(np.ptp(course))
@@ -74,11 +74,11 @@ class FlightRecord:
     flight: index of the flight. first: index of the first sample in it. inputs: name -> (N,) de-noised; z: (N, ny)
     measured outputs, NaN where not measured; x0: (nx,) guess of the initial state; both in the base model's order.
     input_noise: name -> standard deviation of the noise found on an input. louder: (ny,) variance of the outputs' white
-    noise over the usual one, where this flight's is larger. raw: control -> (N,) where its measured value is used as it is.
-    wrong: input -> (draws, N) of what its preparation may have left wrong. left: control -> (frequencies,) variance per sample of
-    what is wrong with it, once that is known. apart: (N, ny) measured outputs that are not compared, as the repeats of a slow
-    sensor; NaN elsewhere. states: (N, nx) measured states without their noise. follows: control -> (N,) what of it follows the
-    motion, which taking off its noise leaves.
+    noise over the usual one, where this flight's is larger. raw: control -> (N,) whether its measured value is used unchanged.
+    errors: input -> (draws, N) possible errors after its preparation; error_spectra: control -> (frequencies,) their variance per
+    sample, once known. uncompared: (N, ny) measured outputs that are not compared, such as the repeats of a slow sensor; NaN
+    elsewhere. states: (N, nx) measured states without their noise. follows: control -> (N,) the part of it that follows the
+    motion, which de-noising keeps.
     """
 
     flight: int
@@ -90,9 +90,9 @@ class FlightRecord:
     input_noise: Mapping[str, float]
     louder: Array | None = None
     raw: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
-    wrong: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
-    left: Mapping[str, Array] = field(default_factory=dict)
-    apart: Array | None = None
+    errors: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    error_spectra: Mapping[str, Array] = field(default_factory=dict)
+    uncompared: Array | None = None
     states: Array | None = None
     follows: Mapping[str, Array] = field(default_factory=dict)
 
@@ -100,35 +100,31 @@ class FlightRecord:
         return int(self.time.size)
 
     def segment(self, model: Model, base: Model) -> Segment:
-        """This record as `model`, a descendant of `base`, needs it; inputs it does not have are zero."""
-        count = len(self)
-        zeros = np.zeros(count)
-        u = (
-            np.column_stack([self.inputs.get(n, zeros) for n in model.input_names])
-            if model.inputs
-            else np.zeros((count, 0))
-        )
+        """This record for `model`, a descendant of `base`; inputs that the record lacks are zero."""
+        zeros = np.zeros(len(self))
+        columns = [self.inputs.get(n, zeros) for n in model.input_names]
+        u = np.column_stack(columns) if columns else np.zeros((len(self), 0))
         return Segment(self.first, self.time, np.ascontiguousarray(u), self.z, self.start(model, base))
 
     def start(self, model: Model, base: Model) -> Array:
-        """Guess of the initial state of `model`; states the base lacks start where their signal says."""
+        """Guess of the initial state of `model`; as `starting_state`, from the states of `base`."""
         return starting_state(model, dict(zip(base.state_names, self.x0, strict=True)))
 
 
 def starting_state(model: Model, known: Mapping[str, float]) -> Array:
-    """(nx,) initial state of `model` from `known` states; others start where their signal says."""
+    """(nx,) initial state of `model` from `known` states; the others start as their signal says, which may be at another
+    state."""
     values = dict(known)
     for signal in model.states:
-        values.setdefault(
-            signal.name, values.get(signal.start, 0.0) if isinstance(signal.start, str) else float(signal.start or 0.0)
-        )
+        start = values.get(signal.start, 0.0) if isinstance(signal.start, str) else float(signal.start or 0.0)
+        values.setdefault(signal.name, start)
     return np.array([values[n] for n in model.state_names])
 
 
 @dataclass(frozen=True)
 class FlightRecords:
-    """Records of the flights given, for one base model. names: of the flights; training, holdout: flight indices;
-    criteria: by which everything made of them is decided; stale: outputs that repeat their last value in many samples."""
+    """Records of all flights for one base model. names: of the flights; training, holdout: flight indices; available: symbols
+    that a form may use; stale: outputs that repeat their last value in many samples."""
 
     base: Model
     names: tuple[str, ...]
@@ -146,24 +142,22 @@ class FlightRecords:
         return tuple(r for r in self.records if r.flight in indices)
 
     def supports(self, form: Form) -> bool:
-        """Whether every flight has the inputs a form would bring in."""
+        """Whether every flight has the inputs of a form."""
         return all(s.name in self.available for s in form.inputs)
 
 
 def prepare_flights(
     base: Model, effects: Sequence[Effect], training: Sequence[Flight], holdout: Sequence[Flight], criteria: Criteria
 ) -> FlightRecords:
-    """Prepare all flights for `base` and whatever `effects` may add to it.
+    """Prepare all flights for `base` and the inputs that `effects` may add to it.
 
-    Raises MissingColumnError or DataError (one sentence) where a flight cannot feed the base model at all.
+    Raises MissingColumnError or DataError (one sentence) where a flight lacks what the base model needs.
     """
     flights = [*training, *holdout]
     extra: dict[str, Signal] = {}
-    for effect in effects:
-        for form in effect.forms:
-            for signal in form.inputs:
-                extra.setdefault(signal.name, signal)
-    symbols = {*base.input_names, *base.state_names, *base.parameter_names, *base.constants, *base.definitions}
+    for signal in (s for effect in effects for form in effect.forms for s in form.inputs):
+        extra.setdefault(signal.name, signal)
+    symbols = symbols_of(base)
     usable = [s for s in extra.values() if s.name not in symbols and all(f.measured(s.source) for f in flights)]
     probe = base.plus(inputs=[replace(s, optional=False) for s in usable])
     controls = [i for i, s in enumerate(probe.inputs) if s.control]
@@ -186,8 +180,8 @@ def prepare_flights(
             controls_read = base.inputs if exact else ()
             raw, step_noise = _raw_steps(controls_read, flight, segment.first, inputs, noise, criteria)
             level = {**noise, **step_noise}
-            input_errors = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
-            skipped, span = _not_compared(base, flight, segment), slice(segment.first, segment.first + length)
+            errors = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
+            span = slice(segment.first, segment.first + length)
             follows = data.follows[span].T if data.follows is not None else ()
             records.append(
                 FlightRecord(
@@ -199,8 +193,8 @@ def prepare_flights(
                     segment.x0,
                     level,
                     raw=raw,
-                    wrong=input_errors,
-                    apart=skipped,
+                    errors=errors,
+                    uncompared=_not_compared(base, flight, segment),
                     states=data.states[span],
                     follows={s.name: f for s, f in zip(probe.inputs, follows, strict=False) if f.any()},
                 )
@@ -218,10 +212,11 @@ def prepare_flights(
 
 
 def controls_outdo_gyros(model: Model, flights: Sequence[FlightData], criteria: Criteria) -> bool:
-    """Whether the noise on a control would turn the aircraft so fast in one sample that the gyros show it: then they show, too,
-    what taking that noise off has cost of a hand that steers against the motion, and it looks like a servo that is late.
+    """Whether the noise on a control, taken as a deflection, would turn the aircraft fast enough in one sample for the gyros to
+    show.
 
-    By the change of each rate from sample to sample, regressed on motion and controls; median over the flights.
+    The gyros then also show what de-noising takes off a control that steers against the motion, and it looks like a late servo.
+    From the change of each rate per sample, regressed on motion and controls; median over the flights.
     """
     rates = [i for i, s in enumerate(model.outputs) if s.name in RATE_OF.values()]
     ratios = [_loudest(model, part, flight, rates) for flight in flights for part in flight.segments]
@@ -229,7 +224,7 @@ def controls_outdo_gyros(model: Model, flights: Sequence[FlightData], criteria: 
 
 
 def are_loud(ratios: Sequence[float], criteria: Criteria) -> bool:
-    """Whether the usual one of the changes that a control's noise makes of a rate stands out of the noise of that rate."""
+    """Whether the median of the changes of a rate by a control's noise, over the noise of that rate, is large."""
     return bool(ratios) and float(np.median(ratios)) > criteria.loud_control
 
 
@@ -248,20 +243,20 @@ def _loudest(model: Model, part: Segment, flight: FlightData, rates: Sequence[in
     return float(np.max(levels[:, None] * np.abs(by_control) / np.maximum(quiet, TINY)))
 
 
-def _stretches(whole: Segment, states: Array, controls: list[int], criteria: Criteria) -> list[Segment]:
-    """A segment, or the stretches of a long one. states: (samples, nx) of the whole flight, where a stretch may begin."""
+def _stretches(segment: Segment, states: Array, controls: list[int], criteria: Criteria) -> list[Segment]:
+    """The segment, or the stretches of a long one. states: (samples, nx) of the flight, from which a stretch starts."""
     segments = []
-    for part in stretches(whole, controls, criteria):
-        first = whole.first + part.start
-        x0 = whole.x0 if part.start == 0 else np.where(np.isfinite(states[first]), states[first], whole.x0)
-        segments.append(Segment(first, whole.time[part], whole.u[part], whole.z[part], x0))
+    for part in stretches(segment, controls, criteria):
+        first = segment.first + part.start
+        x0 = segment.x0 if part.start == 0 else np.where(np.isfinite(states[first]), states[first], segment.x0)
+        segments.append(Segment(first, segment.time[part], segment.u[part], segment.z[part], x0))
     return segments
 
 
 def quick_length(count: int) -> int:
-    """Samples of a record that are used, at most one in two hundred fewer than it has.
+    """Samples of a record that are used: the largest product of small primes within one in two hundred of `count`.
 
-    A number made of small primes: the Fourier transform of a prime number of samples takes five times as long.
+    The Fourier transform of a prime number of samples takes five times as long.
     """
     for length in range(count, count - int(LOST * count) - 1, -1):
         factor = length
@@ -281,8 +276,8 @@ def _raw_steps(
     noise: Mapping[str, float],
     criteria: Criteria,
 ) -> tuple[dict[str, NDArray[np.bool_]], dict[str, float]]:
-    """Put the measured values of the controls among `signals` by their steps into `inputs`; where that was, and the noise that
-    is left there."""
+    """Put the measured values of the controls among `signals` near their steps into `inputs`. Returns for each control (N,)
+    where, and the noise between the steps."""
     masks, levels = {}, {}
     for signal in signals:
         level = noise.get(signal.name, 0.0)
@@ -296,19 +291,19 @@ def _raw_steps(
 
 
 def _not_compared(base: Model, flight: Flight, segment: Segment) -> Array:
-    """(N, ny) measured outputs where the segment has none to compare."""
-    skipped = np.full(segment.z.shape, np.nan)
+    """(N, ny) measured outputs where the segment has none to compare; NaN elsewhere."""
+    values = np.full(segment.z.shape, np.nan)
     for i, signal in enumerate(base.outputs):
         if flight.measured(signal.source):
             measured = flight.columns[signal.source][segment.first : segment.first + len(segment)]
-            skipped[:, i] = np.where(np.isnan(segment.z[:, i]), measured, np.nan)
-    return skipped
+            values[:, i] = np.where(np.isnan(segment.z[:, i]), measured, np.nan)
+    return values
 
 
 def _draws(
     model: Model, data: FlightData, segment: Segment, level: Mapping[str, float]
 ) -> dict[str, NDArray[np.float32]]:
-    """What may be wrong with each input of a segment, (draws, N), where its noise is of that level."""
+    """(draws, N) possible errors of each input of a segment, scaled to its noise `level`."""
     if data.errors is None:
         return {}
     errors = data.errors[segment.first : segment.first + len(segment)]
@@ -317,25 +312,25 @@ def _draws(
 
 
 def _with_unseen_paths(
-    model: Model, flight: Flight, segment: Segment, wrong: dict[str, NDArray[np.float32]], criteria: Criteria
+    model: Model, flight: Flight, segment: Segment, errors: dict[str, NDArray[np.float32]], criteria: Criteria
 ) -> dict[str, NDArray[np.float32]]:
-    """The draws, with where controls may have been at samples that they lack, and when commands may have moved."""
+    """The draws of errors, with the unknown paths of controls across samples that they lack and the unknown times of commands."""
     span = slice(segment.first, segment.first + len(segment))
-    for signal in (s for s in model.inputs if s.control and s.name in wrong and flight.measured(s.source)):
+    for signal in (s for s in model.inputs if s.control and s.name in errors and flight.measured(s.source)):
         rng = np.random.default_rng([PATHS, segment.first])
-        course, draws = flight.columns[signal.source][span], len(wrong[signal.name])
+        course, draws = flight.columns[signal.source][span], len(errors[signal.name])
         paths, interval = unseen_paths(course, draws, rng, criteria), flight.held(signal.source)
         if interval is not None and np.isfinite(course).all():
             paths = paths + command_times(course, flight.sample_interval, interval, draws, rng)
         if paths.any():
-            wrong[signal.name] = wrong[signal.name] + paths.astype(np.float32)
-    return wrong
+            errors[signal.name] = errors[signal.name] + paths.astype(np.float32)
+    return errors
 
 
 def with_own_noise(records: Sequence[FlightRecord], training: int, criteria: Criteria) -> tuple[FlightRecord, ...]:
-    """The records, marked where an output is clearly noisier than usual on the training flights.
+    """The records with `louder` where an output is clearly noisier than usual on the training flights.
 
-    A quieter one is left as usual: the scatter of few samples may look quiet by chance, and trusting it too much names effects.
+    A quieter output counts as usual: few samples may scatter little by chance, and too much trust in them names effects.
     """
     levels = np.array([[noise_level(r.z[:, c]) for c in range(r.z.shape[1])] for r in records])
     reference = np.median([row for row, r in zip(levels, records, strict=True) if r.flight < training], axis=0)

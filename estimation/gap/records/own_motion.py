@@ -1,9 +1,9 @@
-"""Controls that only answer the motion: of these no flight tells when they move, nor whether they have play.
+"""Controls that only follow the motion: such flights cannot show when the control moves, or whether it has play.
 
-A pilot or an autopilot who holds an attitude moves the elevator as the gusts move the aircraft. What the record then shows of the
-control is the motion again, and gusts, which no model knows, with it: put late by a quarter of a second such an elevator explains
-some of the gusts, the same in every flight. No null shows that, for nobody steers a null. Steps and slower moves of its own say
-when a control moves; without any the question is not asked.
+A pilot or an autopilot that holds an attitude moves the elevator as the gusts move the aircraft. The recorded elevator then holds
+the motion again, and with it the gusts, which no model knows: delayed by a quarter of a second such an elevator explains some of
+the gusts, the same in every flight. No simulated null shows this, for nobody steers a null. Only steps and slow moves that are
+not an answer to the motion show when a control moves. Without them, delays and play of the control are no hypotheses.
 """
 
 from collections.abc import Collection, Sequence
@@ -17,18 +17,18 @@ from estimation.gap.effects.base import Effect
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.models.base import Model
 
-LATE = (0.0, 0.05, 0.1, 0.15, 0.2)  # s: a hand, or an autopilot with its servo, is late by these and what lies between
-ENOUGH = 4  # samples for each of its regressors: a record with fewer says nothing
+LATE = (0.0, 0.05, 0.1, 0.15, 0.2)  # s: delays of a hand, or of an autopilot with its servo
+ENOUGH = 4  # samples per regressor: a shorter record shows nothing
 
 
 def only_following(records: Sequence[FlightRecord], model: Model, criteria: Criteria) -> tuple[str, ...]:
-    """Controls of `model` that follow the measured motion on every record, but for less than a share of their noise."""
+    """Controls of `model` that follow the measured motion on every record, to less than `criteria.own_motion` of their noise."""
     controls = [s.name for s in model.inputs if s.control]
     return tuple(n for n in controls if all(_follows(r, n, criteria) for r in records))
 
 
 def words_on(control: str) -> str:
-    """What a person has to know of such a control."""
+    """The note on such a control."""
     return f"{control} rests or only follows the motion: whether it is late or has play is not asked; move it by itself, in steps"
 
 
@@ -41,7 +41,7 @@ def _follows(record: FlightRecord, control: str, criteria: Criteria) -> bool:
 
 
 def own_motion(values: Array, motion: Array) -> float:
-    """Rms of what a control (N,) does besides regressors (N, k)."""
+    """Rms of the part of a control (N,) that regressors (N, k) do not explain."""
     scale = np.abs(motion).max(axis=0)
     columns = motion[:, scale > 0.0] / scale[scale > 0.0]
     residual = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
@@ -49,7 +49,7 @@ def own_motion(values: Array, motion: Array) -> float:
 
 
 def motion_regressors(record: FlightRecord) -> Array:
-    """(N, k) what a control may follow: a straight line, the measured states now and a little before, and their integrals."""
+    """(N, k) what a control may follow: a straight line, the measured states now and shortly before, their integrals."""
     count = len(record)
     line = np.vander(np.linspace(-1.0, 1.0, count), 2)
     if record.states is None:
@@ -64,7 +64,7 @@ def motion_regressors(record: FlightRecord) -> Array:
 def without_hardware_of(
     effects: Sequence[Effect], controls: Collection[str]
 ) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
-    """(effects less the forms that say how these controls move, effects that have no form left)."""
+    """(effects without the forms that delay or bend only these controls, effects that have no form left)."""
     applicable, removed = [], []
     for effect in effects:
         forms = tuple(f for f in effect.forms if not f.transforms or any(t.input not in controls for t in f.transforms))

@@ -1,15 +1,15 @@
-"""Flights read at instants at which all that drives the model is known.
+"""Flights read at instants at which every control is measured.
 
-The noise of a channel is told by its spectrum, and the path of a surface by how it moves from sample to sample: both need samples
-that come evenly. Where a few rows in a row are lost, the others still lie on the clock's grid, and the lost ones are put back as
-not measured. Where a control alone lacks a sample while it moves, a straight line is drawn through its step: what the other
-instruments show there is no answer to that line.
+The spectrum of a channel's noise and the path of a surface between samples need evenly spaced samples. Where a few successive
+rows are lost, the others still lie on the clock's grid, and the lost ones are put back as not measured. Where only a control
+lacks a sample while it moves, a straight line is drawn through its step: the other instruments do not answer that line, and
+nothing is compared there.
 
-Autopilots log servo outputs ten times a second and motion fifty times. What a surface did between two of its values is then a
-guess, whoever makes it (empty cells, the last value repeated, or straight lines that an import drew), and an aircraft that turns
-within a sample shows what is wrong with it: a lag of all servos, or something that no catalogue holds. The workflow knows how far
-to trust a surface between two *samples* and leaves its path open there. So every control has to be new in every sample, and a
-flight is read at the rate of its slowest. An output that an import drew in straight lines is measured at their ends only.
+Autopilots log servo outputs ten times a second and motion fifty times. The path of a surface between two of its values is then a
+guess (empty cells, the last value repeated, or straight lines drawn by an import), and an aircraft that turns within a sample
+shows its error: a lag of all servos, or an effect that no catalogue holds. The workflow knows how far to trust a surface between
+two *samples* and leaves its path open there. So every control needs a new value in every sample, and a flight is read at the rate
+of its slowest control. An output that an import drew in straight lines is measured at their ends only.
 """
 
 from collections.abc import Sequence
@@ -27,28 +27,25 @@ from groundstation.flight.quality.repeats import repeats, span_of
 Array = NDArray[np.float64]
 
 GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
-OFF_GRID = 0.25  # of the clock's step: a row further off is not on its grid
-ON_GRID = 0.95  # of the rows, for a grid to be one: clocks are late now and then
-FINER = (1, 2, 3)  # steps of the clock in the usual interval: every other row or two may be lost all the time
-SINGLE = 0.05  # of the rows that follow one step after another, or the grid is that of rounded times, not of a clock
-STRAIGHT = (
-    1e-6  # of the range: a value closer to the middle of its neighbours lies on a line that somebody drew between them
-)
-KNOTS = 20  # values, at least, before a control is called slow
-EVEN = 0.8  # share of their intervals within a fifth of the usual one: a hand and an ideal input move unevenly
-APART = 0.2  # of the usual interval
-BETWEEN = 2  # samples at which a course bends whose line ends between them
-EARLY = 0.2  # samples by which a control may be read before its next value is there
-CLOCKS = 2.0  # samples: from here on a clock of its own comes a sample early now and then
-HOLE = 3.5  # usual intervals without a value, as an import takes for a gap
-LONGEST = 0.6  # s: what is known still more rarely is no history of a control
+OFF_GRID = 0.25  # of the clock's step: a row farther off is not on the grid
+ON_GRID = 0.95  # of the rows, for a grid to exist: clocks are late now and then
+FINER = (1, 2, 3)  # clock steps in the usual interval: one or two of three rows may always be lost
+SINGLE = 0.05  # of the rows must follow after one step, or the grid comes from rounded times
+STRAIGHT = 1e-6  # of the range: a value closer to the middle of its neighbours lies on a line drawn between them
+KNOTS = 20  # values that it takes to call a control slow
+EVEN = 0.8  # share of the intervals that must be near the usual one: a hand and an ideal input move unevenly
+NEAR_USUAL = 0.2  # of the usual interval
+BETWEEN = 2  # successive bends of a course made of lines, where a line ends between two samples
+EARLY = 0.2  # samples by which a control may be read before its next value
+CLOCKS = 2.0  # samples: a slower sensor with its own clock is a sample early now and then
+HOLE = 3.5  # usual intervals without a value, which an import takes for a gap
+LONGEST = 0.6  # s: values still farther apart are no history of a control
 
 
 def flown_apart(flight: Flight, criteria: Criteria) -> list[Flight]:
-    """The parts of a recording between which more time lies than one record may last, as flights of their own.
+    """The parts of a recording with gaps longer than one record may last, as separate flights.
 
-    Minutes later an aircraft has another speed, height and mass: whether it repeats itself has to be asked of each part, as of
-    files that somebody cut.
+    Minutes later an aircraft has another speed, height and mass: each part has to repeat the others, like separate files.
     """
     parts: list[slice] = []
     for segment in flight.segments:
@@ -63,7 +60,7 @@ def flown_apart(flight: Flight, criteria: Criteria) -> list[Flight]:
 
 
 def with_lost_rows(flight: Flight) -> Flight:
-    """The flight with a row of NaN for each of a few in a row that are lost, and a note; itself where its rows are on no grid."""
+    """The flight with a row of NaN for each row of a short gap, and a note; unchanged where its rows are on no grid."""
     step = clock_step(flight)
     if step is None:
         return flight
@@ -87,7 +84,7 @@ def with_lost_rows(flight: Flight) -> Flight:
 
 
 def clock_step(flight: Flight) -> float | None:
-    """Step [s] of the clock on whose grid the rows lie; None where they lie on none."""
+    """Step [s] of the clock grid on which the rows lie; None where there is no grid."""
     interval, unbroken = flight.sample_interval, np.diff(flight.segment) == 0
     for finer in FINER:
         steps = np.diff(flight.time)[unbroken] / (interval / finer)
@@ -98,8 +95,8 @@ def clock_step(flight: Flight) -> float | None:
 
 
 def without_unseen_moves(flight: Flight, controls: Sequence[str], outputs: Sequence[str], criteria: Criteria) -> Flight:
-    """The flight without what outputs show at samples that a control lacks while it moves, and a note; itself where none does so.
-    controls, outputs: columns."""
+    """The flight with NaN in the outputs at samples that a control lacks while it moves, and a note; unchanged where no control
+    does so. controls, outputs: columns."""
     unseen = np.zeros(len(flight), bool)
     notes = []
     for control in (c for c in controls if flight.measured(c)):
@@ -116,7 +113,7 @@ def without_unseen_moves(flight: Flight, controls: Sequence[str], outputs: Seque
 
 
 def unseen_moves(control: Array, criteria: Criteria) -> NDArray[np.bool_]:
-    """(N,) samples of a few in a row that a control (N,) lacks, across which it changes by more than its scatter."""
+    """(N,) samples of short gaps in a control (N,) across which it changes by more than its scatter."""
     unseen = np.zeros(control.size, bool)
     measured = control[np.isfinite(control)]
     if measured.size < 2:
@@ -130,19 +127,19 @@ def unseen_moves(control: Array, criteria: Criteria) -> NDArray[np.bool_]:
 
 
 def command_times(control: Array, step: float, interval: float, draws: int, rng: np.random.Generator) -> Array:
-    """(draws, N) what may be wrong with a command (N,) recorded every `interval` [s], in samples `step` [s] apart: each of its
-    moves began anywhere within one interval, and is as much early or late from its beginning to the next one's."""
+    """(draws, N) possible errors of a command (N,) recorded every `interval` [s], in samples `step` [s] apart: each move began
+    anywhere within one interval, and is early or late by the same time until the next move begins."""
     change = np.abs(np.diff(control, prepend=control[:1]))
-    begins = np.zeros(control.size, bool)  # a sample before the change grows: the slope there is the move's
+    begins = np.zeros(control.size, bool)  # a sample before the change grows: its slope belongs to the move
     begins[1:-1] = (change[2:] > change[1:-1]) & (change[1:-1] <= change[:-2])
     move = np.cumsum(begins)
-    late = rng.uniform(-0.5 * interval, 0.5 * interval, (draws, int(move[-1]) + 1))
-    return np.asarray(-late[:, move] * np.gradient(control, step))
+    delay = rng.uniform(-0.5 * interval, 0.5 * interval, (draws, int(move[-1]) + 1))
+    return np.asarray(-delay[:, move] * np.gradient(control, step))
 
 
 def unseen_paths(control: Array, draws: int, rng: np.random.Generator, criteria: Criteria) -> Array:
-    """(draws, N) what may be wrong with straight lines across unseen moves: the step may have been anywhere between the samples
-    on either side."""
+    """(draws, N) possible errors of straight lines across unseen moves: the step was anywhere between the samples on either
+    side."""
     errors = np.zeros((draws, control.size))
     for a, b in true_runs(unseen_moves(control, criteria)):
         samples = np.arange(a, b)
@@ -157,11 +154,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Slow:
-    """A control whose values come more rarely than samples. every: samples from one value to the next, usually; new: (N,) samples
-    that hold one, or all of a line where they lie between samples; values: (N,) straight from one to the next."""
+    """A control with fewer values than samples. spacing: usual number of samples from one value to the next; new: (N,) samples
+    that hold a value, or all samples where the values lie between them; values: (N,) interpolated by straight lines."""
 
     column: str
-    every: float
+    spacing: float
     new: Mask
     values: Array
 
@@ -169,16 +166,17 @@ class Slow:
 def at_own_rates(
     flights: Sequence[Flight], controls: Sequence[str], outputs: Sequence[str], criteria: Criteria
 ) -> tuple[Flight, ...]:
-    """The flights, those with a slow control read at its rate, and outputs without what was drawn between their values; each with
-    a note. controls, outputs: columns."""
-    read = (
+    """The flights, read at the rate of their slowest control, and with outputs only where they were measured; each with a note.
+    controls, outputs: columns."""
+    thinned = (
         _thinned(f, [c for c in controls if f.measured(c)], [c for c in outputs if f.measured(c)], criteria)
         for f in flights
     )
-    return tuple(_undrawn(f, [c for c in outputs if f.measured(c)], criteria) for f in read)
+    return tuple(_without_drawn_lines(f, [c for c in outputs if f.measured(c)], criteria) for f in thinned)
 
 
-def _undrawn(flight: Flight, outputs: Sequence[str], criteria: Criteria) -> Flight:
+def _without_drawn_lines(flight: Flight, outputs: Sequence[str], criteria: Criteria) -> Flight:
+    """The flight with NaN between the ends of straight lines in the outputs."""
     for column in outputs:
         lines = _lines(flight, flight[column])
         spacing = _usual(np.flatnonzero(lines.ends), flight)
@@ -190,21 +188,21 @@ def _undrawn(flight: Flight, outputs: Sequence[str], criteria: Criteria) -> Flig
 
 
 def _thinned(flight: Flight, controls: Sequence[str], outputs: Sequence[str], criteria: Criteria) -> Flight:
-    slow_controls = [
-        s for s in (find_slow_control(flight, c) for c in controls) if s is not None and s.every > criteria.slow_control
-    ]
+    """The flight read at the rate of its slowest control; unchanged where none is slow."""
+    candidates = (find_slow_control(flight, c) for c in controls)
+    slow_controls = [s for s in candidates if s is not None and s.spacing > criteria.slow_control]
     if not slow_controls:
         return flight
-    slowest = max(slow_controls, key=lambda s: s.every)
-    spacing = int(np.ceil(slowest.every - EARLY))
+    slowest = max(slow_controls, key=lambda s: s.spacing)
+    spacing = int(np.ceil(slowest.spacing - EARLY))
     fresh = {c: _fresh(flight, c) for c in outputs}
     keep = np.zeros(len(flight), bool)
     for segment in flight.segments:
         first = segment.start + _phase(slowest.new[segment], [f[segment] for f in fresh.values()], spacing)
         keep[first : segment.stop : spacing] = True
-    if not all((f & keep).any() for f in fresh.values()):  # a sensor that is new only where the control is not
+    if not all((f & keep).any() for f in fresh.values()):  # a sensor has new values only where the control has none
         return flight
-    rate = 1.0 / (slowest.every * flight.sample_interval)
+    rate = 1.0 / (slowest.spacing * flight.sample_interval)
     names = " and ".join(s.column for s in slow_controls)
     read = flight.with_columns(
         **{c: np.where(f, flight[c], np.nan) for c, f in fresh.items()}, **{s.column: s.values for s in slow_controls}
@@ -215,17 +213,17 @@ def _thinned(flight: Flight, controls: Sequence[str], outputs: Sequence[str], cr
     )
 
 
-def _phase(new: Mask, others: Sequence[Mask], every: int) -> int:
-    """Sample to begin with, so that most values of the control, and then most of the others, are among those kept."""
+def _phase(new: Mask, others: Sequence[Mask], spacing: int) -> int:
+    """First of every `spacing` samples, so that these hold most values of the control, and then most of the others."""
 
-    def kept(first: int) -> tuple[int, int, int]:
-        return int(new[first::every].sum()), sum(int(o[first::every].sum()) for o in others), -first
+    def counts(first: int) -> tuple[int, int, int]:
+        return int(new[first::spacing].sum()), sum(int(o[first::spacing].sum()) for o in others), -first
 
-    return max(range(min(every, new.size)), key=kept)
+    return max(range(min(spacing, new.size)), key=counts)
 
 
 def find_slow_control(flight: Flight, column: str) -> Slow | None:
-    """What is known of a control whose values come more rarely than samples; None of one that is new in each."""
+    """A control with fewer values than samples; None where it has a new value in each, or rests."""
     values = flight[column]
     measured = np.isfinite(values)
     if measured.sum() < KNOTS or np.ptp(values[measured]) == 0.0:
@@ -235,7 +233,7 @@ def find_slow_control(flight: Flight, column: str) -> Slow | None:
     if spacing is not None and spacing > 1.0:
         return Slow(column, spacing, fresh, _joined(values, fresh, spacing))
     lines = _lines(flight, values)
-    logged = flight.native_rate(column)  # before an import drew its lines
+    logged = flight.native_rate(column)  # before an import interpolated
     logged_spacing = 1.0 / (logged * flight.sample_interval) if logged is not None and logged * LONGEST >= 1.0 else None
     line_spacing = _usual(np.flatnonzero(lines.ends), flight)
     spacing = logged_spacing or line_spacing
@@ -248,30 +246,30 @@ def find_slow_control(flight: Flight, column: str) -> Slow | None:
 
 
 def known_at(flight: Flight, column: str) -> Mask:
-    """(N,) samples at which a column shows a measurement: no repeat of a slow sensor, of lines that an import drew their ends."""
+    """(N,) samples at which a column is measured: no repeats of a slow sensor, and of interpolated lines only the ends."""
     fresh, lines = _fresh(flight, column), _lines(flight, flight[column])
     spacing = _usual(np.flatnonzero(lines.ends), flight)
     return fresh if spacing is None or spacing <= 1.0 else fresh & lines.ends
 
 
 def _fresh(flight: Flight, column: str) -> Mask:
-    """(N,) samples at which a column shows a measurement, and no repeat of a slow sensor."""
+    """(N,) samples at which a column is measured and does not repeat a value of a slow sensor."""
     return np.isfinite(flight[column]) & ~repeats(flight, column).held
 
 
-def _joined(values: Array, known: Mask, every: float) -> Array:
-    """Straight lines from one known value to the next, NaN across holes of more than a few of their intervals."""
+def _joined(values: Array, known: Mask, spacing: float) -> Array:
+    """(N,) straight lines from one known value to the next; NaN across holes of several times `spacing` samples."""
     knots = np.flatnonzero(known)
     samples = np.arange(values.size)
     next_knot = np.clip(np.searchsorted(knots, samples), 1, knots.size - 1)
-    close = (knots[next_knot] - knots[next_knot - 1] <= HOLE * every) & (samples >= knots[0]) & (samples <= knots[-1])
+    close = (knots[next_knot] - knots[next_knot - 1] <= HOLE * spacing) & (samples >= knots[0]) & (samples <= knots[-1])
     return np.where(close, np.interp(samples, knots, values[knots]), np.nan)
 
 
 @dataclass(frozen=True)
 class _Lines:
-    """A course made of straight lines. ends: (N,) samples nearest to where one ends; values: (N,) those of the ends there, as
-    they are elsewhere; rest: (N,) samples between two equal ones."""
+    """A course made of straight lines. ends: (N,) samples nearest to the end of a line; values: (N,) with the value of the end at
+    these samples; rest: (N,) samples between two equal ones."""
 
     ends: Mask
     values: Array
@@ -279,7 +277,7 @@ class _Lines:
 
 
 def _lines(flight: Flight, values: Array) -> _Lines:
-    """Where a course bends. One that rests or is not made of lines is one long bend: values that repeat are no line."""
+    """The straight lines of a course, which end where it bends. A course that rests or is not made of lines bends everywhere."""
     inner, bend, rest = (np.zeros(values.size, bool) for _ in range(3))
     inner[1:-1] = np.diff(flight.segment, 2) == 0
     with np.errstate(invalid="ignore"):
@@ -292,7 +290,7 @@ def _lines(flight: Flight, values: Array) -> _Lines:
         share = 0.0
         if (
             b - a == BETWEEN and bends[a - 1] * bends[a] > 0.0
-        ):  # the end of a line between two samples bends the course at both
+        ):  # a line that ends between two samples bends the course at both
             share = float(bends[a] / (bends[a - 1] + bends[a]))
         nearest = a + round(share)
         ends[nearest] = True
@@ -301,11 +299,11 @@ def _lines(flight: Flight, values: Array) -> _Lines:
 
 
 def _usual(at: NDArray[np.int64], flight: Flight) -> float | None:
-    """Samples from one of `at` to the next, where these come evenly; None where they do not, or are too few."""
+    """Usual spacing of the samples `at`; None where they are uneven or too few."""
     steps = np.diff(at)
     steps = steps[steps * flight.sample_interval <= LONGEST]
     if steps.size < KNOTS:
         return None
     spacing = float(np.median(steps))
-    close = np.abs(steps - spacing) <= max(APART * spacing, float(spacing >= CLOCKS))
+    close = np.abs(steps - spacing) <= max(NEAR_USUAL * spacing, float(spacing >= CLOCKS))
     return float(np.mean(steps[close])) if np.mean(close) >= EVEN else None

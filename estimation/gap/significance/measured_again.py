@@ -164,7 +164,7 @@ def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: 
     """(N,) a course that a control may have taken: as prepared, with one draw of what that leaves open; by its steps, where the
     measured values stand with all of their noise, without it."""
     raw = record.raw.get(name)
-    draws = record.wrong.get(name)
+    draws = record.errors.get(name)
     error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
     if raw is None or not raw.any():
         return np.asarray(prepared + error)

@@ -48,7 +48,7 @@ def with_errors(
     """The records with the spectra of what is wrong with their controls, as the nulls have it."""
     controls = [s.name for s in model.inputs if s.control]
     return tuple(
-        replace(r, left={n: spectrum(e.bank[n]) for n in controls if n in e.bank})
+        replace(r, error_spectra={n: spectrum(e.bank[n]) for n in controls if n in e.bank})
         for r, e in zip(records, errors, strict=True)
     )
 
@@ -67,7 +67,7 @@ def input_errors(record: FlightRecord, model: Model, rng: np.random.Generator) -
     """What may be wrong with each input: as drawn when it was prepared, and its noise where it is used as it was measured."""
     bank = {}
     for signal in model.inputs:
-        sigma, draws = record.input_noise.get(signal.name, 0.0), record.wrong.get(signal.name)
+        sigma, draws = record.input_noise.get(signal.name, 0.0), record.errors.get(signal.name)
         if draws is None or (sigma <= 0.0 and not draws.any()):
             continue
         raw = record.raw.get(signal.name, np.zeros(draws.shape[1], dtype=bool))

@@ -125,8 +125,8 @@ def test_records_keep_the_elevator_as_measured_by_its_steps_and_nulls_its_noise(
     assert np.std(errors[:, raw]) == pytest.approx(record.input_noise["delta_e"], rel=0.15)
     assert np.std(errors[:, ~raw]) < 0.7 * record.input_noise["delta_e"]
     (known,) = with_errors([record], PITCHING, [input_errors(record, PITCHING, np.random.default_rng(1))])
-    assert known.left["delta_e"].mean() == pytest.approx(np.mean(errors**2), rel=0.3)
-    assert known.left["delta_e"].size == len(record) // 2 + 1
+    assert known.error_spectra["delta_e"].mean() == pytest.approx(np.mean(errors**2), rel=0.3)
+    assert known.error_spectra["delta_e"].size == len(record) // 2 + 1
     (sideways,) = prepare_flights(LATERAL, (), [flight], (), AS_SET).records
     assert not sideways.raw
 

@@ -348,7 +348,7 @@ def test_a_third_of_an_elevators_samples_lost_is_nothing(lost: str) -> None:
     given = flights(made)
     model = load_model("longitudinal", "cdfp")
     prepared = prepare_flights(model, (), given, (), AS_SET)
-    assert prepared.records[0].wrong["delta_e"].std() > 0.0
+    assert prepared.records[0].errors["delta_e"].std() > 0.0
     near = [
         e for e in catalogue(model=model) if e.name.startswith(("elevator", "Cm_")) or e.name in ("alpha_lag", "gust")
     ]

@@ -158,7 +158,7 @@ def test_records_know_when_a_command_may_have_moved() -> None:
     wrong = {}
     for flight in (sensed, commanded):
         record = prepare_flights(load_model("lateral", "cdfp"), (), [flight], (), AS_SET).records[0]
-        wrong[flight.name] = record.wrong["delta_a"].std(axis=0)
+        wrong[flight.name] = record.errors["delta_a"].std(axis=0)
     edges = np.abs(record.time - 4.0) < 0.08
     assert wrong["b"][edges].max() > 0.01
     assert wrong["b"][edges].max() > 5.0 * wrong["a"][edges].max()
