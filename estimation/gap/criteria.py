@@ -142,8 +142,8 @@ class Criteria:
         "a base with fixed derivatives is refitted in all of them where so many, each beside the others, are wrong",
         "by hand: one wrong derivative is an answer; with all wrong by up to 10 % six stand out")
     wrong_number: float = criterion(0.15, "1",
-        "relative error of one derivative, from which it is searched alone where surfaces are recorded commands and it gives most "
-        "of the gain of all",
+        "relative error of one derivative, from which it is searched alone where surfaces are recorded commands and it gives "
+        "most of the gain of all",
         "by hand: simulations that are refitted first have derivatives wrong by up to 10 %; a quarter is an effect")
     noise_held: float = criterion(100.0, "2 log likelihood",
         "where a hypothesis with its own noise makes the flights likelier by more, the search is repeated with that noise",
@@ -151,7 +151,7 @@ class Criteria:
 
     # ---- which hypotheses are fitted, and their weights
     in_sight: float = criterion(0.15, "best gain", "a hypothesis with a smaller gain by linear theory gets no full fit")
-    common_inflation: float = criterion(2.0, "common inflation", "rivals share one inflation unless their own is larger by this factor")
+    common_inflation: float = criterion(2.0, "common inflation", "rivals share one unless their own is larger by this factor")
     prior_width: float = criterion(1.5, "usual sizes", "scale of Student's t, the prior of an effect's size")
     prior_tail: float = criterion(3.0, "degrees of freedom",
         "of that Student's t",
@@ -176,8 +176,8 @@ class Criteria:
         "an effect or shape with a smaller gain is not named",
         "0.7 gave flights with a clipped gyro a Cl_beta3 that gains 0.74 (seed 719, 2026-11-28)")
     shape_share: float = criterion(0.97, "1",
-        "share of a nameless shape's gain: a lone effect with less, by a significant difference, gives way to it; share of the gap "
-        "it closes: a formula that closes less is not offered for it",
+        "share of a nameless shape's gain: a lone effect with less, by a significant difference, gives way to it; share of the "
+        "gap it closes: a formula that closes less is not offered for it",
         "right names gain 0.996 to 20 times as much (40 effects, size 1.5), a cubic for dead bands 0.79 to 0.955 "
         "(2026-11-25); a wrong formula of the right parity closed .83 and .96, the right one 1.00 (2026-11-22)")
     strong: float = criterion(1.5, "thresholds",

@@ -1,7 +1,7 @@
-"""An increment of a coefficient fitted inside the output error, asked of flights it was not fitted to, and what it closes.
+"""An increment of a coefficient fitted by output error, tested on flights that were not in its fit, and the gap it closes.
 
-What is closed is energy of whitened residuals against simulated nulls: the plain gap counts gusts and slow errors of filters
-too, beside which half a usual effect can look like nothing; whitened residuals weigh every frequency by what noise leaves of it.
+The closed share is counted in energy of whitened residuals against simulated nulls. The plain gap also counts gusts and slow
+errors of filters, beside which half a usual effect can disappear; whitened residuals weigh every frequency by its noise.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.random_streams import Stream
 from estimation.gap.shapes.places import ModelMotion, Place, spread_of
-from estimation.gap.shapes.spline import KEPT, Range, basis, curve_lines, lines, polynomial
+from estimation.gap.shapes.spline import KEPT, Range, curve_lines, lines, polynomial
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
 from estimation.gap.significance.tangent import RecordTangent
 from estimation.models.base import Model, Parameter
@@ -26,13 +26,13 @@ from estimation.models.base import Model, Parameter
 TAG = "form"
 EDGES = ("low", "high", "middle", "half")
 POINTS = 61  # of the curve in the answer
-NULLS = 40  # flown of every record that is asked: enough for the upper end of what they leave
+NULLS = 40  # for every record: enough for the upper end of their energy
 
 
 @dataclass(frozen=True)
 class Increment:
-    """A part of a coefficient as a function of a variable, bound to what was flown. reach: largest size of the second variable,
-    in units of which it multiplies. spread: (columns,) prior standard deviations of the weights."""
+    """A part of a coefficient as a function of a variable over the range flown. reach: largest size of the second variable, the
+    unit of that multiplier. spread: (columns,) prior standard deviations of the weights."""
 
     place: Place
     flown: Range
@@ -51,13 +51,13 @@ class Increment:
         return (*(f"{TAG}_w{j}" for j in range(1, KEPT + 1)), *extra)
 
     def edges(self, held: Range | None = None) -> dict[str, float]:
-        """Values of the parameters that scale the variable and hold it at the ends of `held` (default: of what was flown)."""
+        """Values of the parameters that scale the variable and limit it to `held` (default: the range flown)."""
         ends = held or self.flown
         low, high = max(ends.low, self.flown.low), min(ends.high, self.flown.high)
         return dict(zip((f"{TAG}_{e}" for e in EDGES), (low, high, self.flown.middle, self.flown.half), strict=True))
 
     def added_to(self, model: Model) -> Model:
-        """`model` with the increment, its unknowns at nothing and with their priors."""
+        """`model` with the increment, its unknowns at zero and with their priors."""
         text = list(lines(TAG, self.place.variable, self.text_weights))
         term = TAG
         edges = self.edges()
@@ -72,26 +72,20 @@ class Increment:
 
     @property
     def text_weights(self) -> tuple[str, ...]:
-        """What multiplies the columns in the text: those of the spline, u and 1; a number where there is no unknown."""
+        """Factors of the columns in the text: of the spline, of u and of 1; "0" where there is no unknown."""
         line = f"{TAG}_line" if self.place.lacks_line else "0"
         constant = f"{TAG}_constant" if self.place.lacks_constant else "0"
         return (*(f"{TAG}_w{j}" for j in range(1, KEPT + 1)), line, constant)
 
     def columns(self, x: Array) -> Array:
         """(N, unknowns) at x (N,)."""
-        u = np.clip(self.flown.scaled(x), -1.0, 1.0)
-        extra = [
-            c
-            for c, needed_here in ((u, self.place.lacks_line), (np.ones_like(u), self.place.lacks_constant))
-            if needed_here
-        ]
-        return np.column_stack([basis().columns(u), *extra])
+        return self.place.columns(np.clip(self.flown.scaled(x), -1.0, 1.0))
 
     def vector(self, values: Mapping[str, float]) -> Array:
         return np.array([values[n] for n in self.weights])
 
     def written_into(self, model: Model, values: Mapping[str, float]) -> Model:
-        """`model` with the curve as numbers: what a person reads and any simulation can take over."""
+        """`model` with the curve in numbers, which a person can read and any simulation can adopt."""
         w = self.vector(values)
         rest = dict(zip(self.weights[KEPT:], w[KEPT:], strict=True))
         powers = polynomial(w[:KEPT], (rest.get(f"{TAG}_line", 0.0), rest.get(f"{TAG}_constant", 0.0)))
@@ -131,8 +125,8 @@ def fit_increment(baseline: Baseline, increment: Increment) -> FittedIncrement |
 
 @dataclass(frozen=True)
 class HoldoutPrediction:
-    """A training flight predicted from the others. inside: share of it in the range they flew. gain: twice the log-likelihood
-    by which the increment, held at the ends of that range, predicts it better than the base does."""
+    """A training flight predicted from the others. inside: share of it within their range. gain: twice the log-likelihood by
+    which the increment, constant outside that range, predicts it better than the base."""
 
     flight: int
     inside: float
@@ -153,26 +147,32 @@ def holdout_predictions(baseline: Baseline, fitted: FittedIncrement, flown: Mode
         share = float(np.mean([limits.inside(flown.courses[i][variable]) for i in holdout]))
         base_cost = holdout_cost(baseline.problem, baseline.fit, training, holdout, {})
         increment_cost = holdout_cost(fitted.problem, fitted.fit, training, holdout, fitted.increment.edges(limits))
-        gain = (
-            -np.inf if increment_cost is None else np.inf if base_cost is None else 2.0 * (base_cost - increment_cost)
-        )
+        if increment_cost is None:
+            gain = -np.inf
+        else:
+            gain = np.inf if base_cost is None else 2.0 * (base_cost - increment_cost)
         predictions.append(HoldoutPrediction(flight, share, float(gain)))
     return predictions
 
 
 def holdout_cost(
-    problem: LikelihoodProblem, found: ModelFit, others: Sequence[int], own: Sequence[int], edges: Mapping[str, float]
+    problem: LikelihoodProblem,
+    found: ModelFit,
+    training: Sequence[int],
+    holdout: Sequence[int],
+    edges: Mapping[str, float],
 ) -> float | None:
-    """Whitened cost of the records `own` with what the records `others` tell; None where the motion runs away."""
-    trained = fit(of_records(problem, others), found.values, [found.locals[i] for i in others])
+    """Whitened cost of the records `holdout` with the parameters fitted to `training`; None where the motion runs away."""
+    trained = fit(of_records(problem, training), found.values, [found.locals[i] for i in training])
     if trained.diverged:
         return None
-    tested = fit(of_records(problem, own), {**trained.values, **edges}, [found.locals[i] for i in own], frozen=True)
+    starts = [found.locals[i] for i in holdout]
+    tested = fit(of_records(problem, holdout), {**trained.values, **edges}, starts, frozen=True)
     return None if tested.diverged else tested.cost
 
 
 def of_records(problem: LikelihoodProblem, records: Sequence[int]) -> LikelihoodProblem:
-    """The problem of some of its records."""
+    """The problem with some of its records."""
     return replace(
         problem,
         records=tuple(problem.records[i] for i in records),
@@ -181,41 +181,34 @@ def of_records(problem: LikelihoodProblem, records: Sequence[int]) -> Likelihood
 
 
 def predicts_every_flight(found: Sequence[HoldoutPrediction], criteria: Criteria) -> bool:
-    """Whether every flight that lies in the range of the others is predicted better, and there is one."""
+    """Whether there are flights within the range of the others, and each of them is predicted better."""
     testable = [f for f in found if f.inside >= criteria.form_inside]
     return bool(testable) and all(f.gain > 0.0 for f in testable)
 
 
 def closed(before: float, after: float, floor: float) -> float:
-    """Share of what lies above the floor that is gone, in 0..1; nothing where there was nothing."""
+    """Closed share, 0 to 1, of the part above the floor; 0 where there was none."""
     if before <= floor:
         return 0.0
     return float(np.clip(1.0 - (after - floor) / (before - floor), 0.0, 1.0))
 
 
 def holdout_energy(problem: LikelihoodProblem, found: ModelFit, baseline: Baseline, noise: NoiseModel) -> float:
-    """Whitened energy of a fitted model on the held-out flights, shared parameters frozen; on the training flights where there
-    are none. problem, found: on the training flights; noise: by which it is weighed."""
+    """Whitened energy of a fitted model on the held-out flights with frozen shared parameters; on the training flights where
+    there are none. problem, found: on the training flights; noise: of the whitening."""
     held_out = replace(baseline, problem=problem, fit=found, noise=noise).held_out
     return 2.0 * (found.cost if held_out is None else held_out[1].cost)
 
 
 def floor_energy(child: Baseline, errors: Sequence[InputErrors], seed: int) -> float:
-    """The same of what chance alone makes: upper end over simulated nulls of the model. errors: of every record, training first.
+    """The same energy with nothing hidden: upper end over simulated nulls of the model. errors: of every record, training first.
 
-    The upper end, not the middle: one day's weather and one flight's surfaces are not the average ones.
+    The upper end, not the middle: the weather of one day and the surfaces of one flight are not average.
     """
-    held_out = child.held_out
-    if held_out is None:
-        record_errors = errors[: len(child.problem.records)]
-        return _upper(
-            child.problem, child.fit, NullFlyer.build(child.problem, child.fit, child.noise, record_errors), seed
-        )
-    record_errors = errors[len(errors) - len(held_out[0].records) :]
-    return _upper(*held_out, NullFlyer.build(*held_out, child.noise, record_errors), seed)
-
-
-def _upper(problem: LikelihoodProblem, found: ModelFit, flyer: NullFlyer, seed: int) -> float:
+    training = len(child.problem.records)
+    problem, found = child.held_out or (child.problem, child.fit)
+    record_errors = errors[:training] if child.held_out is None else errors[len(errors) - len(problem.records) :]
+    flyer = NullFlyer.build(problem, found, child.noise, record_errors)
     total = np.zeros(NULLS)
     for i in range(len(problem.records)):
         residuals = [flyer.fly(i, Stream.CLOSURE_NULLS.generator(seed, i, k)) for k in range(NULLS)]
@@ -226,7 +219,7 @@ def _upper(problem: LikelihoodProblem, found: ModelFit, flyer: NullFlyer, seed: 
 
 
 def refitted_with(problem: LikelihoodProblem, found: ModelFit, child: Baseline) -> tuple[LikelihoodProblem, ModelFit]:
-    """A model fitted to the training flights again, weighed with the noise of another."""
+    """A model refitted to the training flights with the noise of another."""
     reweighted = LikelihoodProblem(
         problem.model, problem.base, child.problem.records, child.problem.whiteners, problem.criteria
     )

@@ -1,5 +1,5 @@
-"""Where an unknown part of the model may sit: coefficient by variable, read from the model's own equations; and which of these
-places would explain what is left, by linear theory, against simulated nulls."""
+"""Places for an unknown part of the model: a coefficient and a variable, read from the model's own equations; and which of these
+would explain the residuals, by linear theory against simulated nulls."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -20,20 +20,20 @@ from estimation.models.base import Model, ParameterRole, Signal
 from estimation.models.expressions import names_in, products_in
 
 INCREMENT = "increment_{}"
-EXTRA_INPUTS = ("alpha",)  # an input that no term of the model has, yet coefficients depend on
+EXTRA_INPUTS = ("alpha",)  # coefficients may depend on it although no term of the model has it
 EXTRA_STATES = ("alpha", "V")
-# that drive what can move in the airframe, where a model has them
+# they drive movable masses and bending of the airframe, where a model has them
 ACCELERATIONS = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")
-FLOWN = 1e-9  # of anything: a smaller range is none
-NOTHING = 1e-300  # keeps a gain of nothing on the nulls from dividing by zero
+FLOWN = 1e-9  # of a variable's size: a smaller range counts as constant
+NOTHING = 1e-300  # keeps a gain of zero on the nulls from dividing by zero
 
 
 @dataclass(frozen=True)
 class Place:
     """A coefficient and the variable of which a part of it is a function. by: a second variable that multiplies it.
 
-    lacks_line, lacks_constant: the base has no parameter that carries a line in the variable (a constant), so that the increment
-    has to.
+    lacks_line, lacks_constant: the base has no free parameter for a line in the variable (a constant), so that the increment
+    needs it.
     """
 
     line: str
@@ -42,10 +42,11 @@ class Place:
     lacks_constant: bool
     by: str = ""
 
-    @property
-    def extra(self) -> int:
-        """Columns beside those of the spline."""
-        return int(self.lacks_line) + int(self.lacks_constant)
+    def columns(self, u: Array) -> Array:
+        """(N, columns) of the increment at u (N,) in -1..1: those of the spline, then line and constant where the base lacks
+        them."""
+        extra = [c for c, lacking in ((u, self.lacks_line), (np.ones_like(u), self.lacks_constant)) if lacking]
+        return np.column_stack([basis().columns(u), *extra])
 
     @property
     def words(self) -> str:
@@ -63,7 +64,7 @@ def coefficient_lines(model: Model) -> tuple[str, ...]:
 
 
 def variables_of(model: Model, lines: Sequence[str]) -> tuple[str, ...]:
-    """What the coefficients' own terms multiply, angle of attack, and airspeed where it is a state."""
+    """Signals in the terms of the coefficients, angle of attack, and airspeed where it is a state."""
     fixed_names = {*model.parameter_names, *model.constants, *lines}
     signals = {*model.state_names, *model.input_names, *model.definitions}
     factors = [n for line in lines for product in products_in(model.definitions[line]) for n in sorted(product)]
@@ -93,22 +94,22 @@ def products_of(model: Model) -> tuple[Place, ...]:
 
 
 def _place(model: Model, line: str, variable: str, by: str = "") -> Place:
-    """Constant and line of a one-variable increment are the base's own constant and derivative, where it has them free; of a
-    product the constant is the derivative by the second variable."""
+    """Constant and line of a one-variable increment are the base's constant and derivative, where these are free; of a product
+    the constant is the derivative with respect to the second variable."""
     free = set(model.free_names)
     terms = products_in(model.definitions[line])
     linear_terms = [product - free for product in terms if len(product & free) == 1]
-    single = bool((names_in(model.definitions[line]) - frozenset().union(*terms)) & free)
+    has_constant = bool((names_in(model.definitions[line]) - frozenset().union(*terms)) & free)
     linear_names = {n for product in linear_terms if len(product) == 1 for n in product}
     if by:
         return Place(line, variable, True, by not in linear_names, by)
-    return Place(line, variable, variable not in linear_names, not single)
+    return Place(line, variable, variable not in linear_names, not has_constant)
 
 
 @dataclass(frozen=True)
 class ModelMotion:
-    """A fitted model's own motion: variables and coefficients along every record on its fine grid, and what a part of a
-    coefficient changes in the outputs. courses: per record, name -> (2N - 1,). scale: line -> rms about its mean."""
+    """The motion of a fitted model: variables and coefficients along every record on its fine grid, and the response of the
+    outputs to a change of a coefficient. courses: per record, name -> (2N - 1,). scale: coefficient -> rms about its mean."""
 
     problem: LikelihoodProblem
     fit: ModelFit
@@ -145,27 +146,24 @@ class ModelMotion:
         return Range.of([c[variable] for c in self.courses])
 
     def moves(self, variable: str) -> bool:
-        """Whether a variable was flown over any range at all."""
+        """Whether a variable varies on the flights."""
         limits = self.range_of(variable)
         return limits.half > FLOWN * max(abs(limits.middle), FLOWN)
 
     def columns(self, place: Place, index: int, flown: Range) -> Array:
         """(2N - 1, columns) of an increment along one record."""
-        u = np.clip(flown.scaled(self.courses[index][place.variable]), -1.0, 1.0)
-        values = basis().columns(u)
-        extra = [c for c, is_needed in ((u, place.lacks_line), (np.ones_like(u), place.lacks_constant)) if is_needed]
-        values = np.column_stack([values, *extra])
+        values = place.columns(np.clip(flown.scaled(self.courses[index][place.variable]), -1.0, 1.0))
         if place.by:
             values *= (self.courses[index][place.by] / self.reach(place.by))[:, None]
         return np.ascontiguousarray(values)
 
     def reach(self, variable: str) -> float:
-        """Largest size of a variable: what a multiplier is counted in."""
+        """Largest size of a variable: the unit of a multiplier."""
         return max(float(np.abs(c[variable]).max()) for c in self.courses)
 
-    def changes(self, index: int, asks: Sequence[tuple[str, Array]]) -> Iterator[Array]:
-        """(N, ny) changes of the outputs of a record by unit of each of `asks`, by linear theory: a coefficient and the course
-        (2N - 1,) of a part of it. Nothing where they run away or nothing was measured."""
+    def changes(self, index: int, parts: Sequence[tuple[str, Array]]) -> Iterator[Array]:
+        """(N, ny) changes of the outputs of a record by each of `parts`, a coefficient and the course (2N - 1,) added to it, by
+        linear theory. Zero where they run away or nothing was measured."""
         segment, local, outputs = self.segments[index], self.fit.locals[index], len(self.problem.model.outputs)
 
         def respond(moved: Array) -> Array | None:
@@ -176,25 +174,25 @@ class ModelMotion:
                 return None
             return motion.dy[:, :outputs, -moved.shape[2] :].copy()
 
-        courses = [(INCREMENT.format(line), course) for line, course in asks]
+        courses = [(INCREMENT.format(line), course) for line, course in parts]
         return responses(respond, self.simulator.model.input_names, courses, ~np.isfinite(self.fit.residuals[index]))
 
 
 def spread_of(place: Place, scale: float) -> Array:
     """(columns,) prior standard deviations of the weights of an increment of a coefficient whose rms is `scale`."""
-    return scale * np.concatenate([basis().spread, np.ones(place.extra)])
+    return scale * np.concatenate([basis().spread, np.ones(place.lacks_line + place.lacks_constant)])
 
 
-Asked = TypeVar("Asked")  # what is ranked: places of a spline, of a lag, oscillators
+Candidate = TypeVar("Candidate")  # ranked: places of a spline or of a lag, or oscillators
 
 
 @dataclass(frozen=True)
-class Ranked(Generic[Asked]):
-    """Places by what is gained there. gains: (places,) twice the log-likelihood with the penalty counted; scores: (places,)
+class Ranked(Generic[Candidate]):
+    """Candidates with their gains. gains: (places,) twice the log-likelihood with the penalty counted; scores: (places,)
     root of the gain over its median on the nulls; usual: (places,) that median; threshold: family-wise, from the largest score
     of every null."""
 
-    places: tuple[Asked, ...]
+    places: tuple[Candidate, ...]
     gains: Array
     scores: Array
     usual: Array
@@ -207,8 +205,7 @@ class Ranked(Generic[Asked]):
 
     @property
     def best_gain(self) -> float:
-        """Largest gain of a place that passes the threshold, less what so many unknowns gain there with nothing hidden; 0 where
-        none passes."""
+        """Largest gain of a place that passes the threshold, less the usual gain on nulls; 0 where none passes."""
         return float((self.gains - self.usual)[self.order].max()) if self.order else 0.0
 
 
@@ -217,34 +214,33 @@ def rank(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> Ranked[P
     problem, criteria = flown.problem, round_.criteria
     usable = [p for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0]
     spans: list[range] = []
-    asks: list[list[tuple[str, Array]]] = [[] for _ in problem.records]
+    parts: list[list[tuple[str, Array]]] = [[] for _ in problem.records]
     weights: list[Array] = []
     for place in usable:
-        spread = spread_of(place, flown.scale[place.line])
         limits = flown.range_of(place.variable)
-        begin = len(asks[0])
-        for i, record_asks in enumerate(asks):
-            record_asks += [(place.line, course) for course in flown.columns(place, i, limits).T]
-        spans.append(range(begin, len(asks[0])))
-        weights.append(1.0 / spread**2)
-    gram = gram_of(round_.tangent, lambda i: flown.changes(i, asks[i]))
-    projected = Projected.of(gram, len(problem.free), len(asks[0]))
+        begin = len(parts[0])
+        for i, record_parts in enumerate(parts):
+            record_parts += [(place.line, course) for course in flown.columns(place, i, limits).T]
+        spans.append(range(begin, len(parts[0])))
+        weights.append(1.0 / spread_of(place, flown.scale[place.line]) ** 2)
+    gram = gram_of(round_.tangent, lambda i: flown.changes(i, parts[i]))
+    projected = Projected.of(gram, len(problem.free), len(parts[0]))
     gains = np.array([penalised(projected, span, w) for span, w in zip(spans, weights, strict=True)])
     return ranked(usable, gains, criteria)
 
 
 def penalised(projected: Projected, span: Sequence[int], weight: Array) -> Array:
-    """(residual columns,) twice the log-likelihood that columns gain under a Gaussian prior of precision `weight`."""
+    """(residual columns,) twice the log-likelihood gained by columns with a Gaussian prior of precision `weight`."""
     index = list(span)
     b = projected.b[index]
     return np.asarray(np.sum(b * solved(projected.B[np.ix_(index, index)] + np.diag(weight), b), axis=0))
 
 
-def ranked(places: Sequence[Asked], gains: Array, criteria: Criteria) -> Ranked[Asked]:
-    """gains: (places, 1 + nulls). The threshold is raised like that of a name."""
+def ranked(places: Sequence[Candidate], gains: Array, criteria: Criteria) -> Ranked[Candidate]:
+    """Candidates ranked by gains (places, 1 + nulls); the threshold has the margin of that of a name."""
     if not places:
         return Ranked((), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
-    medians = np.maximum(np.median(gains[:, 1:], axis=1), NOTHING)  # a mean is made by the few nulls that run away
+    medians = np.maximum(np.median(gains[:, 1:], axis=1), NOTHING)  # the few nulls that run away would make a mean
     scores = np.sqrt(gains / medians[:, None])
     limit = significant_above(scores[:, 1:].max(axis=0), criteria)
     return Ranked(tuple(places), gains[:, 0], scores[:, 0], medians, limit)

@@ -1,9 +1,9 @@
 """A smooth function of one variable as text of a model: penalised cubic splines.
 
-Cubic B-splines over the range flown, held outside, the second differences of their coefficients penalised (Eilers & Marx
-1996, Statistical Science 11, 89-121): the penalty is a Gaussian prior on its own eigenvectors. The two that it leaves free, a
-constant and a line, belong to the base model and are taken out, so that increment and base are not confounded (Brynjarsdottir &
-O'Hagan 2014). The same columns are numbers (`columns`) and equation lines (`lines`).
+Cubic B-splines over the range flown, constant outside, with a penalty on the second differences of their coefficients (Eilers &
+Marx 1996, Statistical Science 11, 89-121): a Gaussian prior on the penalty's eigenvectors. The penalty leaves a constant and a
+line free. These belong to the base model and are removed, so that increment and base are not confounded (Brynjarsdottir &
+O'Hagan 2014). The same columns exist as numbers (`columns`) and as equation lines (`lines`).
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ import numpy as np
 from estimation.engine.kernel import Array
 
 INNER = 7  # knots inside the range flown: features down to an eighth of it
-KEPT = 6  # smoothest eigenvectors: the rougher ones are held at nothing by the penalty anyway
+KEPT = 6  # smoothest eigenvectors: the penalty holds the rougher ones at zero anyway
 DEGREE = 3
-FINE = 401  # points on which columns are orthogonalised and turned into powers: exact for cubics between knots
+FINE = 401  # points for orthogonalising the columns and converting them to powers: exact for cubics between knots
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Basis:
     spread: Array
 
     def columns(self, u: Array) -> Array:
-        """(N, columns) at u (N,), held outside -1..1."""
+        """(N, columns) at u (N,), constant outside -1..1."""
         return _powers(np.clip(u, -1.0, 1.0), self.knots) @ self.powers.T
 
 
@@ -64,7 +64,7 @@ def basis() -> Basis:
 
 @dataclass(frozen=True)
 class Range:
-    """Of a variable as it was flown."""
+    """The range of a variable on the flights."""
 
     low: float
     high: float
@@ -82,7 +82,7 @@ class Range:
         return 0.5 * (self.high - self.low)
 
     def scaled(self, x: Array) -> Array:
-        """x as u in -1..1 over the range."""
+        """x scaled to -1..1 over the range."""
         return (x - self.middle) / self.half
 
     def inside(self, x: Array) -> float:
@@ -93,8 +93,8 @@ class Range:
 def lines(tag: str, variable: str, weights: Sequence[str]) -> tuple[str, ...]:
     """Equation lines of an increment named `tag`: the sum of all columns, each times its weight (names or numbers).
 
-    `<tag>_low`, `<tag>_high` hold the variable, `<tag>_middle`, `<tag>_half` scale it: parameters, so that the text, and what
-    is compiled of it, is the same for every range.
+    `<tag>_low` and `<tag>_high` limit the variable, `<tag>_middle` and `<tag>_half` scale it. They are parameters, so that the
+    text, and the compiled model, is the same for every range.
     """
     shape = basis()
     u = f"{tag}_u"
@@ -103,27 +103,27 @@ def lines(tag: str, variable: str, weights: Sequence[str]) -> tuple[str, ...]:
     pieces = ["1", u, f"{u}^2", f"{u}^3", *(f"{u}_{k}" for k in range(1, INNER + 1))]
     for j, row in enumerate(shape.powers, 1):
         texts.append(f"{tag}_{j} = " + " + ".join(f"{_number(a)}*{p}" for a, p in zip(row, pieces, strict=True)))
-    sum_ = " + ".join(f"{w}*{tag}_{j}" for j, w in enumerate(weights[:KEPT], 1))
+    total = " + ".join(f"{w}*{tag}_{j}" for j, w in enumerate(weights[:KEPT], 1))
     for piece, weight in zip((u, "1"), weights[KEPT:], strict=False):
-        sum_ += f" + {weight}*{piece}"
-    return (*texts, f"{tag} = {sum_}")
+        total += f" + {weight}*{piece}"
+    return (*texts, f"{tag} = {total}")
 
 
-def polynomial(weights: Array, rest: Sequence[float] = ()) -> Array:
-    """(4 + INNER,) weights of the powers of a sum of columns; rest: of u and of 1, where there are any."""
+def polynomial(weights: Array, straight: Sequence[float] = ()) -> Array:
+    """(4 + INNER,) weights of the powers of a sum of columns. straight: weights of u and of 1, if any."""
     coefficients = basis().powers.T @ weights
-    for k, value in zip((1, 0), rest, strict=False):
+    for k, value in zip((1, 0), straight, strict=False):
         coefficients[k] += value
     return np.asarray(coefficients)
 
 
 def curve_lines(tag: str, variable: str, flown: Range, powers: Array) -> tuple[str, ...]:
-    """Equation lines of one curve as numbers, for a model that a person reads. powers: from `polynomial`."""
+    """Equation lines of one curve with numbers, for a model that a person reads. powers: from `polynomial`."""
     u = f"{tag}_u"
     clipped = f"min(max({variable}, {_number(flown.low)}), {_number(flown.high)})"
     pieces = ["1", u, f"{u}^2", f"{u}^3", *(f"max(0, {u} - {_number(k)})^3" for k in basis().knots)]
-    sum_ = " + ".join(f"{_number(a)}*{p}" for a, p in zip(powers, pieces, strict=True))
-    return f"{u} = ({clipped} - {_number(flown.middle)})/{_number(flown.half)}", f"{tag} = {sum_}"
+    total = " + ".join(f"{_number(a)}*{p}" for a, p in zip(powers, pieces, strict=True))
+    return f"{u} = ({clipped} - {_number(flown.middle)})/{_number(flown.half)}", f"{tag} = {total}"
 
 
 def _number(value: float) -> str:
