@@ -6,15 +6,7 @@ from enum import StrEnum
 from typing import Any
 
 from estimation.engine.kernel import Array
-from estimation.gap.answer.shape import (
-    Happened,
-    HeldInstrument,
-    LaggedTerm,
-    NotPredicted,
-    ShapeCurve,
-    SwingingTerm,
-    rounded,
-)
+from estimation.gap.answer.shape import Shape, rounded
 from estimation.models.base import Model
 
 
@@ -162,7 +154,7 @@ class EffectStep:
     followed: Mapping[str, float] = field(default_factory=dict)
     sampling_bound: float = 0.0
     text: str = ""
-    shape: ShapeCurve | LaggedTerm | SwingingTerm | Happened | HeldInstrument | NotPredicted | None = None
+    shape: Shape | None = None
 
     def to_json(self) -> dict[str, Any]:
         return {

@@ -237,3 +237,6 @@ class Happened:
             **first.to_json(),
             "events": [e.to_json() for e in self.events],
         }
+
+
+Shape = ShapeCurve | LaggedTerm | SwingingTerm | Happened | HeldInstrument | NotPredicted

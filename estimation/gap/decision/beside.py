@@ -1,9 +1,9 @@
-"""Names beside a shape: effects of the catalogue that could not be told while something without a name stood over them.
+"""Names beside a shape: effects of the catalogue that were hidden by a larger effect without a name.
 
-A name has to gain most of what the best nameless term does, so that what has no name is not given one. Where a shape has been
-found for it, it is explained: the rounds are gone through once more about the model with the shape, and where they name something
-the shape is sought again beside these names, so that it is fitted to what they leave. What was no effect of the catalogue by
-itself may be one beside these names: the rounds are gone through about them without the shape, too.
+A name has to gain most of what the best nameless term gains; otherwise an unknown effect would get a wrong name. Once the unknown
+effect has a shape, the search runs again about the model with the shape. Where it names effects, the shape is sought again beside
+these names. The search also runs about these names without the shape: beside them the unknown effect may turn out to be one of
+the catalogue.
 """
 
 from collections.abc import Sequence
@@ -12,13 +12,8 @@ from dataclasses import dataclass, replace
 from estimation.gap.answer.result import EffectStep, Rejected
 from estimation.gap.answer.shape import SwingingTerm
 from estimation.gap.criteria import Criteria
-from estimation.gap.decision.decide import (
-    Decision,
-    as_unknown,
-)
-from estimation.gap.decision.unnamed import (
-    search_shape,
-)
+from estimation.gap.decision.decide import Decision, as_unknown
+from estimation.gap.decision.unnamed import search_shape
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline
 from estimation.gap.search.rounds import run_rounds
@@ -30,8 +25,8 @@ from estimation.gap.significance.calibration import Round
 
 @dataclass(frozen=True)
 class ShapeContinuation:
-    """findings: of the rounds about the model with the shape; round_: the last of them. standing: the model with the names and
-    without the shape; found: the shape about that."""
+    """findings: effects of the rounds about the model with the shape; round_: the last round. standing: the model with these
+    names and without the shape; found: the shape about that model."""
 
     findings: tuple[AcceptedEffect, ...]
     round_: Round
@@ -43,9 +38,9 @@ class ShapeContinuation:
 def names_beside(
     setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
 ) -> ShapeContinuation | None:
-    """Effects that stand beside a shape found about `standing`, or beside one found with the names that a rest outweighs.
+    """Effects that stand beside a shape found about `standing`, or about the model with the names that the rest outweighs.
 
-    None where there is none, or the shape does not stand beside them.
+    None where there is no such effect, or the shape does not stand beside them.
     """
     room = setting.options.most - decision.kept
     if room <= 0:
@@ -66,7 +61,7 @@ def names_beside(
         if nameless_base is None:
             return None
         renewed = search_shape(setting, search, setting.screened(nameless_base, len(search.rounds)), decision)
-    except GapError:  # a motion that cannot be linearised: what was found before stands
+    except GapError:  # a motion that cannot be linearised: the answer stands without these names
         return None
     if renewed.shape is None or renewed.shape.fitted.increment.place != shape.fitted.increment.place:
         return None
@@ -78,8 +73,8 @@ def _shaped(
 ) -> tuple[CoefficientShape | None, Baseline | None]:
     """A shape and the standing model with it.
 
-    Where a rest outweighs names of which it is no part, neither closes the gap alone: the shape is sought about the model with
-    them, and put into the one without.
+    Where an unrelated rest outweighs names, neither closes the gap alone: the shape is sought about the model with the names, and
+    added to the model without them.
     """
     if found.shape is not None:
         return found.shape, found.shape.measured.child
@@ -96,8 +91,8 @@ def _shaped(
 def in_its_place(
     setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect], beside: ShapeContinuation
 ) -> SearchState | None:
-    """The search in which, with the names that stood beside a shape, the rounds name what the shape stood for; None where they
-    name nothing. Of two effects that are missing each can be too much of a rest for the other to be named beside it."""
+    """The search in which the rounds, with the names that stood beside a shape, name the effect behind the shape; None where they
+    name nothing. Each of two missing effects can be too large a rest for the other to be named."""
     standing, parent = beside.standing, kept[-1].child if kept else search.rounds[0].baseline
     room = setting.options.most - len(kept) - len(beside.findings)
     if room <= 0:
@@ -123,8 +118,7 @@ def in_its_place(
 
 
 def _without_shape(setting: Setting, before: Baseline, beside: ShapeContinuation) -> list[AcceptedEffect] | None:
-    """The findings beside a shape, each held against the model `before` it and those before without the shape; None where the
-    motion runs away."""
+    """The findings beside a shape with models that lack the shape, from the model `before`; None where the motion runs away."""
     bare = replace(setting, working=before.model, clean=before.clean)
     replaced: list[AcceptedEffect] = []
     for count, finding in enumerate(beside.findings, 1):
@@ -132,17 +126,17 @@ def _without_shape(setting: Setting, before: Baseline, beside: ShapeContinuation
         child = beside.standing if complete else afresh_with(bare, beside.findings[:count], finding.child)
         if child is None:
             return None
-        # whether a shape explains more than it was asked about another model
+        # `doubted` compares the effect with a shape about another model
         replaced.append(replace(finding, parent=replaced[-1].child if replaced else before, child=child, doubted=False))
     return replaced
 
 
 def _silent(what: str, share: float) -> None:
-    """Rounds within a share of the progress that is told already."""
+    """No progress: the caller has reported these rounds."""
 
 
 def as_good(shape: CoefficientShape, name: EffectStep, criteria: Criteria) -> bool:
-    """Whether a shape closes no less of the gap than a name does, but for what two formulas are equal by."""
+    """Whether a shape closes as much of the gap as a name, within the margin by which two formulas count as equal."""
     closed = name.gap.closed if name.holdout is None else name.holdout.closed
     return shape.measured.closed >= closed - (1.0 - criteria.shape_share)
 
@@ -154,8 +148,8 @@ def without_doubted(
     named: Sequence[EffectStep],
     decision: Decision,
 ) -> tuple[Decision, tuple[AcceptedEffect, ...], Baseline, ShapeSearch, ShapeContinuation | None] | None:
-    """A shape in place of the first name that it explains more than: the decision, the names before it, the model with these, the
-    shape and what stands beside it. None where there is no such name, or names found after it do not stand beside it."""
+    """A shape in place of the first name that explains less than a shape: the decision, the names before it, the model with
+    these, the shape and the names beside it. None where there is no such name, or later names do not stand beside the shape."""
     number = next((k for k, f in enumerate(kept) if f.doubted), None)
     if number is None:
         return None
@@ -165,16 +159,15 @@ def without_doubted(
         return None
     changed = without_name(decision, kept[number], number, search_result.shape)
     continuation = names_beside(setting, search, round_.baseline, search_result, changed)
-    continued_names = (
-        {f.candidate.hypothesis.effect.name for f in continuation.findings} if continuation is not None else set()
-    )
+    findings = continuation.findings if continuation is not None else ()
+    continued_names = {f.candidate.hypothesis.effect.name for f in findings}
     if not {f.candidate.hypothesis.effect.name for f in kept[number + 1 :]} <= continued_names:
         return None
     return changed, tuple(kept[:number]), round_.baseline, search_result, continuation
 
 
 def without_name(decision: Decision, finding: AcceptedEffect, number: int, shape: CoefficientShape) -> Decision:
-    """The decision where a shape without a name takes the place of a name that it explains more than, after `number` others."""
+    """The decision in which a shape without a name replaces a name, after `number` others, that explains less."""
     place = shape.fitted.increment.place.words
     reason = f"a smooth function without a name ({place}) explains clearly more than this form of it"
     effect = finding.candidate.hypothesis.effect.name

@@ -314,7 +314,7 @@ def steps_in_words(
     if unnamed is not None:
         steps.append(unnamed)
     elif decision.verdict is GapVerdict.UNKNOWN:
-        steps.append(replace(unknown_step(rest, Gap(left, left, floor.training_median)), shape=late))
+        steps.append(unknown_step(rest, Gap(left, left, floor.training_median), late))
     if steps:
         steps[0] = replace(steps[0], where=replace(steps[0].where, origin=check.origin))
     return tuple(replace(s, text=describe_step(s)) for s in steps)

@@ -1,12 +1,12 @@
-"""Lags and swings fitted with a model, and the names beside them: which of these are still needed?
+"""Lags and swings fitted with a model, and the names that are still needed beside them.
 
-Neither is an entry of the catalogue, and names can imitate one well enough that the nameless terms, which are functions of the
-moment, say nothing any more. So where names stand they are asked too. Where one still stands out of the nulls about the model
-with them, it is put into the first model instead, and every name has to show that it is significant beside it.
+The catalogue has neither, and names can imitate one so well that no nameless term, a function of the motion at that instant,
+is significant any more. So the model with names is also screened for a lag or a swing. Where one is significant, it is added to
+the first model instead, and every name has to be significant beside it.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from estimation.gap.answer.result import GapVerdict
@@ -17,7 +17,7 @@ from estimation.gap.decision.unnamed import standing_round
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
+from estimation.gap.fit.problem import ModelFit
 from estimation.gap.search.accept import own_inflation
 from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
@@ -32,22 +32,23 @@ Follower = LaggedTerm | SwingingTerm
 SIZE, FOLLOWER = "nameless_late", "nameless_follower"
 SWING, FREQUENCY, DAMPING = "nameless_swing", "nameless_frequency", "nameless_damping"
 LEAST_DAMPING, MOST_DAMPING = 0.005, 1.0
-OCTAVE = 2.0  # to either side of the frequency it was found at
-NEAR_LIMIT = 1.01  # times a limit: stopped there by it
+OCTAVE = 2.0  # range of the frequency to either side of its first value
+NEAR_LIMIT = 1.01  # times a limit: the fit was stopped by it
+SIZE_RANGE = 1e3  # usual sizes to either side: no limit in practice
 
 
 def hypothesis_of(follower: Follower, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
-    """What a lag or a swing adds to its coefficient, and where its fit begins."""
+    """A lag or a swing as a hypothesis, and the start values of its fit."""
     return lag_of(follower, flown) if isinstance(follower, LaggedTerm) else swing_of(follower, flown)
 
 
 def lag_of(memory: LaggedTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
-    """How far a first-order lag of a variable is behind it."""
+    """A term proportional to a first-order lag of a variable minus that variable, and its start value."""
     line, variable = memory.line, memory.variable
     scale = flown.scale[line] / flown.reach(variable)
     form = Form(
         SIZE,
-        (EffectParameter(SIZE, "1", scale, -1e3 * scale, 1e3 * scale),),
+        (EffectParameter(SIZE, "1", scale, -SIZE_RANGE * scale, SIZE_RANGE * scale),),
         terms={line: (f"{SIZE}*({FOLLOWER} - {variable})",)},
         states=(Signal(FOLLOWER, start=variable),),
         lines=(f"{FOLLOWER}_dot = ({variable} - {FOLLOWER})/{memory.time!r}",),
@@ -57,7 +58,7 @@ def lag_of(memory: LaggedTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str
 
 
 def swing_of(swing: SwingingTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
-    """What an oscillator makes of accelerations; its frequency and damping are unknowns too."""
+    """An oscillator driven by accelerations, with unknown frequency and damping, and its start values."""
     sizes = {f"{SWING}_{a}": size for a, size in swing.by.items()}
     scales = {f"{SWING}_{a}": flown.scale[swing.line] / flown.reach(a) for a in swing.by}
     w, z = swing.frequency, swing.damping
@@ -65,7 +66,7 @@ def swing_of(swing: SwingingTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[
     form = Form(
         SWING,
         (
-            *(EffectParameter(n, "1", u, -1e3 * u, 1e3 * u) for n, u in scales.items()),
+            *(EffectParameter(n, "1", u, -SIZE_RANGE * u, SIZE_RANGE * u) for n, u in scales.items()),
             EffectParameter(FREQUENCY, "rad/s", 0.1 * w, w / OCTAVE, OCTAVE * w, w),
             EffectParameter(DAMPING, "1", 0.5 * z, LEAST_DAMPING, MOST_DAMPING, z),
         ),
@@ -85,9 +86,8 @@ def _unnamed(title: str, form: Form) -> Hypothesis:
 
 
 def settled_follower(follower: Follower | None, baseline: Baseline, seed: int) -> Follower | None:
-    """A lag as it is; a swing with frequency and damping as fitted beside a model, and none where the fit ends in something that
-    does not ring. None too where it gains nearly as much with only the controls measured again. As linear theory has it where
-    the fit runs away."""
+    """A lag unchanged; a swing with frequency and damping as fitted with a model, and None where the fit does not ring. None also
+    where it gains nearly as much with only the controls measured again. Unchanged where the fit runs away."""
     if follower is None:
         return None
     hypothesis, start = hypothesis_of(follower, ModelMotion.of(baseline.problem, baseline.fit))
@@ -98,44 +98,42 @@ def settled_follower(follower: Follower | None, baseline: Baseline, seed: int) -
 
 
 def stands(follower: Follower, baseline: Baseline, found: ModelFit, seed: int) -> bool:
-    """Whether a fitted lag or swing is significant by what of its gain is its own."""
+    """Whether a fitted lag or swing is significant by its own share of its gain."""
     share = MeasuredAgain(baseline, seed).share(2.0 * (baseline.fit.cost - found.cost), found)
     return follower.score * math.sqrt(share) > follower.threshold
 
 
 def as_fitted(follower: Follower, found: ModelFit, criteria: Criteria) -> Follower | None:
-    """A lag as it is, a swing with what was fitted; none where that does not ring, or where a limit stopped it: a tone that never
-    dies is driven by nothing, and one that is elsewhere than it was found is another."""
+    """A lag unchanged, a swing with the fitted values; None where that does not ring, or where a limit stopped the fit: an
+    undamped tone needs no acceleration to drive it, and a frequency far from the first one belongs to another swing."""
     if not isinstance(follower, SwingingTerm) or found.diverged:
         return follower
-    fitted = _with_bounds(follower, found.values, found.std())
-    shift = max(fitted.frequency / follower.frequency, follower.frequency / fitted.frequency)
-    plausible = fitted.damping > LEAST_DAMPING * NEAR_LIMIT and shift < OCTAVE / NEAR_LIMIT
-    return fitted if plausible and rings(fitted.damping, criteria) else None
-
-
-def _with_bounds(swing: SwingingTerm, values: Mapping[str, float], std: Mapping[str, float]) -> SwingingTerm:
-    return replace(
-        swing,
-        by={a: float(values[f"{SWING}_{a}"]) for a in swing.by},
+    values, std = found.values, found.std()
+    fitted = replace(
+        follower,
+        by={a: float(values[f"{SWING}_{a}"]) for a in follower.by},
         frequency=float(values[FREQUENCY]),
         damping=float(values[DAMPING]),
         frequency_std=float(std[FREQUENCY]),
         damping_std=float(std[DAMPING]),
     )
+    shift = max(fitted.frequency / follower.frequency, follower.frequency / fitted.frequency)
+    plausible = fitted.damping > LEAST_DAMPING * NEAR_LIMIT and shift < OCTAVE / NEAR_LIMIT
+    return fitted if plausible and rings(fitted.damping, criteria) else None
 
 
 @dataclass(frozen=True)
 class LateRest:
-    """What stands out beside all names. needed: so many of them, from the first on, are significant beside it."""
+    """A lag or swing that is significant beside all names. needed: so many names, from the first on, are significant beside
+    it."""
 
     follower: Follower
     needed: int
 
 
 def late_rest(setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect]) -> LateRest | None:
-    """The lag or swing that the model with the names `kept` lacks; None where none stands out of the nulls about it, or where its
-    motion cannot be linearised or flown: the answer stands without that question."""
+    """The lag or swing that the model with the names `kept` lacks; None where none is significant, or where the motion of that
+    model cannot be linearised or flown: the answer stands without it."""
     try:
         return _late_rest(setting, search, kept, standing_round(setting, search, kept)) if kept else None
     except GapError:
@@ -159,7 +157,8 @@ def _late_rest(setting: Setting, search: SearchState, kept: Sequence[AcceptedEff
         return None
     count = 0
     for finding in kept:
-        problem, extended = _with_name(problem, current, finding)
+        estimates = {n: v for n, (v, _) in finding.candidate.estimates.items()}
+        problem, extended = fit_hypothesis(problem, current, finding.candidate.hypothesis, estimates)
         if extended.diverged or not significant_beside(2.0 * (current.cost - extended.cost), finding):
             break
         current, count = extended, count + 1
@@ -167,7 +166,7 @@ def _late_rest(setting: Setting, search: SearchState, kept: Sequence[AcceptedEff
 
 
 def stands_out(follower: Follower, criteria: Criteria) -> bool:
-    """Whether a lag or swing beside names is more than restless scatter."""
+    """Whether a lag or swing beside names is more than ordinary scatter."""
     return follower.score > criteria.restless_margin * follower.threshold
 
 
@@ -176,15 +175,8 @@ def significant_beside(gain: float, finding: AcceptedEffect) -> bool:
     return gain > own_inflation(finding.candidate) * finding.round_.threshold**2
 
 
-def _with_name(
-    problem: LikelihoodProblem, beside: ModelFit, finding: AcceptedEffect
-) -> tuple[LikelihoodProblem, ModelFit]:
-    values = {n: v for n, (v, _) in finding.candidate.estimates.items()}
-    return fit_hypothesis(problem, beside, finding.candidate.hypothesis, values)
-
-
 def beside_memory(decision: Decision, named: Sequence[str], late: LateRest) -> Decision:
-    """The decision where a lag or swing takes the place of names not needed beside it, and is unknown beside the others."""
+    """The decision in which a lag or swing replaces the names not needed beside it, and is unknown beside the others."""
     reason = f"not needed where {late.follower.words}, which explains more"
     return replace(
         decision,

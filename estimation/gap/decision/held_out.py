@@ -1,7 +1,7 @@
-"""A held-out flight that the model does not predict, though nothing stands out on the training flights.
+"""A held-out flight that the model does not predict, though nothing is significant on the training flights.
 
-Held-out flights confirm names; where none is found nobody had asked whether they look like the training flights at all. A flight
-on which an instrument or a control is wrong, or that another configuration flew, is far from any prediction.
+Held-out flights confirm names. Without a name they are still compared with the model: a flight with a wrong instrument or
+control, or in another configuration, is far from any prediction.
 """
 
 import numpy as np
@@ -10,19 +10,20 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import EffectStep, Gap, Where
 from estimation.gap.answer.shape import NotPredicted
 from estimation.gap.decision.location import SPANS, channels_that_gain, spans_of
+from estimation.gap.decision.steps import nameless_step
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.significance.measure import Floors, plain_residuals, rms_over_noise
 
 FAR = 3.0
-"""Of the largest gap that nothing hidden leaves: a held-out flight farther off is another one. Seven sets with nothing hidden lay
-at 0.83 to 1.06, one with four times the gusts on that flight at 1.6, a dead aileron at 7.7, one of the wrong sign
-at 14 (2026-11-28)."""
+"""Times the largest gap with nothing hidden: a held-out flight beyond that is another one. Seven sets with nothing hidden were at
+0.83 to 1.06, one with four times the gusts on that flight at 1.6, a dead aileron at 7.7, one of the wrong sign at 14
+(2026-11-28)."""
 
 
 def not_predicted(baseline: Baseline, prepared: FlightRecords, floor: Floors) -> NotPredicted | None:
-    """The held-out flight that is farthest from the model, where all of them are too far; None where there is none, or where the
-    model runs away, which nothing can be told of."""
+    """The held-out flight farthest from the model, where the gap of all is too large; None otherwise, without held-out flights,
+    and where the model runs away on them."""
     if baseline.held_out is None or baseline.held_out[1].diverged:
         return None
     problem, fit = baseline.held_out
@@ -45,18 +46,20 @@ def not_predicted(baseline: Baseline, prepared: FlightRecords, floor: Floors) ->
 
 
 def _mean(squares: Array) -> float:
-    """Of what is compared; 0 where nothing is."""
+    """Mean of the finite values; 0 without any."""
     compared = squares[np.isfinite(squares)]
     return float(compared.mean()) if compared.size else 0.0
 
 
-def held_out_step(found: NotPredicted, gap: Gap, floor: Floors) -> EffectStep:
+def held_out_step(unlike: NotPredicted, gap: Gap, floor: Floors) -> EffectStep:
     """The step of an unknown that only a held-out flight shows. gap: on the training flights."""
-    held = Gap(found.gap, found.gap, floor.holdout_median or found.highest, found.highest)
-    return EffectStep(
-        effect="unknown", title="a held-out flight that the model does not predict", form="", confidence=0.0, members=(),
-        separate_by=f"look at the instruments and the configuration of {found.flight}, or hold another flight out",
-        estimates={}, units={}, score=found.gap, threshold=FAR * found.highest,
-        where=Where(" and ".join(found.channels), found.channels, found.segments, f"on {found.flight}"),
-        gap=gap, holdout=held, migrated={}, shape=found,
-    )  # fmt: skip
+    return nameless_step(
+        "a held-out flight that the model does not predict",
+        Where(" and ".join(unlike.channels), unlike.channels, unlike.segments, f"on {unlike.flight}"),
+        unlike.gap,
+        FAR * unlike.highest,
+        gap,
+        f"look at the instruments and the configuration of {unlike.flight}, or hold another flight out",
+        Gap(unlike.gap, unlike.gap, floor.holdout_median or unlike.highest, unlike.highest),
+        unlike,
+    )

@@ -1,5 +1,5 @@
-"""Models before and after as a lineage of files: what was added to which parent, on which flights, with what evidence; and
-columns of the wrong sign, unit or time that the first model's fit gives away."""
+"""Models before and after as files with their lineage: the effects added to a parent, the flights and the evidence; and columns
+of the wrong sign, unit or time that show in the fit of the first model."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -49,6 +49,7 @@ def flight_digest(flight: Flight) -> str:
 
 
 def software() -> str:
+    """Name and version of this program."""
     try:
         return f"sideslip {version('sideslip')}"
     except PackageNotFoundError:
@@ -58,7 +59,7 @@ def software() -> str:
 def write_lineage(
     folder: Path, parent: Model, child: Model, steps: Sequence[EffectStep], flights: Sequence[Flight], seed: int
 ) -> tuple[Path, Path]:
-    """Write parent and child as TOML and the record of how one came from the other; (parent file, child file)."""
+    """Write parent and child as TOML, and the record of the effects added; returns (parent file, child file)."""
     folder.mkdir(parents=True, exist_ok=True)
     parent_file, child_file = folder / f"{parent.name}.toml", folder / f"{child.name}.toml"
     if parent_file == child_file:
@@ -83,7 +84,7 @@ def write_lineage(
 
 
 def turned_signs(baseline: Baseline) -> list[str]:
-    """One sentence for each column that moves against what the base model makes of the others, or of what was believed."""
+    """One sentence for each column that contradicts the base model or its reference values in sign or unit."""
     problem, fit = baseline.problem, baseline.fit
     base = problem.base
     measured = [r.z for r in problem.coarse]
@@ -103,8 +104,8 @@ def turned_signs(baseline: Baseline) -> list[str]:
 
 
 def late_commands(flights: Sequence[Flight], baseline: Baseline) -> str:
-    """A sentence on controls that are commands a log has no oftener than the motion: how long before their record they moved, by
-    what the gyros show; nothing where there are none."""
+    """A sentence on controls recorded as commands no more often than the motion: how long before their record they moved, as the
+    gyros show it; empty without such controls."""
     fit, intervals = baseline.fit, rare_commands(baseline.clean, flights)
     signals = [s for s in baseline.clean.inputs if s.name in intervals]
     back = [float(np.mean([f.dated_back(s.source) for f in flights])) for s in signals]
@@ -124,7 +125,7 @@ def late_commands(flights: Sequence[Flight], baseline: Baseline) -> str:
 
 
 def with_models(result: GapResult, flights: Sequence[Flight], seed: int, folder: Path) -> GapResult:
-    """Write the models before and after, with their lineage, to `folder`; the result that names these files."""
+    """Write the models before and after, with their lineage, to `folder`; returns the result with these file names."""
     parent_file, child_file = write_lineage(
         folder, result.model_before, result.model_after, result.steps, flights, seed
     )
@@ -134,7 +135,7 @@ def with_models(result: GapResult, flights: Sequence[Flight], seed: int, folder:
 def models(
     base: Model, first: Baseline, kept: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
 ) -> tuple[Model, Model]:
-    """The base as fitted, and the child with the effects that stand and a nameless shape (the same where there is neither)."""
+    """The fitted base, and the child with the standing effects and a nameless shape (the base where there is neither)."""
     parent = with_values(base, first.fit.values)
     if not kept and shape is None:
         return parent, parent

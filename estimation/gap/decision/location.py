@@ -1,10 +1,10 @@
-"""Where the disagreement lives, seen three times: with the prior parameters frozen, after the refit, and with the effects named;
-and where one effect acts.
+"""Where the disagreement is, at three stages: with the prior parameters frozen, after the refit, and with the named effects; and
+where one effect acts.
 
-Refitting hides an effect: derivatives move until they carry most of it. Frozen at what was believed before the flight the
-disagreement is large but in its place; after the refit it is small and elsewhere. Both are shown, over channel, time,
-flight regime and equation. The equations are asked by a smoother: the disturbance of each force equation that most likely
-made the residuals, as force and moment coefficients.
+A refit hides an effect: derivatives move until they carry most of it. With the parameters frozen at their prior values the
+disagreement is large but where it arises; after the refit it is small and elsewhere. Both are shown over channel, time, flight
+regime and equation. A smoother gives the equations: the disturbance of each force equation that most likely caused the
+residuals, as force and moment coefficients.
 """
 
 from collections.abc import Mapping
@@ -38,13 +38,14 @@ LINES = {"beta": "CY", "p": "Cl", "r": "Cn", "alpha": "CL", "q": "Cm"}
 DEGREES = {"beta", "alpha", "phi", "theta", "delta_a", "delta_r", "delta_e", "p", "q", "r"}
 SPANS = 4  # stretches of flight given for one effect
 NOTHING = 1e-12  # gain of an effect that changes nothing
-BINS = 6  # of every signal in the map over the flight regime, which is a picture: nothing is decided by it
-MAPPED = 2.0  # s, of a window of the map over time, a picture too
+BINS = 6  # of every signal in the map over the flight regime: a picture, which decides nothing
+WINDOW = 2.0  # s, in the map over time: a picture too
 EQUATIONS = ("CY", "Cl", "Cn", "CL", "CD", "Cm")
 
 
 def views(first: Baseline, last: Baseline, prepared: FlightRecords, changed: bool) -> tuple[DisagreementView, ...]:
-    """The stages there are: prior frozen (if there is one that does not run away), refit, and with the named effects."""
+    """The stages: prior frozen (where there is a prior that does not run away), refit, and with the named effects if
+    `changed`."""
     stages = []
     frozen = prior_frozen(first)
     if frozen is not None:
@@ -57,7 +58,7 @@ def views(first: Baseline, last: Baseline, prepared: FlightRecords, changed: boo
 
 def prior_frozen(baseline: Baseline) -> Baseline | None:
     """The baseline with every derivative at its prior and only initial states and biases fitted; None where that diverges, or
-    nothing was believed."""
+    there is no prior."""
     problem = baseline.problem
     references = {p.name: p.reference for p in problem.model.parameters if p.reference is not None}
     if not references:
@@ -83,7 +84,7 @@ def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> Disagreemen
             for i, s in enumerate(squares)
             for window in windows(problem.coarse[i].time, s)
         ),
-        regime=by_regime(replace(baseline, fit=replace(model_fit, residuals=tuple(residuals)))),
+        regime=by_regime(baseline, everything),
         equations={
             n: float(np.sqrt(np.mean(np.concatenate([m[n] for m in missing]) ** 2))) for n in (missing[0] or {})
         },
@@ -92,8 +93,8 @@ def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> Disagreemen
 
 
 def windows(time: Array, squares: Array) -> list[tuple[float, float, float]]:
-    """(from, to [s], gap) of successive windows in which something is compared."""
-    width = max(round(MAPPED / float(np.median(np.diff(time)))), 2)
+    """(from, to [s], gap) of successive windows with compared samples."""
+    width = max(round(WINDOW / float(np.median(np.diff(time)))), 2)
     return [
         (float(time[k]), float(time[min(k + width, time.size) - 1]), float(np.sqrt(np.nanmean(squares[k : k + width]))))
         for k in range(0, time.size - width // 2, width)
@@ -104,8 +105,8 @@ def windows(time: Array, squares: Array) -> list[tuple[float, float, float]]:
 def missing_coefficients(
     problem: LikelihoodProblem, found: ModelFit, index: int, residual: Array, scatter: Array
 ) -> dict[str, Array]:
-    """Equation -> (N,) disturbance that most likely made a residual (N, ny): a Wiener smoother over the linearised motion,
-    every equation given the strength at which it alone would double the measurement noise."""
+    """Equation -> (N,) disturbance that most likely caused a residual (N, ny): a Wiener smoother over the linearised motion, with
+    each disturbance of the strength that alone would double the measurement noise."""
     model, segment = problem.model, problem.coarse[index]
     simulator = Simulator.build(model, (), substeps=1, hold="linear")
     values = {**problem.starts(), **found.values}
@@ -114,12 +115,10 @@ def missing_coefficients(
     shapes = as_seen(shapes_of(model, linear, len(segment), problem.criteria, states), np.isfinite(residual))
     strength = {}
     for name in states:
-        power = (
-            float(np.mean(np.sum(np.abs(shapes.parts[NoisePart(NoiseSource.RATE, name)]) ** 2 / scatter**2, axis=1)))
-            / scatter.size
-        )
+        part = NoisePart(NoiseSource.RATE, name)
+        power = float(np.mean(np.sum(np.abs(shapes.parts[part]) ** 2 / scatter**2, axis=1))) / scatter.size
         if power > 0.0:
-            strength[NoisePart(NoiseSource.RATE, name)] = 1.0 / power
+            strength[part] = 1.0 / power
     S = spectral_matrix(NoiseModel(scatter**2, strength), shapes)
     weighed = np.linalg.solve(S, np.fft.rfft(np.nan_to_num(residual), axis=0)[:, :, None])[:, :, 0]
     result = {}
@@ -133,7 +132,7 @@ def missing_coefficients(
 
 
 def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) -> float | None:
-    """Coefficient that makes a unit rate of a state at the mean dynamic pressure; None where the model does not say."""
+    """Coefficient that causes a unit rate of a state at the mean dynamic pressure; None where the model lacks a number for it."""
     constants, record = problem.model.constants, problem.records[index]
     if state not in LINES or LINES[state] not in problem.model.definitions or "V" not in record.inputs:
         return None
@@ -154,17 +153,16 @@ def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) ->
     return {"beta": V, "alpha": -V}.get(state, 1.0) * factor
 
 
-def by_regime(baseline: Baseline) -> dict[str, list[dict[str, float]]]:
-    """Map of the disagreement over the flight regime: per signal, bins of rms residual / noise over all outputs."""
-    squares = np.concatenate([(r / baseline.scatter) ** 2 for r in baseline.fit.residuals])
+def by_regime(baseline: Baseline, squares: Array) -> dict[str, list[dict[str, float]]]:
+    """Map of the disagreement over the flight regime: per signal, bins of rms residual / noise over all outputs. squares: of that
+    ratio, (samples of all records, ny)."""
     counts = np.isfinite(squares).sum(axis=1)
     total = np.where(counts > 0, np.nansum(squares, axis=1) / np.maximum(counts, 1), np.nan)
     return {name: binned(values, total) for name, values in signals_of(baseline).items()}
 
 
 def binned(values: Array, squares: Array) -> list[dict[str, float]]:
-    """Root mean of `squares` (N,) in equally filled bins of a signal (N,), low to high; of samples where nothing was compared
-    (NaN) none counts."""
+    """Root mean of `squares` (N,) in equally filled bins of a signal (N,), low to high; NaN does not count."""
     compared = np.isfinite(squares)
     if not compared.any():
         return []
@@ -189,8 +187,8 @@ def equation_of(form: Form) -> str:
 
 
 def locate(parent: Baseline, child: Baseline, equation: str) -> Where:
-    """Where the child explains what the parent could not, in an equation. Segments count from each flight's own clock; those of
-    the first training flight that shows the effect are given."""
+    """Where the child explains more than the parent. equation: the one changed. Segments are times of one flight, on its own
+    clock: the training flight with most of them."""
     scatter = parent.scatter
     outputs = child.model.output_names
     gain = [
@@ -215,7 +213,7 @@ def channels_that_gain(gain: Array, criteria: Criteria) -> list[int]:
 
 
 def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, float]]:
-    """Stretches that hold most of the gain (N,), best first."""
+    """(from, to [s]) of the stretches with most of the gain (N,), best first."""
     n = min(max(round(criteria.window / float(np.median(np.diff(time)))), 2), time.size)
     smooth = np.convolve(gain, np.ones(n) / n, mode="same")
     limit = max(criteria.shown_share * float(smooth.max()), NOTHING)
@@ -225,7 +223,7 @@ def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, 
 
 
 def regime(signals: Mapping[str, Array], gain: Array, criteria: Criteria) -> str:
-    """The condition under which most of the gain (N,) is made: the signal whose large values coincide with it best."""
+    """The flight condition with most of the gain (N,): the signal whose large values coincide with it best."""
     highest, text = criteria.regime_gain, "everywhere"
     for name, values in signals.items():
         size = np.abs(values - np.median(values))
@@ -247,6 +245,7 @@ def regime(signals: Mapping[str, Array], gain: Array, criteria: Criteria) -> str
 
 
 def signals_of(child: Baseline) -> dict[str, Array]:
+    """Signal -> (samples of all records,): modelled outputs, controls and flight condition, those that vary."""
     problem = child.problem
     outputs = [problem.fitted_outputs(i, child.fit) for i in range(len(problem.records))]
     signals = {n: np.concatenate([s[:, i] for s in outputs]) for i, n in enumerate(problem.model.output_names)}

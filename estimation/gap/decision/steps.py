@@ -1,13 +1,15 @@
-"""One found effect, or the nameless rest, as a person reads it: set, size, place, gap closed, worth in simulator tolerances; and
-what these flights can tell at all: scores, detectable sizes, ties, effects that could not have been seen."""
+"""Steps of the answer: an effect, or the nameless rest, with its set, place, closed gap and size in simulator tolerances; and the
+power of these flights: scores, detectable sizes, ties, effects that could not have been seen."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from scipy.special import ndtri
 
 from estimation.gap.answer.result import EffectStep, Gap, Migration, Tie, Weighed, Where
+from estimation.gap.answer.shape import LaggedTerm, Shape, SwingingTerm
 from estimation.gap.criteria import Criteria
 from estimation.gap.decision.location import SPANS, equation_of, locate
 from estimation.gap.effects.base import Effect
@@ -24,39 +26,53 @@ from estimation.models.base import ParameterRole
 
 UNKNOWN = "an effect the catalogue does not hold"
 
-TOLD = 3  # nameless signals in the words; the JSON file has more
+SHOWN = 3  # nameless signals in words; the JSON file has more
+SMALLEST = 1e-300  # keeps what is zero from dividing
 RATE, ANGLE, FLOW = (2.0, "deg/s"), (2.0, "deg"), (1.0, "deg")
 TOLERANCES = {"p": RATE, "r": RATE, "beta": FLOW, "phi": ANGLE, "q": RATE, "alpha": FLOW, "theta": ANGLE}
-"""Of flight-simulator qualification, as in docs/gap.md: larger changes of an output matter. As published."""
+"""Tolerances of flight-simulator qualification as published (docs/gap.md): larger changes of an output matter."""
 
 
-def unknown_step(omnibus: Omnibus, gap: Gap) -> EffectStep:
-    """Where and how the nameless rest shows."""
+def nameless_step(
+    title: str,
+    where: Where,
+    score: float,
+    threshold: float,
+    gap: Gap,
+    separate_by: str,
+    holdout: Gap | None = None,
+    shape: Shape | None = None,
+) -> EffectStep:
+    """The step of an effect without a name."""
+    return EffectStep(
+        effect="unknown", title=title, form="", confidence=0.0, members=(), separate_by=separate_by, estimates={}, units={},
+        score=score, threshold=threshold, where=where, gap=gap, holdout=holdout, migrated={}, shape=shape,
+    )  # fmt: skip
+
+
+def unknown_step(omnibus: Omnibus, gap: Gap, shape: LaggedTerm | SwingingTerm | None = None) -> EffectStep:
+    """The step of the nameless rest. shape: a lag or swing that gains there."""
     leading = [s for s in omnibus.leading if s.score > omnibus.threshold]
     channels = tuple(dict.fromkeys(s.place for s in leading))
     spans = tuple(s.span for s in leading if s.span is not None)
-    return EffectStep(
-        effect="unknown", title=UNKNOWN, form="", confidence=0.0, members=(),
-        separate_by="repeat the manoeuvre and vary one signal at a time around the regime named here", estimates={}, units={},
-        score=omnibus.score, threshold=omnibus.threshold,
-        where=Where(leading[0].place if leading else "", channels, spans[:SPANS], how_it_shows(omnibus)),
-        gap=gap, holdout=None, migrated={},
-    )  # fmt: skip
+    where = Where(leading[0].place if leading else "", channels, spans[:SPANS], how_it_shows(omnibus))
+    separate_by = "repeat the manoeuvre and vary one signal at a time around the regime named here"
+    return nameless_step(UNKNOWN, where, omnibus.score, omnibus.threshold, gap, separate_by, shape=shape)
 
 
 def how_it_shows(omnibus: Omnibus) -> str:
     """The strongest nameless signals in words."""
-    significant = [s for s in omnibus.leading if s.score > omnibus.threshold][:TOLD]
+    significant = [s for s in omnibus.leading if s.score > omnibus.threshold][:SHOWN]
     return "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in significant)
 
 
 def misfit_of(rest: Omnibus) -> float:
-    """How many times what noise does is left without a name (twice a log-likelihood); 1 where it does not matter."""
+    """The nameless rest over its threshold (in twice a log-likelihood); 1 where it does not matter."""
     return (rest.score / rest.threshold) ** 2 if rest.significant else 1.0
 
 
 def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: float = 1.0) -> EffectStep:
-    """The step of an accepted effect; its size is told with the final model. misfit: of what is left without a name beside it."""
+    """The step of an accepted effect, without estimates, which the final model gives. misfit: from `misfit_of` beside it."""
     criteria = setting.options.criteria
     effect, form = finding.candidate.hypothesis.effect, finding.candidate.hypothesis.form
     weights = finding.choice.beside_rest(misfit)
@@ -83,7 +99,7 @@ def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: fl
 
 
 def followed_by_timing(finding: AcceptedEffect) -> dict[str, float]:
-    """Control -> time [s] by which the base had moved it where it followed the effect in that way."""
+    """Control -> time [s] by which the base had shifted it, where it imitated the effect by that; else empty."""
     if not by_timing(finding.round_, finding.candidate):
         return {}
     values = finding.parent.fit.values
@@ -91,14 +107,14 @@ def followed_by_timing(finding: AcceptedEffect) -> dict[str, float]:
     return followers(shifts, finding.round_.criteria)
 
 
-def followers(moved: Mapping[str, float], criteria: Criteria) -> dict[str, float]:
-    """Those of the surfaces that moved in time [s] by about as much as the one that moved most."""
-    limit = criteria.followed_share * max(map(abs, moved.values()), default=0.0)
-    return {n: v for n, v in moved.items() if abs(v) > limit}
+def followers(shifts: Mapping[str, float], criteria: Criteria) -> dict[str, float]:
+    """The surfaces with a shift in time [s] comparable to the largest."""
+    limit = criteria.followed_share * max(map(abs, shifts.values()), default=0.0)
+    return {n: v for n, v in shifts.items() if abs(v) > limit}
 
 
 def as_sampled(parent: Baseline) -> Baseline:
-    """The parent with its surfaces moving when they are seen to, and its attitudes shown when they are."""
+    """The parent refitted with all times of its surfaces and attitudes as sampled."""
     problem = parent.problem
     delays = [p.name for p in problem.model.parameters if p.role is ParameterRole.NUISANCE and p.unit == "s"]
     values = {**parent.fit.values, **dict.fromkeys(delays, 0.0)}
@@ -106,22 +122,22 @@ def as_sampled(parent: Baseline) -> Baseline:
 
 
 def _separate(effect: Effect, names: Sequence[str]) -> str:
-    """What tells the effect from the other members of its set."""
+    """The manoeuvre or test that separates the effect from the other members of its set."""
     return next((effect.confusions[n] for n in names if n in effect.confusions), effect.separate_by)
 
 
 def _absorbed(finding: AcceptedEffect) -> float | None:
-    """Share of the effect's whitened signature that the base's own parameters can take over."""
+    """Share of the effect's whitened signature that the base's own parameters can imitate; None without a score."""
     screen = finding.round_.screen
     if finding.candidate.hypothesis not in screen.hypotheses:
         return None
     span = screen.span(screen.hypotheses.index(finding.candidate.hypothesis))
     projected = screen.projected()
-    return 1.0 - float(np.diag(projected.B)[span].sum()) / max(float(projected.raw[span].sum()), 1e-300)
+    return 1.0 - float(np.diag(projected.B)[span].sum()) / max(float(projected.raw[span].sum()), SMALLEST)
 
 
 def practical(parent: Baseline, child: Baseline) -> str:
-    """What the effect is worth against the tolerances of flight-simulator qualification."""
+    """The largest change of each output by the effect, against simulator tolerances, in words."""
     pairs = list(zip(parent.fit.residuals, child.fit.residuals, strict=True))
     changes = {
         name: float(np.degrees(np.nanmax(np.abs(np.concatenate([(p - q)[:, c] for p, q in pairs])))))
@@ -131,7 +147,7 @@ def practical(parent: Baseline, child: Baseline) -> str:
 
 
 def worth_in_words(worth: Mapping[str, float]) -> str:
-    """Largest change of outputs [deg, deg/s] beside the tolerances that there are."""
+    """Largest changes of outputs [deg, deg/s] beside their tolerances, in words."""
     judged = [(n, worth[n], band, unit) for n, (band, unit) in TOLERANCES.items() if n in worth]
     words = [f"{n} {w:.2g} against {b:g} {unit}" + (" (beyond it)" if w > b else "") for n, w, b, unit in judged]
     significant = any(w > b for _, w, b, _ in judged)
@@ -139,35 +155,34 @@ def worth_in_words(worth: Mapping[str, float]) -> str:
 
 
 def migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
-    """Base derivatives that had absorbed part of the effect, farthest moved first; weights of a shape are none."""
-    std, read = child.fit.std(), parent.clean.parameter_names
+    """Base derivatives that had absorbed part of the effect, largest change first; weights of a shape do not count."""
+    std, derivatives = child.fit.std(), parent.clean.parameter_names
     migrations = {}
     for name in parent.fit.free:
-        if child.problem.nuisance(name) or name not in std or name not in read:
+        if child.problem.nuisance(name) or name not in std or name not in derivatives:
             continue
         old, new = parent.fit.values[name], child.fit.values[name]
-        bounds = abs(new - old) / max(std[name], 1e-300)
+        bounds = abs(new - old) / max(std[name], SMALLEST)
         if bounds > child.criteria.certain:
             migrations[name] = Migration(old, new, bounds, parent.model.parameter(name).reference)
     return dict(sorted(migrations.items(), key=lambda item: -item[1].bounds))
 
 
 def undetectable(round_: Round) -> list[Effect]:
-    """Effects of which not even a multiple of the usual size would have passed the threshold on these flights."""
-    projected = round_.screen.projected()
-    powers: dict[str, float] = {}
-    effects = {h.effect.name: h.effect for h in round_.screen.hypotheses}
-    for c, column in enumerate(round_.screen.columns):
-        name = round_.screen.hypotheses[column.hypothesis].effect.name
-        power = (
-            np.sqrt(max(float(projected.B[c, c]), 0.0) / round_.inflation[column.hypothesis]) * column.parameter.typical
-        )
-        powers[name] = max(powers.get(name, 0.0), float(power))
+    """Effects of which `criteria.blind_size` usual sizes would not have passed the threshold on these flights."""
+    screen, projected = round_.screen, round_.screen.projected()
+    scores: dict[str, float] = {}
+    effects = {h.effect.name: h.effect for h in screen.hypotheses}
+    for c, column in enumerate(screen.columns):
+        name = screen.hypotheses[column.hypothesis].effect.name
+        per_unit = np.sqrt(max(float(projected.B[c, c]), 0.0) / round_.inflation[column.hypothesis])
+        scores[name] = max(scores.get(name, 0.0), float(per_unit * column.parameter.typical))
     size, threshold = round_.criteria.blind_size, round_.threshold
-    return [effects[n] for n, power in powers.items() if size * power < threshold and not effects[n].tied_to]
+    return [effects[n] for n, score in scores.items() if size * score < threshold and not effects[n].tied_to]
 
 
 def effect_scores(round_: Round) -> dict[str, float]:
+    """Effect -> score of its best form, highest first."""
     scores: dict[str, float] = {}
     for h, value in enumerate(round_.standardised()):
         name = round_.screen.hypotheses[h].effect.name
@@ -176,33 +191,29 @@ def effect_scores(round_: Round) -> dict[str, float]:
 
 
 def detectable_sizes(round_: Round) -> dict[str, float]:
-    """Smallest size of each parameter that would have passed the threshold on these flights."""
-    projected = round_.screen.projected()
-    sizes = {}
-    for c, column in enumerate(round_.screen.columns):
-        information = max(float(projected.B[c, c]), 1e-300) / round_.inflation[column.hypothesis]
-        name = round_.screen.hypotheses[column.hypothesis].effect.name
-        key = (
-            name
-            if name not in sizes and len(round_.screen.hypotheses[column.hypothesis].effect.forms) == 1
-            else column.parameter.name
-        )
-        sizes[key] = round_.threshold / float(np.sqrt(information)) if information > 0.0 else np.inf
+    """Smallest size of each parameter that would have passed the threshold, by the effect's name for the first of its only
+    form."""
+    screen, projected = round_.screen, round_.screen.projected()
+    sizes: dict[str, float] = {}
+    for c, column in enumerate(screen.columns):
+        effect = screen.hypotheses[column.hypothesis].effect
+        information = max(float(projected.B[c, c]), SMALLEST) / round_.inflation[column.hypothesis]
+        key = effect.name if effect.name not in sizes and len(effect.forms) == 1 else column.parameter.name
+        sizes[key] = round_.threshold / float(np.sqrt(information))
     return sizes
 
 
 def ties_of(round_: Round) -> tuple[Tie, ...]:
-    cosines = round_.screen.projected().cosines()
+    """Pairs of hypotheses of different effects with nearly the same signature, closest first."""
+    cosines = np.abs(round_.screen.projected().cosines())
+    hypotheses = [round_.screen.hypotheses[column.hypothesis] for column in round_.screen.columns]
     ties = []
-    columns = round_.screen.columns
-    for i in range(len(columns)):
-        for j in range(i + 1, len(columns)):
-            a, b = round_.screen.hypotheses[columns[i].hypothesis], round_.screen.hypotheses[columns[j].hypothesis]
-            if a.effect.name != b.effect.name and abs(cosines[i, j]) >= round_.criteria.tie:
-                ties.append(Tie(a.label, b.label, float(abs(cosines[i, j]))))
+    for (i, a), (j, b) in combinations(enumerate(hypotheses), 2):
+        if a.effect.name != b.effect.name and cosines[i, j] >= round_.criteria.tie:
+            ties.append(Tie(a.label, b.label, float(cosines[i, j])))
     return tuple(sorted(ties, key=lambda t: -t.cosine))
 
 
 def nominal_threshold(hypotheses: int, criteria: Criteria) -> float:
-    """What the largest |z| of so many hypotheses would stay below were the noise model exact (Bonferroni, two-sided)."""
+    """Family-wise limit of |z| of so many hypotheses with an exact noise model (Bonferroni, two-sided)."""
     return float(-ndtri((1.0 - criteria.null_level) / 2 / max(hypotheses, 1)))

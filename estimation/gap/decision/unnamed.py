@@ -1,5 +1,5 @@
-"""What a person reads of an effect without a name: a curve with its band, what does as well and what would settle it, effects of
-the catalogue that have its form, an event in time, or an instrument that holds its values."""
+"""Steps of effects without a name: a curve with its band, its rivals and effects of the catalogue of the same form; an event in
+time; an instrument that holds its values."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from estimation.gap.answer.shape import Alike, EventReport, Happened, HeldInstru
 from estimation.gap.criteria import Criteria
 from estimation.gap.decision.decide import Decision
 from estimation.gap.decision.location import SPANS, locate
-from estimation.gap.decision.steps import UNKNOWN
+from estimation.gap.decision.steps import UNKNOWN, nameless_step
 from estimation.gap.effects.base import Effect, Form
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
@@ -33,7 +33,7 @@ UNNAMED = "an effect that no name of the catalogue stands for"
 ANGLES = ("alpha", "beta", "delta_a", "delta_e", "delta_r")
 SLOW_SWEEP = "sweep {x} slowly and evenly through {low:.3g} to {high:.3g} {unit} with everything else held"
 POINTS = 16  # at which two forms are compared: more than the zeros that products of a few powers can share
-SAME = 1e-9  # of the ratio of two forms, by which rounding alone may move it
+SAME = 1e-9  # relative change of the ratio of two forms by rounding alone
 
 
 def standing_round(setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect]) -> Round:
@@ -44,13 +44,13 @@ def standing_round(setting: Setting, search: SearchState, kept: Sequence[Accepte
 
 
 def floor_about(setting: Setting, round_: Round) -> Floors:
-    """What the gap measures on the nulls of a round, training and held-out flights."""
+    """The plain gap on the nulls of a round, training and held-out flights."""
     holdout_errors = setting.errors[len(setting.prepared.of(setting.prepared.training)) :]
     return floors(round_, round_.baseline.held_out, holdout_errors, setting.options.seed)
 
 
 def search_shape(setting: Setting, search: SearchState, round_: Round, decision: Decision) -> ShapeSearch:
-    """Look for a shape of what the standing names leave: at length where a rest is known to matter."""
+    """Look for a shape of the rest that the standing names leave; at length where that rest is an unknown effect."""
     setting.tell("a shape for what has no name", 0.92)
     number = len(search.rounds)
     task = SearchTask(
@@ -70,18 +70,18 @@ def shaped_step(
     shape: CoefficientShape, baseline: Baseline, setting: Setting, rejected: Sequence[Rejected]
 ) -> EffectStep:
     """The step of an unknown whose shape was found about `baseline`. rejected: names that were turned down."""
-    location = locate(baseline, shape.measured.child, shape.fitted.increment.place.line)
+    location, measured = locate(baseline, shape.measured.child, shape.fitted.increment.place.line), shape.measured
     formulas = [formula for formula, _ in shape.plain]
-    catalogued = effects_of_same_form(formulas, location.equation, baseline.clean, setting.effects, rejected)
-    curve = curve_of(shape, setting, location.regime, catalogued)
-    return EffectStep(
-        effect="unknown", title=UNNAMED if catalogued else UNKNOWN, form="", confidence=0.0, members=(),
-        separate_by=curve.separate_by, estimates={}, units={}, score=shape.score, threshold=shape.threshold, where=location,
-        gap=shape.measured.gap, holdout=shape.measured.holdout, migrated={}, shape=curve,
-    )  # fmt: skip
+    alike = effects_of_same_form(formulas, location.equation, baseline.clean, setting.effects, rejected)
+    curve = curve_of(shape, setting, location.regime, alike)
+    title, separate_by = UNNAMED if alike else UNKNOWN, curve.separate_by
+    return nameless_step(
+        title, location, shape.score, shape.threshold, measured.gap, separate_by, measured.holdout, curve
+    )
 
 
-def curve_of(shape: CoefficientShape, setting: Setting, regime: str, known: tuple[Alike, ...]) -> ShapeCurve:
+def curve_of(shape: CoefficientShape, setting: Setting, regime: str, alike: tuple[Alike, ...]) -> ShapeCurve:
+    """The curve of a shape as the answer has it. alike: effects of the catalogue with its form."""
     increment = shape.fitted.increment
     place, limits = increment.place, increment.flown
     child = shape.measured.child
@@ -94,20 +94,16 @@ def curve_of(shape: CoefficientShape, setting: Setting, regime: str, known: tupl
         output=place.line, variables=variables, grid=x, value=value / increment.reach, std=std / increment.reach, unit=unit,
         low=limits.low, high=limits.high, closed=shape.measured.closed,
         analytic=shape.plain[0][0].text if shape.plain else None,
-        candidates=tuple(_candidate(p, c, accepted) for p, c, accepted in formulas),
+        candidates=tuple((p.text, dict(p.estimates), c, accepted) for p, c, accepted in formulas),
         rivals=tuple(
             (f.increment.place.line, tuple(n for n in (f.increment.place.variable, f.increment.place.by) if n),
              f.gain / shape.fitted.gain)
             for f in shape.rivals
         ),
-        left_out=tuple((setting.prepared.names[o.flight], o.inside, o.gain) for o in shape.others),
+        left_out=tuple((setting.prepared.names[o.flight], o.inside, o.gain) for o in shape.predictions),
         regime=regime,
-        separate_by=SLOW_SWEEP.format(x=place.variable, low=limits.low, high=limits.high, unit=unit), alike=known,
+        separate_by=SLOW_SWEEP.format(x=place.variable, low=limits.low, high=limits.high, unit=unit), alike=alike,
     )  # fmt: skip
-
-
-def _candidate(plain: Plain, closed: float, good: bool) -> tuple[str, dict[str, tuple[float, float]], float, bool]:
-    return plain.text, dict(plain.estimates), closed, good
 
 
 def _unit(model: Model, variable: str) -> str:
@@ -115,14 +111,14 @@ def _unit(model: Model, variable: str) -> str:
 
 
 def events_in_time(setting: Setting, round_: Round) -> Happened | None:
-    """Events in time that leave nothing else to explain; None where there is none, or where something else is left."""
+    """Events in time that leave nothing else to explain; None without events, and where something else is significant."""
     setting.tell("what may have happened at one time", 0.94)
     try:
         transients = find_transients(round_)
         if not transients.found or transients.cleared is None:
             return None
         rest = examine(transients.cleared)
-    except GapError:  # as above
+    except GapError:  # a motion that cannot be linearised
         return None
     if rest.significant:
         return None
@@ -133,11 +129,11 @@ def events_in_time(setting: Setting, round_: Round) -> Happened | None:
     )
 
 
-def event_report(found: DetectedEvent, base: Model, flight: str) -> EventReport:
-    """An event in the words of the answer. flight: its name, "" for all of them."""
-    event, sizes = found.event, found.sizes
+def event_report(detected: DetectedEvent, base: Model, flight: str) -> EventReport:
+    """An event as the answer has it. flight: its name, "" for all of them."""
+    event, sizes = detected.event, detected.sizes
     unit = next((s.unit for s in base.outputs if s.name == event.channel), "1/s")
-    if event.air:  # half a cosine of rate adds up to half a sine
+    if event.air:  # the integral of half a cosine of rate
         unit = next(s.unit for s in base.states if s.name == event.air)
         share = (event.end - event.start) / np.pi
         sizes = tuple((share * v, share * s) for v, s in sizes)
@@ -149,28 +145,25 @@ def event_report(found: DetectedEvent, base: Model, flight: str) -> EventReport:
         event.end,
         sizes,
         unit,
-        found.score,
-        found.threshold,
+        detected.score,
+        detected.threshold,
         event.air,
     )
 
 
 def event_step(shape: Happened, gap: Gap) -> EffectStep:
-    """The step of an unknown that goes with time."""
+    """The step of events in time."""
     first = shape.events[0]
     spans = tuple(dict.fromkeys((e.start, e.end) for e in shape.events[:SPANS]))
     channels = tuple(dict.fromkeys(e.channel or e.air for e in shape.events if e.channel or e.air))
-    return EffectStep(
-        effect="unknown", title="something that happened at one time", form="", confidence=0.0, members=(),
-        separate_by="look at the instrument or the weather there, or repeat the flight", estimates={}, units={},
-        score=first.score, threshold=first.threshold,
-        where=Where(first.channel or "forces and moments", channels, spans, f"{first.what} {first.flight}".rstrip()),
-        gap=gap, holdout=None, migrated={}, shape=shape,
-    )  # fmt: skip
+    where = Where(first.channel or "forces and moments", channels, spans, f"{first.what} {first.flight}".rstrip())
+    separate_by = "look at the instrument or the weather there, or repeat the flight"
+    title = "something that happened at one time"
+    return nameless_step(title, where, first.score, first.threshold, gap, separate_by, shape=shape)
 
 
 def find_held_instrument(baseline: Baseline, prepared: FlightRecords) -> HeldInstrument | None:
-    """The stale output that is farthest from the model where it repeats; None where none is too far."""
+    """The stale output with the largest residual at repeats beside that at new values; None where none is too large."""
     problem, fit = baseline.problem, baseline.fit
     modelled = [problem.modelled(i, fit.values, local) for i, local in enumerate(fit.locals)]
     pairs = [
@@ -182,41 +175,38 @@ def find_held_instrument(baseline: Baseline, prepared: FlightRecords) -> HeldIns
         if signal.source in prepared.stale and pairs:
             repeated = np.concatenate([r.uncompared[:, c] - y[:, c] for r, y in pairs if r.uncompared is not None])
             fresh = np.concatenate([r.z[:, c] - y[:, c] for r, y in pairs])
-            instrument = held_instrument(
-                signal.source, repeated[np.isfinite(repeated)], fresh[np.isfinite(fresh)], step, baseline.criteria
-            )
-            instruments += [instrument] if instrument is not None else []
-    return max(instruments, key=lambda h: h.ratio, default=None)
+            repeated, fresh = repeated[np.isfinite(repeated)], fresh[np.isfinite(fresh)]
+            instruments.append(held_instrument(signal.source, repeated, fresh, step, baseline.criteria))
+    return max((h for h in instruments if h is not None), key=lambda h: h.ratio, default=None)
 
 
-def held_instrument(channel: str, far: Array, near: Array, step: float, criteria: Criteria) -> HeldInstrument | None:
-    """Residuals of a channel where it repeats a value, (n,), against those at new values, (m,), of records sampled every `step`
-    [s]; None where the former are little farther."""
-    reference = float(np.sqrt(np.mean(near**2))) if near.size else 0.0
-    if not far.size or reference <= 0.0:
+def held_instrument(
+    channel: str, repeated: Array, fresh: Array, step: float, criteria: Criteria
+) -> HeldInstrument | None:
+    """Compare the residuals of a channel at repeated values, (n,), with those at new ones, (m,), of records sampled every `step`
+    [s]; None where the former are not much larger."""
+    reference = float(np.sqrt(np.mean(fresh**2))) if fresh.size else 0.0
+    if not repeated.size or reference <= 0.0:
         return None
-    ratio = float(np.sqrt(np.mean(far**2))) / reference
+    ratio = float(np.sqrt(np.mean(repeated**2))) / reference
     if ratio <= criteria.held_ratio:
         return None
-    share = far.size / (far.size + near.size)
+    share = repeated.size / (repeated.size + fresh.size)
     return HeldInstrument(channel, step / (1.0 - share), share, ratio, criteria.held_ratio)
 
 
 def held_step(held: HeldInstrument, gap: Gap) -> EffectStep:
-    """The step of an unknown that is an instrument's."""
-    return EffectStep(
-        effect="unknown", title="an instrument that holds its values", form="", confidence=0.0, members=(),
-        separate_by=f"read {held.channel} at the rate of the other channels, and repeat the flight", estimates={}, units={},
-        score=held.ratio, threshold=held.threshold,
-        where=Where(held.channel, (held.channel,), (), "where it repeats a value"),
-        gap=gap, holdout=None, migrated={}, shape=held,
-    )  # fmt: skip
+    """The step of an instrument that holds its values."""
+    where = Where(held.channel, (held.channel,), (), "where it repeats a value")
+    separate_by = f"read {held.channel} at the rate of the other channels, and repeat the flight"
+    title = "an instrument that holds its values"
+    return nameless_step(title, where, held.ratio, held.threshold, gap, separate_by, shape=held)
 
 
 def effects_of_same_form(
     plain: Sequence[Plain], line: str, model: Model, effects: Sequence[Effect], rejected: Sequence[Rejected]
 ) -> tuple[Alike, ...]:
-    """Effects that add to `line` what a formula beside a shape does, times a number, and that `model` lacks."""
+    """Effects missing in `model` that add a multiple of one of these formulas to `line`."""
     one_term = [
         Hypothesis(effect, form)
         for effect in effects
@@ -224,7 +214,7 @@ def effects_of_same_form(
         if _only_adds_to(line, form) and form.obstacle(model) is None
     ]
     return tuple(
-        _told(hypothesis, estimate, rejected)
+        _alike(hypothesis, estimate, rejected)
         for formula in plain
         for hypothesis in one_term
         if (estimate := _as_parameter(formula, hypothesis.form.terms[line][0], hypothesis.form.parameters[0].name))
@@ -233,18 +223,18 @@ def effects_of_same_form(
 
 
 def _only_adds_to(line: str, form: Form) -> bool:
-    """Whether all that a form does is to add one piece with one unknown to a line."""
+    """Whether a form only adds one piece with one unknown to a line."""
     extras = form.states or form.transforms or form.outputs or form.output_delays or form.lines
     return not extras and [*form.terms] == [line] and len(form.terms[line]) == 1 and len(form.parameters) == 1
 
 
 def _as_parameter(formula: Plain, piece: str, parameter: str) -> tuple[float, float] | None:
-    """(estimate, bound) of the parameter with which a piece is the formula; None where it is another function."""
+    """(estimate, bound) of the parameter with which a piece equals the formula; None where it is another function."""
     names = sorted(names_in(formula.text) - {"a"})
     if set(formula.estimates) != {"a"} or names_in(piece) - {parameter} != set(names):
         return None
     points = dict(zip(names, np.random.default_rng(0).uniform(-1.0, 1.0, (len(names), POINTS)), strict=True))
-    with np.errstate(all="ignore"):  # a piece from somebody's file may have logarithms or poles
+    with np.errstate(all="ignore"):  # a piece from a person's file may have logarithms or poles
         ours = evaluate(formula.text, {**points, "a": 1.0}, FUNCTIONS)
         ratio = ours / evaluate(piece, {**points, parameter: 1.0}, FUNCTIONS)
     if not np.ptp(ratio) < SAME * abs(ratio[0]):
@@ -253,12 +243,13 @@ def _as_parameter(formula: Plain, piece: str, parameter: str) -> tuple[float, fl
     return float(value * ratio[0]), float(std * abs(ratio[0]))
 
 
-def _told(hypothesis: Hypothesis, found: tuple[float, float], rejected: Sequence[Rejected]) -> Alike:
+def _alike(hypothesis: Hypothesis, estimate: tuple[float, float], rejected: Sequence[Rejected]) -> Alike:
+    """An effect with the form of a shape, and why the shape does not get its name."""
     effect, parameter = hypothesis.effect, hypothesis.form.parameters[0]
     reasons = [r.why for r in rejected if r.effect == hypothesis.label]
-    if not parameter.lower <= found[0] <= parameter.upper:
+    if not parameter.lower <= estimate[0] <= parameter.upper:
         reason = f"that is outside what is physically possible ({parameter.lower:g} to {parameter.upper:g})"
     else:
         explains_little = bool(reasons) and reasons[-1].startswith("explains")
         reason = f"as a name it {reasons[-1] if explains_little else 'does not stand by itself'}"
-    return Alike(effect.name, effect.title, parameter.name, found, parameter.unit, reason)
+    return Alike(effect.name, effect.title, parameter.name, estimate, parameter.unit, reason)

@@ -1,4 +1,4 @@
-"""Plain formulas beside a spline: which of a few would do as well, refitted in the output error and not only drawn over it."""
+"""Plain formulas in place of a spline: the nearest ones, refitted by output error."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -13,20 +13,14 @@ from estimation.gap.shapes.increment import TAG, FittedIncrement, Increment
 from estimation.gap.shapes.places import ModelMotion
 from estimation.models.base import Parameter
 
-REFITTED = 3
-SHARES = (
-    0.1,
-    0.2,
-    0.3,
-    0.45,
-    0.6,
-)  # of the largest size flown: where the scan of a dead zone's or a bend's width looks
+REFITTED = 3  # formulas nearest to the spline
+SHARES = (0.1, 0.2, 0.3, 0.45, 0.6)  # of the largest size flown: trial widths of a dead zone or a bend
 SIZE, WIDTH = f"{TAG}_a", f"{TAG}_width"
 
 
 @dataclass(frozen=True)
 class Formula:
-    """A function of one variable. text: with {x} and, where it has one, {w} for its width; value: of x and the width."""
+    """A function of one variable. text: with {x} and, where it has a width, {w}; value: of x and the width."""
 
     text: str
     value: Callable[[Array, float], Array]
@@ -50,7 +44,7 @@ FORMULAS = (
 
 @dataclass(frozen=True)
 class Sketch:
-    """A formula drawn over a spline. left: share of the spline's variance, over what was flown, that it misses."""
+    """A formula regressed on a spline. left: share of the spline's variance at the samples flown that it leaves."""
 
     formula: Formula
     width: float
@@ -67,12 +61,13 @@ def sketched(fitted: FittedIncrement, flown: ModelMotion) -> list[Sketch]:
 
 
 def regressed(x: Array, target: Array, increment: Increment) -> list[Sketch]:
-    """Formulas over a curve `target` (N,) at the samples x (N,), best first; constant and line are the base's if it has them."""
+    """Formulas regressed on a curve `target` (N,) at the samples x (N,), best first; without constant and line where the base has
+    them."""
     place = increment.place
-    free = [c for c, wanted in ((x, not place.lacks_line), (np.ones_like(x), not place.lacks_constant)) if wanted]
+    free = [c for c, lacking in ((x, place.lacks_line), (np.ones_like(x), place.lacks_constant)) if not lacking]
     base = np.column_stack(free) if free else np.zeros((x.size, 0))
-    wanted = _without(target, base)
-    total = max(float(wanted @ wanted), np.finfo(float).tiny)
+    remainder = _without(target, base)
+    total = max(float(remainder @ remainder), np.finfo(float).tiny)
     sketches = []
     for formula in FORMULAS:
         closest: Sketch | None = None
@@ -81,8 +76,8 @@ def regressed(x: Array, target: Array, increment: Increment) -> list[Sketch]:
             length = float(column @ column)
             if length <= np.finfo(float).eps * float(np.sum(formula.value(x, width) ** 2)):
                 continue  # the base has it
-            size = float(column @ wanted) / length
-            sketch = Sketch(formula, width, size, float(np.sum((wanted - size * column) ** 2)) / total)
+            size = float(column @ remainder) / length
+            sketch = Sketch(formula, width, size, float(np.sum((remainder - size * column) ** 2)) / total)
             closest = sketch if closest is None or sketch.left < closest.left else closest
         if closest is not None:
             sketches.append(closest)
@@ -90,24 +85,24 @@ def regressed(x: Array, target: Array, increment: Increment) -> list[Sketch]:
 
 
 def _without(values: Array, base: Array) -> Array:
+    """(N,) residual of `values` after regression on the columns of `base`."""
     return values - base @ np.linalg.lstsq(base, values, rcond=None)[0] if base.shape[1] else values
 
 
 @dataclass(frozen=True)
 class Plain:
-    """A formula refitted in the output error. estimates: its unknowns with bounds; gain: twice the log-likelihood over the base
-    with the same noise; left: of the spline's variance, by the sketch."""
+    """A formula refitted by output error. estimates: its unknowns with bounds; gain: twice the log-likelihood over the base with
+    the same noise."""
 
     text: str
     estimates: Mapping[str, tuple[float, float]]
     problem: LikelihoodProblem
     fit: ModelFit
     gain: float
-    left: float
 
 
 def refitted(baseline: Baseline, increment: Increment, sketch: Sketch) -> Plain | None:
-    """Base and formula fitted together; None where that runs away. Its size has no prior, its width stays in the range flown."""
+    """Base and formula fitted together; None where that runs away. The size has no prior, the width stays in the range flown."""
     place = increment.place
     widest = max(abs(increment.flown.low), abs(increment.flown.high))
     unknowns = [Parameter(SIZE, "1", start=sketch.size)]
@@ -127,7 +122,7 @@ def refitted(baseline: Baseline, increment: Increment, sketch: Sketch) -> Plain 
         n: (float(model_fit.values[p]) * scale[n], float(std.get(p, np.inf)) * scale[n]) for n, p in names.items()
     }
     text = f"a*{sketch.formula.written(place.variable)}" + (f"*{place.by}" if place.by else "")
-    return Plain(text, estimates, problem, model_fit, 2.0 * (baseline.fit.cost - model_fit.cost), sketch.left)
+    return Plain(text, estimates, problem, model_fit, 2.0 * (baseline.fit.cost - model_fit.cost))
 
 
 def plain_formulas(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) -> list[Plain]:

@@ -1,9 +1,10 @@
-"""Where no function of the motion explains what is left: does a coefficient follow its variable late, or does something swing?
+"""A lag of a coefficient behind its variable, and a swing: what no function of the motion explains.
 
-A mass that can move in the airframe and a structure that bends answer accelerations with a frequency and a damping of their own.
-Slowly they follow, and look like a lever arm or a moment of inertia that is a little wrong, which the base or a name takes up;
-what only they do is to go on at their own frequency when the aircraft has stopped. No function of the moment and no first-order
-lag does that, so it is asked by itself: an oscillator at every one of some frequencies, driven by all accelerations of the model.
+A mass that can move in the airframe, or a structure that bends, answers accelerations with its own frequency and damping. Below
+that frequency it follows them and looks like a small error of a lever arm or a moment of inertia, which the base or a named
+effect absorbs. Only the swing at its own frequency after the aircraft has stopped is unique. No function of the motion and no
+first-order lag does that. So a separate screen looks for an oscillator, at a grid of frequencies, driven by all accelerations of
+the model.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,24 +23,24 @@ from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent
 from estimation.signals.first_order import decaying_sum
 
-TIMES = (0.05, 0.1, 0.2, 0.5, 1.0)  # s, each twice the one before or so: signatures of neighbours are much alike
+TIMES = (0.05, 0.1, 0.2, 0.5, 1.0)  # s, time constants: signatures of neighbours are much alike
 SLOWEST = 2.0  # rad/s: a swing in three seconds; slower ones are motions of the aircraft itself
 FASTEST = 0.5  # of the highest frequency that the samples can show
-APART = 1.2  # from one frequency to the next: within the width of a resonance of that damping
+RATIO = 1.2  # of successive frequencies: within the width of a resonance with that damping
 DAMPING = 0.1
-AROUND = 0.85 * 1.05 ** np.arange(8)  # of the best frequency of the grid, then looked at
-DAMPINGS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+AROUND = 0.85 * 1.05 ** np.arange(8)  # of the best frequency of the grid: the finer grid
+DAMPINGS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)  # of the finer grid
 
 
 def lag_behind(course: Array, time: Array, memory: float) -> Array:
-    """(N,) how far a first-order lag [s] of a course (N,) is behind it, begun at rest."""
+    """(N,) output of a first-order lag with time constant `memory` [s] minus its input (N,), started at rest."""
     keep = float(np.exp(-np.median(np.diff(time)) / memory))
     departure = course - course[0]
     return np.asarray(decaying_sum(keep, (1.0 - keep) * departure) - departure)
 
 
 def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> LaggedTerm | None:
-    """The place and time constant that gain most by linear theory, where they stand out of the nulls."""
+    """The place and time constant with the largest gain by linear theory; None where it is not above the nulls."""
     candidates = [(p, t) for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0 for t in TIMES]
 
     def changes(i: int) -> Iterator[Array]:
@@ -60,8 +61,8 @@ def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> L
 
 
 @dataclass(frozen=True)
-class _Ask:
-    """One column: what an oscillator on a coefficient, driven by one acceleration, adds to it."""
+class _Oscillator:
+    """One column: the part of a coefficient that an oscillator driven by one acceleration adds."""
 
     line: str
     by: str
@@ -77,8 +78,8 @@ class _Ask:
 
 
 @dataclass(frozen=True)
-class _AtOnce:
-    """One column: what follows an acceleration, or its rate, at once."""
+class _Direct:
+    """One column: a part of a coefficient proportional to an acceleration, or to its rate."""
 
     line: str
     by: str
@@ -89,65 +90,62 @@ class _AtOnce:
 
 
 def oscillator(course: Array, time: Array, frequency: float, damping: float) -> Array:
-    """(N,) what an oscillator of unit size makes of a course (N,) that is straight between samples, begun at rest where it is.
+    """(N,) response of an oscillator of unit gain to a course (N,) that is linear between samples, started at rest at its first
+    value.
 
-    By its complex pole, damped less than critically: the response is the imaginary part of one first-order lag.
+    From the complex pole of an oscillator damped less than critically: the imaginary part of one first-order lag.
     """
     step, departure = float(np.median(np.diff(time))), course - course[0]
-    ringing = frequency * np.sqrt(1.0 - damping**2)
-    pole = complex(-damping * frequency, ringing)
-    keep = np.exp(pole * step)
-    at_once = (keep - 1.0 - pole * step) / (pole**2 * step)  # of the value at the end of a step
-    before = (keep - 1.0) / pole - at_once  # of that at its beginning
-    drive = at_once * departure
-    drive[1:] += before * departure[:-1]
-    return np.asarray(course[0] + frequency**2 / ringing * decaying_sum(keep, drive).imag)
+    damped = frequency * np.sqrt(1.0 - damping**2)
+    pole = complex(-damping * frequency, damped)
+    decay = np.exp(pole * step)
+    end_weight = (decay - 1.0 - pole * step) / (pole**2 * step)  # of the value at the end of a step
+    start_weight = (decay - 1.0) / pole - end_weight  # of the value at its start
+    drive = end_weight * departure
+    drive[1:] += start_weight * departure[:-1]
+    return np.asarray(course[0] + frequency**2 / damped * decaying_sum(decay, drive).imag)
 
 
 def frequencies(time: Array) -> Array:
-    """(many,) frequencies [rad/s] asked of a record: from a swing in three seconds to half of what its samples show."""
-    samples = 2.0 * float(np.median(np.diff(time)))  # courses have an instant between every two samples
-    highest = FASTEST * np.pi / samples
-    count = max(int(np.log(highest / SLOWEST) / np.log(APART)), 0)
-    return np.asarray(SLOWEST * APART ** np.arange(count + 1))
+    """(many,) trial frequencies [rad/s] for a record: from a swing in three seconds to half the Nyquist frequency."""
+    interval = 2.0 * float(np.median(np.diff(time)))  # of the samples; courses have a point between every two of them
+    highest = FASTEST * np.pi / interval
+    count = max(int(np.log(highest / SLOWEST) / np.log(RATIO)), 0)
+    return np.asarray(SLOWEST * RATIO ** np.arange(count + 1))
 
 
 def find_swing(flown: ModelMotion, round_: Round) -> SwingingTerm | None:
-    """The coefficient and frequency that gain most by linear theory, where they stand out of the nulls and it rings.
+    """The coefficient and oscillator with the largest gain by linear theory; None where it is not above the nulls or does not
+    ring.
 
-    What follows the accelerations and their rates at once is taken out before: an oscillator faster than the motion does no more.
+    Parts proportional to the accelerations and their rates are projected out first: an oscillator faster than the motion has only
+    these.
     """
     drives = [a for a in ACCELERATIONS if a in flown.courses[0] and flown.moves(a)]
     lines = [line for line, size in flown.scale.items() if size > 0.0]
     if not drives or not lines:
         return None
-    asks = [_Ask(n, a, w, DAMPING) for n in lines for w in frequencies(flown.segments[0].time) for a in drives]
-    screen = _Grams.of(flown, round_.tangent, lines, drives, asks)
-    groups, gains = screen.gained()
-    result = ranked(groups, gains, round_.criteria)
+    coarse_grid = frequencies(flown.segments[0].time)
+    oscillators = [_Oscillator(n, a, w, DAMPING) for n in lines for w in coarse_grid for a in drives]
+    result = ranked(*_Grams.of(flown, round_.tangent, lines, drives, oscillators).gains(), round_.criteria)
     if not result.order:
         return None
     leader = result.order[0]
     line, coarse, _ = result.places[leader]
-    finer = _Grams.of(
-        flown,
-        round_.tangent,
-        [line],
-        drives,
-        [_Ask(line, a, w * coarse, z) for w in AROUND for z in DAMPINGS for a in drives],
-    )
-    groups_near, gained = finer.gained()
-    nearest = int(np.argmax(gained[:, 0]))
-    _, frequency, damping = groups_near[nearest]
+    oscillators = [_Oscillator(line, a, w * coarse, z) for w in AROUND for z in DAMPINGS for a in drives]
+    finer = _Grams.of(flown, round_.tangent, [line], drives, oscillators)
+    groups, gains = finer.gains()
+    nearest = int(np.argmax(gains[:, 0]))
+    _, frequency, damping = groups[nearest]
     if not rings(damping, round_.criteria):
         return None
     span = range(nearest * len(drives), (nearest + 1) * len(drives))
-    projected = finer.with_what_follows(line)
+    projected = finer.projected(line, without_direct=False)
     selected = _needed(projected, span, round_.criteria)
     sizes = solved(projected.B[np.ix_(selected, selected)], projected.b[selected, 0])
     return SwingingTerm(
         line,
-        {finer.asks[k].by: float(x) / flown.reach(finer.asks[k].by) for k, x in zip(selected, sizes, strict=True)},
+        {oscillators[k].by: float(x) / flown.reach(oscillators[k].by) for k, x in zip(selected, sizes, strict=True)},
         float(frequency),
         float(damping),
         projected.gain(span) - len(span),
@@ -157,12 +155,12 @@ def find_swing(flown: ModelMotion, round_: Round) -> SwingingTerm | None:
 
 
 def rings(damping: float, criteria: Criteria) -> bool:
-    """Whether something so damped swings at all: what does not is late, and at its limit anything that is a little wrong."""
+    """Whether a swing has little enough damping: with more it is a lag, and in the limit any small error."""
     return damping <= criteria.swing_damping
 
 
 def _needed(projected: Projected, span: Sequence[int], criteria: Criteria) -> list[int]:
-    """Of the columns that drive one oscillator those needed: the best alone, then each that gains beside those before."""
+    """The columns of one oscillator that are needed: the best one, then each with a significant gain beside the earlier ones."""
     selected: list[int] = []
     gain = 0.0
     while len(selected) < len(span):
@@ -176,12 +174,12 @@ def _needed(projected: Projected, span: Sequence[int], criteria: Criteria) -> li
 
 @dataclass(frozen=True)
 class _Grams:
-    """gram: products of the n columns of the base, of what follows at once (`at_once`), of oscillators (`asks`), of residuals."""
+    """gram: products of the n columns of the base, the direct parts, the oscillators and the residuals."""
 
     gram: Array
     n: int
-    at_once: tuple[_AtOnce, ...]
-    asks: tuple[_Ask, ...]
+    direct: tuple[_Direct, ...]
+    oscillators: tuple[_Oscillator, ...]
 
     @classmethod
     def of(
@@ -190,36 +188,33 @@ class _Grams:
         tangent: Tangent,
         lines: Sequence[str],
         drives: Sequence[str],
-        asks: Sequence[_Ask],
+        oscillators: Sequence[_Oscillator],
     ) -> "_Grams":
-        at_once = tuple(_AtOnce(n, a, rate) for n in lines for a in drives for rate in (False, True))
-        columns: tuple[_Ask | _AtOnce, ...] = (*at_once, *asks)
+        direct = tuple(_Direct(n, a, rate) for n in lines for a in drives for rate in (False, True))
+        columns: tuple[_Oscillator | _Direct, ...] = (*direct, *oscillators)
 
         def changes(i: int) -> Iterator[Array]:
             courses, time = flown.courses[i], flown.segments[i].time
             return flown.changes(i, [(c.line, c.course(courses[c.by], time) / flown.reach(c.by)) for c in columns])
 
-        return cls(gram_of(tangent, changes), len(tangent.problem.free), at_once, tuple(asks))
+        return cls(gram_of(tangent, changes), len(tangent.problem.free), direct, tuple(oscillators))
 
-    def gained(self) -> tuple[list[tuple[str, float, float]], Array]:
-        """Oscillators (coefficient, frequency, damping), and (oscillators, residuals) what all that drives one gains."""
+    def gains(self) -> tuple[list[tuple[str, float, float]], Array]:
+        """Oscillators (coefficient, frequency, damping), and (oscillators, residuals) the gain of each with all accelerations."""
         groups, gains = [], []
-        for line, asks in groupby(self.asks, key=lambda ask: ask.line):
-            projected, first = self._beside(line, at_once=False), 0
-            for group, members in groupby(asks, key=lambda ask: ask.group):
+        for line, oscillators in groupby(self.oscillators, key=lambda o: o.line):
+            projected, first = self.projected(line, without_direct=True), 0
+            for group, members in groupby(oscillators, key=lambda o: o.group):
                 span = range(first, first + len(list(members)))
                 first = span.stop
                 groups.append(group)
                 gains.append(projected.gains(span, slice(None)))
         return groups, np.array(gains)
 
-    def with_what_follows(self, line: str) -> Projected:
-        """The oscillators of a coefficient, where the base alone is taken out: what follows at once is theirs."""
-        return self._beside(line, at_once=True)
-
-    def _beside(self, line: str, at_once: bool) -> Projected:
-        removed = [] if at_once else [self.n + k for k, column in enumerate(self.at_once) if column.line == line]
-        first = self.n + len(self.at_once)
-        columns = [first + k for k, ask in enumerate(self.asks) if ask.line == line]
-        index = [*range(self.n), *removed, *columns, *range(first + len(self.asks), len(self.gram))]
+    def projected(self, line: str, without_direct: bool) -> Projected:
+        """The oscillators of a coefficient with the base projected out, and with the direct parts too where `without_direct`."""
+        removed = [self.n + k for k, column in enumerate(self.direct) if column.line == line] if without_direct else []
+        first = self.n + len(self.direct)
+        columns = [first + k for k, oscillator in enumerate(self.oscillators) if oscillator.line == line]
+        index = [*range(self.n), *removed, *columns, *range(first + len(self.oscillators), len(self.gram))]
         return Projected.of(self.gram[np.ix_(index, index)], self.n + len(removed), len(columns))

@@ -1,4 +1,4 @@
-"""The search for a shape: screen, fit, ask the flights left out, measure what is closed, look for a plain formula."""
+"""The search for a shape: screen, fit, predict flights left out, measure the closed share, look for a plain formula."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -31,13 +31,13 @@ from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.nulls import InputErrors
 from estimation.gap.significance.omnibus import examine
 
-FITTED = 3  # places that get a fit
+FITTED = 3  # leading places that get a fit
 
 
 @dataclass(frozen=True)
 class SearchTask:
-    """What a search needs of the run. errors: of the inputs of every record; screened: nulls and screen about a fitted model;
-    floors: what the plain gap measures on them."""
+    """The run as a search needs it. errors: of the inputs of every record; screened: gives nulls and screen of a fitted model;
+    floors: gives the plain gap of these nulls."""
 
     prepared: FlightRecords
     errors: Sequence[InputErrors]
@@ -48,10 +48,9 @@ class SearchTask:
 
 @dataclass(frozen=True)
 class Tried:
-    """A place that was fitted and why it was not taken."""
+    """A place that was fitted, and why it is no shape."""
 
     place: Place
-    gain: float
     why: str
 
 
@@ -60,7 +59,7 @@ class Measured:
     """A model with an increment, fitted with its own noise, on its own nulls.
 
     gap, holdout: plain, before and after. before, after, floor: whitened energy on the held-out flights, where there are any.
-    highest: plain gap there that nothing hidden would leave.
+    highest: upper end of the plain gap there with nothing hidden.
     """
 
     child: Baseline
@@ -74,18 +73,18 @@ class Measured:
 
     @property
     def energy_closed(self) -> float:
-        """Share of the whitened energy above the floor that is gone."""
+        """Closed share of the whitened energy above the floor."""
         return closed(self.before, self.after, self.floor)
 
     @property
     def closed(self) -> float:
-        """Share of the gap that is gone, of what nothing hidden would leave; by the plain gap or by whitened energy, whichever
-        sees it better: the one counts the gusts of the day, the other every small error of the base."""
+        """Closed share of the gap above that of nulls, by the plain gap or by whitened energy, whichever is larger: the plain gap
+        also counts the gusts of the day, whitened energy every small error of the base."""
         gap = self.holdout or self.gap
         return max(self.energy_closed, closed(gap.before**2, gap.after**2, self.highest**2))
 
-    def by(self, plain: Plain, task: SearchTask) -> float:
-        """The same for a formula in place of the increment."""
+    def by(self, plain: Plain) -> float:
+        """Closed share of the whitened energy with a formula in place of the increment."""
         problem, model_fit = refitted_with(plain.problem, plain.fit, self.child)
         if model_fit.diverged:
             return 0.0
@@ -94,23 +93,23 @@ class Measured:
 
 @dataclass(frozen=True)
 class CoefficientShape:
-    """A part of a coefficient that closes the gap. others: every training flight left out. rivals: other places that do nearly as
-    well on the training flights. plain, refused: formulas that close no less than it does, and the others, with what they close.
+    """A part of a coefficient that closes the gap. predictions: of every training flight left out. rivals: other places that gain
+    nearly as much on the training flights. plain, refused: formulas that close as much, and the others, with their closed share.
     score, threshold: of the place by linear theory."""
 
     fitted: FittedIncrement
     measured: Measured
-    others: tuple[HoldoutPrediction, ...]
-    rivals: tuple[FittedIncrement, ...]
-    plain: tuple[tuple[Plain, float], ...]
-    refused: tuple[tuple[Plain, float], ...]
+    predictions: Sequence[HoldoutPrediction]
+    rivals: Sequence[FittedIncrement]
+    plain: Sequence[tuple[Plain, float]]
+    refused: Sequence[tuple[Plain, float]]
     score: float
     threshold: float
 
 
 @dataclass(frozen=True)
 class ShapeSearch:
-    """What was found, what was tried; follower: a lag or a swing that gains where no shape was found."""
+    """The shape, if any, and the places that failed; follower: a lag or a swing that gains where there is no shape."""
 
     shape: CoefficientShape | None
     tried: tuple[Tried, ...]
@@ -118,8 +117,8 @@ class ShapeSearch:
 
 
 def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
-    """A function of one variable, or something that swings; at length also a function of two, and, where none closes the gap,
-    whether a memory gains."""
+    """A function of one variable, or a swing. at_length: also a function of two variables, and a lag where no function closes the
+    gap."""
     baseline = round_.baseline
     motion = ModelMotion.of(baseline.problem, baseline.fit)
     singles = places_of(task.prepared.base)
@@ -129,7 +128,7 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
     shape, attempts = _best(round_, task, motion, ranking, minimum)
     if shape is not None:
         return ShapeSearch(shape, tuple(attempts))
-    if not at_length:  # nothing else stands out
+    if not at_length:
         stands_alone = swing is not None and alone(swing, round_.criteria)
         return ShapeSearch(None, tuple(attempts), swing if stands_alone else None)
     if ranking.order:
@@ -150,62 +149,46 @@ def alone(swing: SwingingTerm, criteria: Criteria) -> bool:
 def _best(
     round_: Round, task: SearchTask, flown: ModelMotion, ranking: Ranked[Place], least: float = 0.0
 ) -> tuple[CoefficientShape | None, list[Tried]]:
-    """The first of the leading places that holds on flights left out and closes the gap. least: what something else without a
-    name gains, as a nameless term does."""
+    """The first of the leading places that holds on flights left out and closes the gap, and the places that failed. least: gain
+    of another nameless candidate, to compare with like that of a nameless term."""
     baseline, criteria = round_.baseline, round_.criteria
     fits: dict[int, FittedIncrement] = {}
     attempts: list[Tried] = []
     for i in ranking.order[:FITTED]:
         fitted = fit_increment(baseline, Increment.of(ranking.places[i], flown))
         if fitted is None:
-            attempts.append(Tried(ranking.places[i], float(ranking.gains[i]), "the fit runs away"))
+            attempts.append(Tried(ranking.places[i], "the fit runs away"))
         else:
             fits[i] = fitted
     term = max(best_term(round_), least) if fits else 0.0
     remeasured = MeasuredAgain(baseline, task.seed)
     for i in sorted(fits, key=lambda k: -fits[k].gain):
-        fitted = fits[i]
+        fitted, score = fits[i], float(ranking.scores[i])
+        predictions: list[HoldoutPrediction] = []
+        measured: Measured | None = None
         if fitted.gain < criteria.named_share * term:
             reason = f"explains only {fitted.gain / term:.0%} of what a nameless term or swing does"
-            attempts.append(Tried(ranking.places[i], fitted.gain, reason))
-            continue
-        if float(ranking.scores[i]) * math.sqrt(remeasured.share(fitted.gain, fitted.fit)) < ranking.threshold:
+        elif score * math.sqrt(remeasured.share(fitted.gain, fitted.fit)) < ranking.threshold:
             reason = "gains nearly as much where only the controls are measured again"
-            attempts.append(Tried(ranking.places[i], fitted.gain, reason))
-            continue
-        predictions = holdout_predictions(baseline, fitted, flown)
-        if not predicts_every_flight(predictions, criteria):
+        elif not predicts_every_flight(predictions := holdout_predictions(baseline, fitted, flown), criteria):
             reason = "does not predict every training flight better than the base where that is left out"
-            attempts.append(Tried(ranking.places[i], fitted.gain, reason))
-            continue
-        measured = _measured(task, baseline, fitted)
-        if measured is None:
-            attempts.append(Tried(ranking.places[i], fitted.gain, "the model with it runs away"))
-            continue
-        if measured.closed < criteria.closed_share:
-            attempts.append(Tried(ranking.places[i], fitted.gain, f"closes only {measured.closed:.0%} of the gap"))
-            continue
-        rivals = runners_up(fitted, [f for k, f in fits.items() if k != i], criteria)
-        formulas = [(p, measured.by(p, task)) for p in plain_formulas(baseline, fitted, flown)]
-        accepted, rejected = as_good(formulas, measured.energy_closed, criteria)
-        score = float(ranking.scores[i])
-        shape = CoefficientShape(
-            fitted,
-            measured,
-            tuple(predictions),
-            tuple(rivals),
-            tuple(accepted),
-            tuple(rejected),
-            score,
-            ranking.threshold,
-        )
-        return shape, attempts
+        elif (measured := _measured(task, baseline, fitted)) is None:
+            reason = "the model with it runs away"
+        elif measured.closed < criteria.closed_share:
+            reason = f"closes only {measured.closed:.0%} of the gap"
+        else:
+            rivals = runners_up(fitted, [f for k, f in fits.items() if k != i], criteria)
+            formulas = [(p, measured.by(p)) for p in plain_formulas(baseline, fitted, flown)]
+            accepted, refused = as_good(formulas, measured.energy_closed, criteria)
+            shape = CoefficientShape(fitted, measured, predictions, rivals, accepted, refused, score, ranking.threshold)
+            return shape, attempts
+        attempts.append(Tried(ranking.places[i], reason))
     return None, attempts
 
 
 def best_term(round_: Round) -> float:
-    """What the best nameless term in an output or a force equation gains (twice a log-likelihood). Where that is clearly more
-    than a shape does, the shape is not what is wrong: an instrument that adds what it should not is no coefficient."""
+    """Gain of the best nameless term in an output or a force equation (twice a log-likelihood). Where a shape gains clearly less,
+    it is not the cause: an error of an instrument is no coefficient."""
     return max((s.gain for s in examine(round_).leading if s.kind == "term"), default=0.0)
 
 
@@ -218,35 +201,31 @@ def runners_up(best: FittedIncrement, others: Sequence[FittedIncrement], criteri
 def as_good(
     plain: Sequence[tuple[Plain, float]], closed: float, criteria: Criteria
 ) -> tuple[list[tuple[Plain, float]], list[tuple[Plain, float]]]:
-    """Formulas that close no less than the spline does, but for a little, best first; and the others."""
+    """Formulas that close nearly as much as the spline or more, best first; and the others."""
     ordered = sorted(plain, key=lambda p: (-p[1], -p[0].gain))
     equal = [p for p in ordered if p[1] >= closed - (1.0 - criteria.shape_share)]
     return equal, [p for p in ordered if p not in equal]
 
 
 def _measured(task: SearchTask, baseline: Baseline, fitted: FittedIncrement) -> Measured | None:
-    """None where the model with the increment runs away, in the fit, on a null or on a held-out flight."""
+    """The model with an increment; None where it runs away, in the fit, on a null or on a held-out flight."""
     try:
-        return _measure(task, baseline, fitted)
+        child = fit_baseline(
+            fitted.problem.model, baseline.clean, task.prepared, baseline.scatter, fitted.fit, baseline.noise
+        )
+        child_round = task.screened(child)
+        reweighted = refitted_with(baseline.problem, baseline.fit, child)
+        if reweighted[1].diverged:
+            return None
+        floor = task.floors(child_round)
+        return Measured(
+            child,
+            child_round,
+            *gaps(baseline, child, floor),
+            holdout_energy(*reweighted, baseline, child.noise),
+            holdout_energy(child.problem, child.fit, child, child.noise),
+            floor_energy(child, task.errors, task.seed),
+            floor.highest,
+        )
     except GapError:
         return None
-
-
-def _measure(task: SearchTask, baseline: Baseline, fitted: FittedIncrement) -> Measured | None:
-    child = fit_baseline(
-        fitted.problem.model, baseline.clean, task.prepared, baseline.scatter, fitted.fit, baseline.noise
-    )
-    child_round = task.screened(child)
-    reweighted = refitted_with(baseline.problem, baseline.fit, child)
-    if reweighted[1].diverged:
-        return None
-    floor = task.floors(child_round)
-    return Measured(
-        child,
-        child_round,
-        *gaps(baseline, child, floor),
-        holdout_energy(*reweighted, baseline, child.noise),
-        holdout_energy(child.problem, child.fit, child, child.noise),
-        floor_energy(child, task.errors, task.seed),
-        floor.highest,
-    )
