@@ -56,18 +56,18 @@ from estimation.gap.significance.kinematic_check import KinematicCheck
 from estimation.gap.significance.measure import Floors, odd_flights, repeatability, rms_over_noise
 from estimation.gap.significance.omnibus import Omnibus, examine
 
-BAND = 20  # nulls from which the band of the floor in pictures is taken
+BAND = 20  # nulls for the band of the floor in pictures
 NOT_SEARCHED = ShapeSearch(None, ())
 EXPLAINED = (GapVerdict.NO_GAP, GapVerdict.GAP_CLOSED, GapVerdict.GAP_REDUCED)
-LEFT = 5  # nameless signals in the JSON file
+LEADING = 5  # nameless signals in the JSON file
 
 
 @dataclass
 class _Standing:
-    """What stands, step after step of the conclusion.
+    """The state of the conclusion.
 
-    named: steps of all accepted effects, of which the decision keeps some; kept: these effects; model: the one with them; rest:
-    what stands out without a name; gap: plain, that is left; found: a shape, lag or swing for it; event: what happened instead.
+    named: steps of all accepted effects; kept: the effects that stand; model: the fitted model with these; rest: the nameless
+    signals about it; gap: its plain gap; found: a shape, lag or swing for the rest; event: events in time instead.
     """
 
     setting: Setting
@@ -85,7 +85,7 @@ class _Standing:
 
 
 def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> GapResult:
-    """Verdict, steps and words from what the rounds left."""
+    """The answer: verdict, steps and words from the state after all rounds."""
     state = _decided(setting, search)
     replaced = None
     if not setting.steered and not state.decision.doubted:
@@ -106,7 +106,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
 
 
 def _decided(setting: Setting, search: SearchState) -> _Standing:
-    """The decision on what the rounds found, before anything without a name is looked for."""
+    """The decision on the effects of the rounds, before the search for shapes and events."""
     first, last = search.rounds[0], search.rounds[-1]
     floor = floor_about(setting, last)
     misfit = misfit_of(search.omnibus)
@@ -122,12 +122,12 @@ def _decided(setting: Setting, search: SearchState) -> _Standing:
 
 
 def _search_unnamed(state: _Standing) -> None:
-    """Look for a shape, an event in time, or a lag or swing that the standing names leave."""
+    """Look for a shape, an event in time, or a lag or swing beside the standing names."""
     setting, search = state.setting, state.search
     round_ = standing_round(setting, search, state.kept)
     if not state.kept or state.decision.verdict is GapVerdict.UNKNOWN:
         state.found = search_shape(setting, search, round_, state.decision)
-    if state.found.shape is None:  # names say nothing of what happens at one time
+    if state.found.shape is None:  # also with names, which are no events in time
         state.event = events_in_time(setting, round_)
     if state.found.shape is not None or state.event is not None:
         return
@@ -148,7 +148,7 @@ def _search_unnamed(state: _Standing) -> None:
 
 
 def _add_names(state: _Standing, beside: ShapeContinuation) -> None:
-    """Add the names that stand beside a shape, with the shape about the model that has them."""
+    """Add the names that stand beside a shape, and the shape found about the model with them."""
     floor = floor_about(state.setting, beside.round_)
     state.kept, state.model, state.found = (*state.kept, *beside.findings), beside.standing, beside.found
     new_steps = (step_of(state.setting, f, floor) for f in beside.findings)
@@ -157,7 +157,7 @@ def _add_names(state: _Standing, beside: ShapeContinuation) -> None:
 
 
 def _of_inputs(state: _Standing, rest: Omnibus) -> str:
-    """A sentence on what the times of recorded commands may have made: the first name withdrawn, or the nameless rest."""
+    """A sentence on the first withdrawn name, or the nameless rest, that the times of recorded commands may have caused."""
     if not state.decision.doubted:
         return ""
     if state.decision.withdrawn:
@@ -168,7 +168,7 @@ def _of_inputs(state: _Standing, rest: Omnibus) -> str:
 
 
 def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, ...]) -> GapResult:
-    """The answer in which all that stands is told."""
+    """The answer from the final state."""
     setting, search, shapes = state.setting, state.search, state.found
     prepared, first, last = setting.prepared, search.rounds[0], search.rounds[-1]
     decision, rest, final = state.decision, state.rest, state.model
@@ -191,9 +191,9 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
     effect_steps = [with_final_estimates(s, f, final) for s, f in zip(state.named, state.kept, strict=False)]
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
     odd = odd_flights(repeats)
-    late = shapes.follower if len(odd) < max(len(repeats), 1) else None  # what each has otherwise swings for no flight
+    late = shapes.follower if len(odd) < max(len(repeats), 1) else None  # no swing explains flights that all differ
     steps = steps_in_words(decision, effect_steps, rest, check, state.gap, state.floor, unnamed, late)
-    stages = views(first.baseline, final, prepared, final is not first.baseline)
+    stages = views(first.baseline, final, prepared)
     before_model, after_model = models(setting.base, first.baseline, state.kept, shapes.shape)
     hypotheses = {h.effect.name for h in first.screen.hypotheses}
     held_channels = [s.shape.channel for s in steps if isinstance(s.shape, HeldInstrument)]
@@ -236,7 +236,7 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
             "cannot_tell": [{"effect": e.name, "separate_by": e.separate_by} for e in state.cannot],
             "left": [
                 {"kind": s.kind, "place": s.place, "what": s.what, "score": round(s.score, 2)}
-                for s in rest.leading[:LEFT]
+                for s in rest.leading[:LEADING]
             ],
             "left_threshold": round(float(rest.threshold), 2),
             "where": [v.to_json() for v in stages],
@@ -248,18 +248,22 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
 
 
 def with_final_estimates(step: EffectStep, finding: AcceptedEffect, after: Baseline) -> EffectStep:
-    """A step with the size of its effect in the final model: what was missing beside it when it was found had bent it. The bound
-    of a time has what sampling leaves open in it."""
+    """A step with the size of its effect in the final model: effects that were still missing had biased the first one. The bound
+    of a time includes the uncertainty from sampling."""
     estimates = estimates_of(finding.round_, finding.candidate, after)
     interval, criteria = sample_interval(after.problem.records), after.criteria
-    stated = {n: estimates[n] for n in estimates if step.units.get(n) == "s"}
-    times = {n: (value, time_bound(std, interval, criteria)) for n, (value, std) in stated.items()}
-    left_open = time_bound(0.0, interval, criteria) if times else 0.0
-    return replace(step, estimates={**estimates, **times}, sampling_bound=left_open)
+    times = {
+        n: (value, time_bound(std, interval, criteria))
+        for n, (value, std) in estimates.items()
+        if step.units.get(n) == "s"
+    }
+    sampling_bound = time_bound(0.0, interval, criteria) if times else 0.0
+    return replace(step, estimates={**estimates, **times}, sampling_bound=sampling_bound)
 
 
 def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:
-    """What stands out without a name about a model, and how it shows where it matters; `before` where that cannot be examined."""
+    """The nameless signals about a model, and a description where they are significant; `before` where the model's motion cannot
+    be linearised."""
     try:
         rest = examine(round_)
     except GapError:  # a motion that cannot be linearised
@@ -268,7 +272,7 @@ def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:
 
 
 def rejected_hypotheses(search: SearchState, beside: ShapeContinuation | None) -> tuple[Rejected, ...]:
-    """Hypotheses that the rounds turned down, but for those that stand beside a shape in the end."""
+    """Hypotheses rejected by the rounds, except those that finally stand beside a shape."""
     if beside is None:
         return search.rejected
     standing = {f.candidate.hypothesis.label for f in beside.findings}
@@ -278,7 +282,7 @@ def rejected_hypotheses(search: SearchState, beside: ShapeContinuation | None) -
 def facts_of(
     search: SearchState, named: Sequence[EffectStep], covered: bool, cannot: Sequence[Effect], untold: int = 0
 ) -> VerdictFacts:
-    """What decides, from the state of the search and the steps of all accepted effects. untold: not asked at all."""
+    """The facts from the state of the search and the steps of all accepted effects. untold: effects that were not searched."""
     forms = [f.candidate.hypothesis.form for f in search.findings]
     hypotheses = search.rounds[0].screen.hypotheses
     return VerdictFacts(
@@ -305,10 +309,10 @@ def steps_in_words(
     unnamed: EffectStep | None = None,
     late: LaggedTerm | SwingingTerm | None = None,
 ) -> tuple[EffectStep, ...]:
-    """The steps of the answer in words: those of the names that stand, and the nameless rest where that is the verdict.
+    """The steps of the answer with their words: the standing names, and the nameless rest where that is the verdict.
 
-    rest: what stands out without a name; unnamed: it with a shape or a time, where one was found; late: a lag or swing that gains
-    where none was. The kinematic check saw the flights as they are: it speaks of the first.
+    rest: nameless signals; left: gap; unnamed: the step of a shape or an event, if any; late: a lag or swing without such a step.
+    The kinematic check looks at the flights before any step: its origin belongs to the first.
     """
     steps = list(named[: decision.kept])
     if unnamed is not None:

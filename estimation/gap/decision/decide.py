@@ -1,7 +1,7 @@
-"""From facts to the verdict: which names stand, whether a nameless rest matters, and one table for the word.
+"""From facts to the verdict: which names stand, whether a nameless rest matters, and a table of verdicts.
 
-Nothing here looks at flights or models. The facts are numbers that the search and the nulls left; `decide` turns them into
-a decision, and the words are written from that.
+This module sees no flights or models. The facts are numbers from the search and the nulls; `decide` turns them into a decision,
+from which the words are written.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from estimation.gap.criteria import Criteria
 
 ANY = None
 TABLE: tuple[tuple[bool | None, bool | None, bool | None, bool | None, GapVerdict], ...] = (
-    # a rest matters, names stand, closed, blind -> verdict; the first row that fits
+    # a rest matters, names stand, closed, blind -> verdict; the first row that matches
     (True, ANY, ANY, ANY, GapVerdict.UNKNOWN),
     (False, True, True, ANY, GapVerdict.GAP_CLOSED),
     (False, True, False, ANY, GapVerdict.GAP_REDUCED),
@@ -24,7 +24,7 @@ TABLE: tuple[tuple[bool | None, bool | None, bool | None, bool | None, GapVerdic
 @dataclass(frozen=True)
 class Named:
     """One accepted effect. score: of its full fit. gap, held: before and after it, on training and held-out flights (None
-    without any). instruments: outputs whose very instrument it blames."""
+    without any). instruments: outputs of the instruments that it blames."""
 
     effect: str
     score: float
@@ -35,11 +35,11 @@ class Named:
 
 @dataclass(frozen=True)
 class VerdictFacts:
-    """What is known when all rounds are over.
+    """The facts after all rounds.
 
     named: accepted effects in the order found. rest, rest_threshold, rest_place: score of the strongest nameless signal, its
-    threshold from nulls and the output or equation it lives in. covered: whether the plain gap is one the nulls show.
-    blind, asked: effects that could not have been seen, and that were asked about.
+    threshold from nulls, and its output or equation. covered: whether nulls have such a plain gap too. blind, asked: numbers of
+    effects that could not have been seen, and of all that were searched.
     """
 
     named: tuple[Named, ...]
@@ -53,8 +53,8 @@ class VerdictFacts:
 
 @dataclass(frozen=True)
 class Decision:
-    """The verdict; the first `kept` names stand, each of the others is withdrawn for a reason. doubted: what is left, or was
-    withdrawn, may be what errors of the inputs leave."""
+    """The verdict. The first `kept` names stand; withdrawn: (name, reason) of the others. doubted: the rest, or a withdrawn name,
+    may come from errors of the inputs."""
 
     verdict: GapVerdict
     kept: int
@@ -66,14 +66,14 @@ OF_INPUTS = "no larger than what the unknown times of recorded commands leave"
 
 
 def decide(facts: VerdictFacts, criteria: Criteria, commanded: bool = False) -> Decision:
-    """The verdict that the facts give. commanded: surfaces are known by recorded commands, whose unknown times leave a nameless
-    rest that is no effect, and names of a gap that nothing hidden leaves too; where no other name stands nobody can tell."""
+    """The verdict from the facts. commanded: surfaces are recorded as commands. Their unknown times cause a nameless rest that
+    is no effect, and names that close no more than a gap of nulls; without another name the flights cannot tell."""
     rest = rest_matters(facts, criteria)
     count, withdrawn = standing(facts, criteria) if rest else (len(facts.named), ())
     if commanded:
-        seen = next((k for k, name in enumerate(facts.named[:count]) if unseen(name)), count)
-        withdrawn = (*withdrawn, *((n.effect, OF_INPUTS) for n in facts.named[seen:count]))
-        count = seen
+        first_unseen = next((k for k, name in enumerate(facts.named[:count]) if unseen(name)), count)
+        withdrawn = (*withdrawn, *((n.effect, OF_INPUTS) for n in facts.named[first_unseen:count]))
+        count = first_unseen
     closed = count > 0 and closed_by(facts.named[:count]) >= criteria.closed_share
     doubted = commanded and (rest or bool(withdrawn))
     blind = facts.blind > criteria.blind_share * max(facts.asked, 1) or doubted
@@ -83,37 +83,36 @@ def decide(facts: VerdictFacts, criteria: Criteria, commanded: bool = False) -> 
 
 
 def unseen(name: Named) -> bool:
-    """Whether no share of a gap can be told of a name, on the training or the held-out flights: its course alone stands out."""
+    """Whether the gap says nothing about a name, neither on the training nor on the held-out flights."""
     return name.gap.says_nothing and (name.held is None or name.held.says_nothing)
 
 
 def only_steered(facts: VerdictFacts) -> VerdictFacts:
-    """The facts of flights on which every control only follows the motion: no rest without a name counts, and what has no name
-    could not have been seen."""
+    """The facts of flights on which every control only follows the motion: no nameless rest counts, and no effect could have been
+    seen."""
     return replace(facts, rest=0.0, blind=facts.asked)
 
 
 def with_shape(decision: Decision) -> Decision:
-    """The decision where a nameless shape was found for the rest: the gap is smaller, and it still has no name."""
+    """The decision with a nameless shape for the rest: the gap is smaller, but unnamed."""
     return replace(decision, verdict=GapVerdict.GAP_REDUCED)
 
 
 def with_names(decision: Decision, names: Sequence[str]) -> Decision:
-    """The decision where these names stand in the end, beside a shape, some of which may have been withdrawn without it."""
+    """The decision in which these names stand beside a shape; some may have been withdrawn without it."""
     withdrawn = tuple((effect, reason) for effect, reason in decision.withdrawn if effect not in names)
     return replace(decision, kept=len(names), withdrawn=withdrawn)
 
 
 def as_unknown(decision: Decision) -> Decision:
-    """The decision where something stands out that is no term with a name: a fault of an instrument, what happened at one time, a
-    coefficient that follows late or swings."""
+    """The decision with a significant effect that has no name: a faulty instrument, an event in time, a lag or a swing."""
     return replace(decision, verdict=GapVerdict.UNKNOWN)
 
 
 def rest_matters(facts: VerdictFacts, criteria: Criteria) -> bool:
-    """Whether a nameless rest is an unknown effect, and not restless scatter beside names that close the gap.
+    """Whether a nameless rest is an unknown effect, and not ordinary scatter beside names that close the gap.
 
-    In the very instrument that a name blames it is never mere scatter: it says that something else is wrong with it.
+    In the instrument that a name blames it is never scatter: something else is wrong with that instrument.
     """
     elsewhere = all(facts.rest_place not in n.instruments for n in facts.named)
     small = facts.rest < criteria.strong * facts.rest_threshold
@@ -124,10 +123,9 @@ def rest_matters(facts: VerdictFacts, criteria: Criteria) -> bool:
 def standing(facts: VerdictFacts, criteria: Criteria) -> tuple[int, tuple[tuple[str, str], ...]]:
     """How many names stand beside a nameless rest that matters, and why the others do not.
 
-    The last name falls where it closes little and the rest outweighs it. Then the first falls that blames the very instrument
-    in which the rest lives without outweighing it (a vane that sticks is late too, but what is wrong with it is not that it is
-    late), and with it all that were found on top of it.
-    """
+    The last name falls where it closes little and the rest outweighs it. Then the first name falls that blames the instrument of
+    the rest without outweighing the rest (a vane that sticks is late too, but a lag is not its fault), and with it all later
+    ones."""
     names = list(facts.named)
     withdrawn: list[tuple[str, str]] = []
     if names and not facts.covered and few(names[-1], facts.rest, criteria):
@@ -150,18 +148,17 @@ def few(name: Named, rest: float, criteria: Criteria) -> bool:
 
 
 def outweighs(named: float, rest: float, share: float) -> bool:
-    """Whether a named effect holds most of what is significant, whatever the plain gap says.
+    """Whether a named effect has at least `share` of the sum of the squared scores `named` and `rest`.
 
-    named, rest: scores of the effect and of the strongest nameless term after it, both on whitened residuals. share: of
-    the sum of their squares. The plain gap also counts slow errors of an attitude filter and the gusts of the day, beside
-    which a certain effect can look small.
+    named, rest: scores of the effect and of the strongest nameless term after it, both on whitened residuals. The plain gap also
+    counts slow errors of an attitude filter and the gusts of the day, beside which a certain effect can look small.
     """
     return named**2 >= share * (named**2 + rest**2)
 
 
 def closed_by(named: Sequence[Named]) -> float:
-    """Share of the gap that names close together: on the held-out flights; where these show no gap, the training flights may say
-    less."""
+    """Share of the gap that names close together on the held-out flights; the smaller one of both sets where the gap of the
+    held-out flights says nothing."""
     first, last = named[0], named[-1]
     training = replace(first.gap, after=last.gap.after, floor=last.gap.floor, highest=last.gap.highest)
     if first.held is None or last.held is None:

@@ -43,15 +43,14 @@ WINDOW = 2.0  # s, in the map over time: a picture too
 EQUATIONS = ("CY", "Cl", "Cn", "CL", "CD", "Cm")
 
 
-def views(first: Baseline, last: Baseline, prepared: FlightRecords, changed: bool) -> tuple[DisagreementView, ...]:
-    """The stages: prior frozen (where there is a prior that does not run away), refit, and with the named effects if
-    `changed`."""
+def views(first: Baseline, last: Baseline, prepared: FlightRecords) -> tuple[DisagreementView, ...]:
+    """The stages: prior frozen (where there is a prior that does not run away), refit, with the named effects if any."""
     stages = []
     frozen = prior_frozen(first)
     if frozen is not None:
         stages.append(view(PRIOR_FROZEN, frozen, prepared))
     stages.append(view("after the refit", first, prepared))
-    if changed:
+    if last is not first:
         stages.append(view("with the named effects", last, prepared))
     return tuple(stages)
 

@@ -115,7 +115,7 @@ def events_in_time(setting: Setting, round_: Round) -> Happened | None:
     setting.tell("what may have happened at one time", 0.94)
     try:
         transients = find_transients(round_)
-        if not transients.found or transients.cleared is None:
+        if not transients.events or transients.cleared is None:
             return None
         rest = examine(transients.cleared)
     except GapError:  # a motion that cannot be linearised
@@ -123,10 +123,8 @@ def events_in_time(setting: Setting, round_: Round) -> Happened | None:
     if rest.significant:
         return None
     records, names = round_.baseline.problem.records, setting.prepared.names
-    flights = ["" if f.event.record < 0 else names[records[f.event.record].flight] for f in transients.found]
-    return Happened(
-        [event_report(f, setting.base, flight) for f, flight in zip(transients.found, flights, strict=True)]
-    )
+    flights = ["" if e.event.record < 0 else names[records[e.event.record].flight] for e in transients.events]
+    return Happened([event_report(e, setting.base, f) for e, f in zip(transients.events, flights, strict=True)])
 
 
 def event_report(detected: DetectedEvent, base: Model, flight: str) -> EventReport:

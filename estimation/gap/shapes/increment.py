@@ -211,9 +211,7 @@ def floor_energy(child: Baseline, errors: Sequence[InputErrors], seed: int) -> f
     flyer = NullFlyer.build(problem, found, child.noise, record_errors)
     total = np.zeros(NULLS)
     for i in range(len(problem.records)):
-        residuals = [flyer.fly(i, Stream.CLOSURE_NULLS.generator(seed, i, k)) for k in range(NULLS)]
-        filled = [np.full(problem.coarse[i].z.shape, np.nan) if f is None else f for f in residuals]
-        tangent = RecordTangent.of(problem, found, i, filled)
+        tangent = RecordTangent.of(problem, found, i, flyer.residuals(i, Stream.CLOSURE_NULLS, seed, NULLS))
         total += tangent.squares(tangent.fixed)[-NULLS:]
     return float(np.quantile(total, problem.criteria.null_level))
 

@@ -1,5 +1,5 @@
-"""How large the gap is: residual over measurement noise, on training and held-out flights, against the null floor; and whether
-the training flights repeat each other, each by itself against all together."""
+"""The size of the gap: residual over measurement noise on training and held-out flights, against that of nulls; and whether the
+training flights repeat each other, each by itself against all together."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,19 +21,19 @@ from estimation.gap.significance.calibration import Round, significant_above
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
 from estimation.gap.significance.tangent import Tangent
 
-PAIR = 2  # flights, of which nobody can tell the odd one
+PAIR = 2  # flights: which of them is the odd one cannot be known
 
 
 def rms_over_noise(problem: LikelihoodProblem, found: ModelFit, scatter: Array) -> float:
     """Gap of a fitted model: rms over records, samples and outputs of residual / noise.
 
-    The whitened fit forgives slow drifts (gusts make them); for this plain measure every record's initial states and
-    biases are fitted once more with plain weights, the shared parameters held. Nulls are measured the same way.
+    The whitened fit tolerates slow drifts, which gusts cause. For this plain measure the initial states and biases of every
+    record are fitted again with plain weights and fixed shared parameters. Nulls are measured in the same way.
     """
     squares, count = 0.0, 0.0
     for i, residual in enumerate(found.residuals):
         finite = np.isfinite(residual)
-        part = _plainly(problem, found, i, np.nan_to_num(residual)[:, :, None], scatter)
+        part = _plain_squares(problem, found, i, np.nan_to_num(residual)[:, :, None], scatter)
         squares += float(part[0])
         count += float(finite.sum())
     return float(np.sqrt(squares / max(count, 1.0)))
@@ -46,19 +46,19 @@ def plain_residuals(problem: LikelihoodProblem, found: ModelFit, index: int, sca
     return np.where(np.isfinite(residual), rows.reshape(residual.shape) * scatter, np.nan)
 
 
-def _plainly(problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, scatter: Array) -> Array:
-    """(m,) sums of squares over noise of residuals (N, ny, m) after the record's own unknowns were fitted to them."""
+def _plain_squares(problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, scatter: Array) -> Array:
+    """(m,) sums of squares over noise of residuals (N, ny, m) after the unknowns of the record alone were fitted to them."""
     return np.sum(_plain_rows(problem, found, index, residuals, scatter) ** 2, axis=0)
 
 
 def _plain_rows(problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, scatter: Array) -> Array:
-    """(N ny, m) residuals over noise after the record's own unknowns were fitted to them."""
-    linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
+    """(N ny, m) residuals over noise after the unknowns of the record alone were fitted to them."""
     finite = np.isfinite(problem.coarse[index].z)
-    if linear is None:  # a motion so touchy that its initial state cannot be bettered: measured as it stands
-        return (residuals / scatter[None, :, None] * finite[:, :, None]).reshape(-1, residuals.shape[2])
-    local_columns = linear[1][:, :, len(problem.free) :] / scatter[None, :, None] * finite[:, :, None]
     rows = (residuals / scatter[None, :, None] * finite[:, :, None]).reshape(-1, residuals.shape[2])
+    linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
+    if linear is None:  # a motion too sensitive for a better initial state
+        return rows
+    local_columns = linear[1][:, :, len(problem.free) :] / scatter[None, :, None] * finite[:, :, None]
     J = local_columns.reshape(rows.shape[0], -1)
     weights, _ = local_prior(problem, found.locals[index], J.shape[1])
     return rows - J @ solved(J.T @ J + np.diag(weights), J.T @ rows)
@@ -67,9 +67,8 @@ def _plain_rows(problem: LikelihoodProblem, found: ModelFit, index: int, residua
 def predictive_cost(baseline: Baseline, noise: NoiseModel) -> float | None:
     """Whitened cost of the held-out flights given the training flights.
 
-    Parameters may move within what training left uncertain: without that a barely stable motion, which multiplies small
-    errors of the parameters, would condemn every model. None where there is no held-out flight; infinite where the motion runs
-    away on one.
+    Parameters may move within their uncertainty from training: otherwise a barely stable motion, which amplifies small errors of
+    the parameters, would reject every model. None without held-out flights; infinite where the motion runs away on one.
     """
     held_out = baseline.held_out if noise is baseline.noise else baseline.on_holdout(noise)
     if held_out is None:
@@ -88,19 +87,19 @@ def predictive_cost(baseline: Baseline, noise: NoiseModel) -> float | None:
 
 @dataclass(frozen=True)
 class Floors:
-    """What the gap measures on simulated nulls: (nulls,) each; `holdout` empty without held-out flights."""
+    """The gap of simulated nulls: (nulls,) each; `holdout` is empty without held-out flights."""
 
     training: Array
     holdout: Array
     criteria: Criteria
 
     def covers(self, gap: float) -> bool:
-        """Whether a training gap is one that nothing hidden would leave."""
+        """Whether a training gap is one that nulls have too."""
         return gap <= self.training_highest
 
     @property
     def training_highest(self) -> float:
-        """Gap on the training flights that nothing hidden would leave at the most."""
+        """Upper end of the gap on the training flights with nothing hidden."""
         return float(np.quantile(self.training, self.criteria.null_level))
 
     @property
@@ -157,45 +156,31 @@ def floors(
     if held is None:
         return Floors(training, np.zeros(0), round_.criteria)
     flyer = NullFlyer.build(*held, baseline.noise, held_errors)
-    null_records = [_flown(flyer, i, m, seed) for i in range(len(held[0].records))]
+    null_records = [
+        np.stack(flyer.residuals(i, Stream.HELD_OUT_NULLS, seed, m), axis=2) for i in range(len(held[0].records))
+    ]
     return Floors(training, _gaps(*held, null_records, shift, scatter), round_.criteria)
 
 
-def _flown(flyer: NullFlyer, index: int, count: int, seed: int) -> Array:
-    """(N, ny, count) residuals of the nulls of one held-out record; NaN where one diverges."""
-    nowhere = np.full(flyer.problem.coarse[index].z.shape, np.nan)
-    residuals = (flyer.fly(index, Stream.HELD_OUT_NULLS.generator(seed, index, number)) for number in range(count))
-    return np.stack([nowhere if residual is None else residual for residual in residuals], axis=2)
-
-
-def _gaps(problem: LikelihoodProblem, found: ModelFit, flown: Sequence[Array], shift: Array, scatter: Array) -> Array:
-    """(nulls,) gap of null residuals, per record (N, ny, nulls), after the shared parameters moved by `shift`."""
-    parts = [_after_refit(problem, found, i, residuals, shift, scatter) for i, residuals in enumerate(flown)]
-    return np.asarray(np.sqrt(np.sum([p for p, _ in parts], axis=0) / max(sum(n for _, n in parts), 1.0)))
-
-
-def _after_refit(
-    problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, shift: Array, scatter: Array
-) -> tuple[Array, float]:
-    """(nulls,) sums of squares over noise of null residuals (N, ny, nulls) after the shared parameters moved by `shift`
-    (n, nulls) and the record's own unknowns were fitted; and the number of values in each sum."""
-    linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
-    if linear is None:
-        return _plainly(problem, found, index, np.nan_to_num(residuals), scatter), _values(problem, index)
-    refitted = np.nan_to_num(residuals) - linear[1][:, :, : len(problem.free)] @ shift
-    return _plainly(problem, found, index, refitted, scatter), _values(problem, index)
-
-
-def _values(problem: LikelihoodProblem, index: int) -> float:
-    """Measured values of one record."""
-    return float(np.isfinite(problem.coarse[index].z).sum())
+def _gaps(
+    problem: LikelihoodProblem, found: ModelFit, null_records: Sequence[Array], shift: Array, scatter: Array
+) -> Array:
+    """(nulls,) gap of null residuals, per record (N, ny, nulls), after the shared parameters moved by `shift` (n, nulls)."""
+    squares = []
+    for i, residuals in enumerate(null_records):
+        refitted = np.nan_to_num(residuals)
+        linear = problem.linearised(i, {**problem.starts(), **found.values}, found.locals[i])
+        if linear is not None:
+            refitted = refitted - linear[1][:, :, : len(problem.free)] @ shift
+        squares.append(_plain_squares(problem, found, i, refitted, scatter))
+    count = sum(float(np.isfinite(segment.z).sum()) for segment in problem.coarse)
+    return np.asarray(np.sqrt(np.sum(squares, axis=0) / max(count, 1.0)))
 
 
 @dataclass(frozen=True)
 class Repeatability:
-    """How much better one flight is fitted by itself than together with the others. chi2: twice the log-likelihood; usual:
-    its median on the nulls; limit: above which that is
-    significant (over all flights)."""
+    """How much better one flight is fitted by itself than together with the others. chi2: twice the log-likelihood; usual: its
+    median on the nulls; limit: above it chi2 is significant (over all flights)."""
 
     flight: str
     chi2: float
@@ -219,8 +204,8 @@ class Repeatability:
 def repeatability(round_: Round, names: Sequence[str]) -> tuple[Repeatability, ...]:
     """Every training flight against the others, by linear theory about the joint fit; empty for one flight alone.
 
-    One flight that is wrong pulls the joint fit away from all others, and then none repeats it. Where the others repeat each
-    other without it they are measured so, and it alone is odd.
+    One wrong flight pulls the joint fit away from all others, and then no flight repeats it. Where the others repeat each other
+    without one flight, they are measured without it, and it alone is odd.
     """
     flights = sorted(set(round_.screen.flights))
     if len(flights) < PAIR:
@@ -242,7 +227,7 @@ def _against_each_other(round_: Round, flights: Sequence[int], names: Sequence[s
     joint = solved(pooled[:n, :n], pooled[:n, first:])
     chi2 = []
     for flight in flights:
-        G = screen.total([flight])  # with the priors, so that what one flight cannot tell stays where it is believed
+        G = screen.total([flight])  # with the priors: parameters that one flight does not show stay there
         difference = solved(G[:n, :n], G[:n, first:]) - joint
         chi2.append(np.sum(difference * (G[:n, :n] @ difference), axis=0))
     table = np.array(chi2)
@@ -252,12 +237,12 @@ def _against_each_other(round_: Round, flights: Sequence[int], names: Sequence[s
 
 
 def odd_flights(repeats: Sequence[Repeatability]) -> list[str]:
-    """The flights that do not repeat the others. Of two both: which of them is the odd one nobody can tell."""
+    """The flights that do not repeat the others. Of two flights both: which of them is odd cannot be known."""
     odd = [r.flight for r in repeats if r.odd]
     return [r.flight for r in repeats] if odd and len(repeats) == PAIR else odd
 
 
 def usual_and_limit(nulls: Array, criteria: Criteria) -> tuple[Array, Array]:
-    """(flights,) median of the nulls' chi2 (flights, nulls), and what a flight of a repeating set stays below."""
+    """(flights,) median of the nulls' chi2 (flights, nulls), and the limit for flights that repeat each other."""
     medians = np.median(nulls, axis=1)
     return medians, medians * significant_above((nulls / medians[:, None]).max(axis=0), criteria)

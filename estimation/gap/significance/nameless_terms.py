@@ -1,6 +1,6 @@
 """Nameless terms: simple functions of the motion added to an output or to a force equation, held against nulls."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,20 +12,20 @@ from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.screen import Projected, gram_of
-from estimation.gap.significance.tangent import Tangent, is_door, through_doors
+from estimation.gap.significance.tangent import Tangent, is_door, output_changes
 
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
-TENTH = 0.1  # of an output's scatter: the size of an addition to it, which no score depends on
-CONTROLS_ANEW = 1  # seed of the flights whose controls are measured anew
-FEWEST_ANEW = 4  # of them, that tell how far a score scatters
-NOTHING = 1e-12  # a score of none
+TENTH = 0.1  # of an output's scatter: size of an addition to it, which does not change its score
+CONTROLS_ANEW = 1  # seed of the flights whose controls are measured again
+FEWEST_ANEW = 4  # of these flights, for the scatter of a score
+NOTHING = 1e-12  # smallest score
 
 
 @dataclass(frozen=True)
 class OmnibusSignal:
-    """What stood out. kind: term | time | activity. place: channel or equation. what: words. score: in units of its
-    scatter on nulls. gain: twice the log-likelihood, key: place, signal and shape, sign: of the score (terms only). span: seconds
-    in a flight (time only)."""
+    """A nameless signal. kind: term | time | activity. place: channel or equation. what: words. score: in units of its scatter on
+    nulls. gain: twice the log-likelihood, key: place, signal and shape, sign: of the score (terms only). span: seconds in a
+    flight (time only)."""
 
     kind: str
     place: str
@@ -56,9 +56,9 @@ def regressors_of(problem: LikelihoodProblem, found: ModelFit, index: int) -> di
 
 
 def pooled(regressors: Sequence[Mapping[tuple[str, str], Array]]) -> list[dict[tuple[str, str], Array]]:
-    """Functions of every record, (signal, shape) -> (N,), of unit rms over all records: a term has one coefficient in all of
-    them. Of unit rms in each, it had the same size in a record of quiet flight as in one full of manoeuvres, where all that moves
-    is gusts and the hand that answers them."""
+    """Functions of every record, (signal, shape) -> (N,), scaled to unit rms over all records, because a term has one coefficient
+    in all of them. With unit rms in each, a term would be as large in quiet flight, where only gusts and the answer to them move
+    anything, as in manoeuvres."""
     scaled: list[dict[tuple[str, str], Array]] = [{} for _ in regressors]
     for key in sorted(set.intersection(*(set(r) for r in regressors))):
         rms = float(np.sqrt(np.mean(np.concatenate([r[key] for r in regressors]) ** 2)))
@@ -92,27 +92,39 @@ def nameless_terms(tangent: Tangent) -> tuple[list[OmnibusSignal], Array]:
 
 
 def equation(place: str) -> str:
-    """The word for where a term is added: an output, or the equation behind a door."""
+    """The name of the place where a term is added: an output, or the equation of a door."""
     return place.removeprefix(DISTURBANCE.format("")) + "_dot" if is_door(place) else place
 
 
 def _projected(tangent: Tangent, keys: Sequence[tuple[str, str, str]]) -> Projected:
-    """Nameless terms (place, signal, shape) with what the base absorbs taken out."""
+    """Nameless terms (place, signal, shape) with the base projected out."""
     problem, model_fit = tangent.problem, tangent.fit
     regressors = pooled([regressors_of(problem, model_fit, i) for i in range(len(problem.records))])
-    zeros = [np.zeros(len(s)) for s in problem.coarse]
-    asks = [[(k[0], r.get(k[1:], nothing)) for k in keys] for r, nothing in zip(regressors, zeros, strict=True)]
-    gram = gram_of(tangent, lambda i: _changes(problem, model_fit, i, asks[i]))
-    return Projected.of(gram, len(problem.free), len(keys))
+
+    def changes(index: int) -> Iterator[Array]:
+        zeros, scale = np.zeros(len(problem.coarse[index])), _scale_of_additions(problem, index)
+        terms = [(place, regressors[index].get((name, shape), zeros)) for place, name, shape in keys]
+        return output_changes(problem, model_fit, index, [(p, r * scale[p] if p in scale else r) for p, r in terms])
+
+    return Projected.of(gram_of(tangent, changes), len(problem.free), len(keys))
+
+
+def _scale_of_additions(problem: LikelihoodProblem, index: int) -> dict[str, float]:
+    """Output -> size of an addition to it on one record; 1 where it does not vary."""
+    z, scale = problem.coarse[index].z, {}
+    for column, name in enumerate(problem.model.output_names):
+        measured = z[np.isfinite(z[:, column]), column]
+        scale[name] = (TENTH * float(measured.std()) if measured.size else 0.0) or 1.0
+    return scale
 
 
 def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> list[OmnibusSignal]:
-    """Terms with what they score beyond the noise of recorded controls.
+    """Terms with the part of their score that exceeds the noise of recorded controls.
 
-    That noise is in the motion a term is made of as well as in the residual it is held against, so that both go together where
-    nothing is hidden: nulls, held against the motion of the flights, do not show it. Flights without any effect whose controls
-    are measured anew do, each with a motion of its own: their mean score is taken off, and where they scatter farther than nulls
-    that counts. As they are where such flights cannot be flown.
+    That noise is in the motion that a term is made of and in the residual, which correlate with nothing hidden. Nulls do not show
+    this, for their terms are made of the motion of the flights. Simulated flights without an effect whose controls are measured
+    again do: their mean score is subtracted, and their scatter counts where it exceeds that of the nulls. Unchanged where
+    such flights cannot be flown.
     """
     keys = [s.key for s in signals]
     scores = [
@@ -131,34 +143,17 @@ def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> lis
 
 
 def own_shares(signed: Array, mean: Array) -> Array:
-    """(terms,) shares, 0 to 1, of signed scores that are left without a mean, which may be of the other sign."""
-    towards = np.maximum(np.sign(signed) * mean, 0.0)
-    return np.asarray(np.maximum(1.0 - towards / np.maximum(np.abs(signed), NOTHING), 0.0))
+    """(terms,) shares, 0 to 1, of signed scores that remain without a mean; 1 where the mean has the other sign."""
+    same_sign = np.maximum(np.sign(signed) * mean, 0.0)
+    return np.asarray(np.maximum(1.0 - same_sign / np.maximum(np.abs(signed), NOTHING), 0.0))
 
 
 def standardised(projected: Projected, criteria: Criteria) -> tuple[Array, Array]:
     """(k, 1 + nulls) signed scores, and their sizes in units of the scatter on the nulls; zero where the base absorbs all."""
     z = projected.scores()
-    # a null that all but runs away scatters without limit, and nothing stands out of it
+    # the scores of a null that nearly runs away have no limit
     with np.errstate(over="ignore"):
         scatter = np.sqrt(np.maximum(1.0, np.mean(z[:, 1:] ** 2, axis=1)))
     standard = np.abs(z) / scatter[:, None]
     standard[np.diag(projected.B) <= criteria.nameless_seen * projected.raw] = 0.0
     return z, standard
-
-
-def _changes(problem: LikelihoodProblem, found: ModelFit, index: int, asks: Sequence[tuple[str, Array]]) -> list[Array]:
-    """(N, ny) changes of the outputs by each of `asks`: an output that a tenth of its scatter is added to in the course of a
-    regressor (N,) of unit rms, or a door with what goes through it."""
-    z, outputs = problem.coarse[index].z, problem.model.output_names
-    responses = through_doors(problem, found, index, [ask for ask in asks if ask[0] not in outputs])
-    changes = []
-    for place, regressor in asks:
-        if place in outputs:
-            change, column = np.zeros_like(z), outputs.index(place)
-            measured = z[np.isfinite(z[:, column]), column]
-            change[:, column] = regressor * ((TENTH * float(measured.std()) if measured.size else 0.0) or 1.0)
-        else:
-            change = next(responses)
-        changes.append(change)
-    return changes

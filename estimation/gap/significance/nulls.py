@@ -5,7 +5,7 @@ adds sensor noise to the outputs, takes the inputs as a de-noised noisy measurem
 the same linear algebra as the flights. Thresholds, floors and inflation factors come from here; none is assumed.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -134,6 +134,12 @@ class NullFlyer:
         observed = None if modelled is None else self.observed(index, rng, self.driven[index])
         return None if observed is None or modelled is None else observed - modelled.draw(rng)
 
+    def residuals(self, index: int, stream: Stream, seed: int, count: int) -> list[Array]:
+        """(N, ny) residuals of `count` nulls of one record; NaN where one diverges."""
+        flown = (self.fly(index, stream.generator(seed, index, number)) for number in range(count))
+        diverged = np.full(self.problem.coarse[index].z.shape, np.nan)
+        return [diverged if residual is None else residual for residual in flown]
+
     def observed(self, index: int, rng: np.random.Generator, driven: Segment) -> Array | None:
         """(N, ny) measured outputs of one null of one record, NaN where the record has none; None where it diverges. driven: its
         inputs with the middles between samples."""
@@ -233,18 +239,14 @@ def _forgetting(rate: Array, h: float, memory: float, rng: np.random.Generator) 
 def fly_nulls(
     flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None] = lambda done: None
 ) -> list[tuple[Array, ...]]:
-    """`count` nulls, each a tuple of residuals per record. The same seed gives the same nulls in any process."""
-    return list(_nulls(flyer, count, seed, tell))
-
-
-def _nulls(flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None]) -> Iterator[tuple[Array, ...]]:
-    finished = 0
+    """`count` nulls, each a tuple of residuals per record; fewer where many diverge. The same seed gives the same nulls."""
+    nulls: list[tuple[Array, ...]] = []
     for number in range(2 * count):
-        if finished == count:
-            return
+        if len(nulls) == count:
+            break
         rng = Stream.NULLS.generator(seed, number)
         residuals = [flyer.fly(i, rng) for i in range(len(flyer.problem.records))]
         if all(r is not None for r in residuals):
-            finished += 1
-            tell(finished)
-            yield tuple(r for r in residuals if r is not None)
+            nulls.append(tuple(r for r in residuals if r is not None))
+            tell(len(nulls))
+    return nulls

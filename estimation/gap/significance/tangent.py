@@ -1,8 +1,9 @@
 """Records linearised about a fit, with the residuals of the flights and of nulls beside the sensitivities.
 
-Everything that is asked of a fit afterwards, hypotheses, nameless terms, shapes, events in time, adds columns of its own and
-needs their products with these. They are whitened once, and what is a record's own (initial states, biases) is taken out of all.
-Columns of disturbances are what a small one does to the outputs, let in through a door: an input of a force or moment equation.
+Every test after a fit (hypotheses, nameless terms, shapes, events in time) adds columns and needs their products with these. They
+are whitened once, and the unknowns of a record alone (initial states, biases) are projected out of all.
+The column of a disturbance is the response of the outputs to a small one, which enters at a door: an input added to a force or
+moment equation.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,43 +22,52 @@ from estimation.gap.fit.whitener import White
 from estimation.gap.records.candidate_model import DISTURBANCE
 
 AT_ONCE = 60  # disturbances in one run: the arrays of some hundred would fill a small machine
-RUNAWAY = 1e9  # a change that grows so far is no small one any more
-KEPT = 2**26  # bytes of white columns kept from one question to the next: of hours of flight they are made anew
+RUNAWAY = 1e9  # a response this large is no longer that to a small change
+CACHE = 2**26  # bytes of whitened columns kept from one test to the next: for hours of flight they are computed again
 
 
 def is_door(name: str) -> bool:
-    """Whether an input is one through which a force equation can be disturbed."""
+    """Whether an input is a disturbance of a force or moment equation."""
     return name.startswith(DISTURBANCE.format(""))
 
 
-def through_doors(
-    problem: LikelihoodProblem, found: ModelFit, index: int, asks: Sequence[tuple[str, Array]]
+def output_changes(
+    problem: LikelihoodProblem, found: ModelFit, index: int, additions: Sequence[tuple[str, Array]]
 ) -> Iterator[Array]:
-    """(N, ny) changes of the outputs of one record, by unit of each of `asks`: a door and the course (N,) through it.
+    """(N, ny) changes of the outputs of one record by each of `additions`: a course (N,) added to an output or entering at a
+    door.
 
-    Nothing where they run away or nothing was measured.
+    Zero where a response runs away, and for a door where nothing was measured.
     """
-    return responses(
-        lambda du: problem.disturbed(index, found.values, found.locals[index], du),
+    z, outputs, values = problem.coarse[index].z, problem.model.output_names, found.values
+    through_doors = responses(
+        lambda du: problem.disturbed(index, values, found.locals[index], du),
         problem.model.input_names,
-        asks,
+        [(place, course) for place, course in additions if place not in outputs],
         ~np.isfinite(found.residuals[index]),
     )
+    for place, course in additions:
+        if place in outputs:
+            change = np.zeros_like(z)
+            change[:, outputs.index(place)] = course
+            yield change
+        else:
+            yield next(through_doors)
 
 
 def responses(
     respond: Callable[[Array], Array | None],
     inputs: Sequence[str],
-    asks: Sequence[tuple[str, Array]],
+    additions: Sequence[tuple[str, Array]],
     unmeasured: NDArray[np.bool_],
 ) -> Iterator[Array]:
-    """(N, ny) changes of the outputs by each of `asks`: an input and its course (M,), so many at once as a small machine holds.
+    """(N, ny) changes of the outputs by each of `additions`, an input and a course (M,), computed in batches that fit in memory.
 
-    respond: small changes (M, inputs, k) of the inputs -> (N, ny, k) of the outputs, None where the motion runs away. Nothing
-    where a change runs away, or where `unmeasured` (N, ny).
+    respond: small changes (M, inputs, k) of the inputs -> (N, ny, k) of the outputs, None where the motion runs away. Zero where
+    a change runs away, or where `unmeasured` (N, ny).
     """
-    for first in range(0, len(asks), AT_ONCE):
-        batch = asks[first : first + AT_ONCE]
+    for first in range(0, len(additions), AT_ONCE):
+        batch = additions[first : first + AT_ONCE]
         du = np.zeros((len(batch[0][1]), len(inputs), len(batch)))
         for k, (name, course) in enumerate(batch):
             du[:, inputs.index(name), k] = course
@@ -66,32 +76,32 @@ def responses(
             changes = np.zeros((*unmeasured.shape, len(batch)))
         changes[unmeasured] = 0.0
         for k in range(len(batch)):
-            alive = np.abs(changes[:, :, k]).max() < RUNAWAY
-            yield changes[:, :, k] if alive else np.zeros(unmeasured.shape)
+            finite = np.abs(changes[:, :, k]).max() < RUNAWAY
+            yield changes[:, :, k] if finite else np.zeros(unmeasured.shape)
 
 
 @dataclass(frozen=True)
 class TangentColumns:
-    """Columns of one record. white: as they are weighed; own: (unknowns of its own, k) their products with these."""
+    """k whitened columns of one record. local: (unknowns of the record alone, k) their products with these unknowns."""
 
     white: White
-    own: Array
+    local: Array
 
     def some(self, columns: Sequence[int]) -> "TangentColumns":
-        """Some of them."""
-        return TangentColumns(self.white.some(np.asarray(columns, dtype=np.intp)), self.own[:, list(columns)])
+        """A selection of the columns."""
+        return TangentColumns(self.white.some(np.asarray(columns, dtype=np.intp)), self.local[:, list(columns)])
 
 
 @dataclass(frozen=True)
 class RecordTangent:
-    """One record. fixed: [shared unknowns | residual of the flight | of every null]; of_own: unknowns of its own; left:
-    inverse of their information with its priors."""
+    """One record. fixed: [shared unknowns | residual of the flight | residuals of the nulls]; local: the unknowns of the record
+    alone; local_inverse: inverse of their information with the priors."""
 
     problem: LikelihoodProblem
     index: int
     fixed: TangentColumns
-    left: Array
-    of_own: White
+    local: White
+    local_inverse: Array
     missing: NDArray[np.bool_]
 
     @classmethod
@@ -108,36 +118,33 @@ class RecordTangent:
         block = np.concatenate([dy, residual[:, :, None], *(null[:, :, None] for null in nulls)], axis=2)
         block[missing] = 0.0
         white = problem.whiteners[index].white(block)
-        indices = np.arange(dy.shape[2])
-        of_own, fixed = (
-            white.some(indices[n:]),
-            white.some(np.concatenate([indices[:n], np.arange(indices.size, block.shape[2])])),
-        )
-        weight, distance = local_prior(problem, fit.locals[index], indices.size - n)
-        inverse = pseudo_inverse(of_own.products(of_own) + np.diag(weight))[0]
-        local_products = of_own.products(fixed)
+        indices, unknowns = np.arange(block.shape[2]), dy.shape[2]
+        local, fixed = white.some(indices[n:unknowns]), white.some(np.delete(indices, slice(n, unknowns)))
+        weight, distance = local_prior(problem, fit.locals[index], unknowns - n)
+        inverse = pseudo_inverse(local.products(local) + np.diag(weight))[0]
+        local_products = local.products(fixed)
         local_products[:, n] += distance
-        return cls(problem, index, TangentColumns(fixed, local_products), inverse, of_own, missing)
+        return cls(problem, index, TangentColumns(fixed, local_products), local, inverse, missing)
 
     @property
     def size(self) -> int:
-        """Bytes that its columns take."""
-        return self.fixed.white.rows.nbytes + self.of_own.rows.nbytes
+        """Memory of the columns [bytes]."""
+        return self.fixed.white.rows.nbytes + self.local.rows.nbytes
 
     def columns(self, changes: Sequence[Array]) -> TangentColumns:
-        """Changes of the outputs, (N, ny) each."""
+        """Whitened changes of the outputs, (N, ny) each."""
         block = np.stack(changes, axis=2) if len(changes) else np.zeros((*self.missing.shape, 0))
         block[self.missing] = 0.0
         white = self.problem.whiteners[self.index].white(block)
-        return TangentColumns(white, self.of_own.products(white))
+        return TangentColumns(white, self.local.products(white))
 
     def products(self, a: TangentColumns, b: TangentColumns) -> Array:
-        """(columns of a, columns of b), what is the record's own taken out."""
-        return np.asarray(a.white.products(b.white) - a.own.T @ self.left @ b.own)
+        """(columns of a, columns of b) with the unknowns of the record alone projected out."""
+        return np.asarray(a.white.products(b.white) - a.local.T @ self.local_inverse @ b.local)
 
     def squares(self, a: TangentColumns) -> Array:
-        """(columns,) the products of all with themselves."""
-        return np.asarray(a.white.squares() - np.sum(a.own * (self.left @ a.own), axis=0))
+        """(columns,) product of each with itself, as `products` has it."""
+        return np.asarray(a.white.squares() - np.sum(a.local * (self.local_inverse @ a.local), axis=0))
 
     @cached_property
     def gram(self) -> Array:
@@ -168,18 +175,18 @@ class Tangent:
     nulls: tuple[tuple[Array, ...], ...] = ()
 
     @cached_property
-    def _kept(self) -> dict[int, RecordTangent]:
+    def _cache(self) -> dict[int, RecordTangent]:
         return {}
 
     def record(self, index: int) -> RecordTangent:
         """One record. Raises GapError where the fitted motion cannot be linearised."""
-        if index in self._kept:
-            return self._kept[index]
+        if index in self._cache:
+            return self._cache[index]
         tangent = RecordTangent.of(self.problem, self.fit, index, [null[index] for null in self.nulls])
-        if tangent.size + sum(record.size for record in self._kept.values()) <= KEPT:
-            self._kept[index] = tangent
+        if tangent.size + sum(record.size for record in self._cache.values()) <= CACHE:
+            self._cache[index] = tangent
         return tangent
 
-    def of(self, kept: NDArray[np.bool_]) -> "Tangent":
-        """The same with some of the nulls. kept: (nulls,)."""
-        return Tangent(self.problem, self.fit, tuple(null for null, k in zip(self.nulls, kept, strict=True) if k))
+    def of(self, selected: NDArray[np.bool_]) -> "Tangent":
+        """The same with some of the nulls. selected: (nulls,)."""
+        return Tangent(self.problem, self.fit, tuple(n for n, use in zip(self.nulls, selected, strict=True) if use))

@@ -1,9 +1,9 @@
-"""Is what is left a matter of time and not of the motion: an instrument that drifts or slips, weather that bursts?
+"""Events in time, which no term of the motion explains: an instrument that drifts or slips, a burst, a gust.
 
-Four families: a ramp in an output (own slope on every flight), a step in an output of one flight at some instant, a disturbance
-of all force equations over a stretch of one flight, and a gust that comes and goes there: what it does to the rate of an angle
-or a speed of the air it takes back. They are scored by linear theory with everything the base can absorb
-projected out, calibrated on the same nulls as all else, and taken one after the other.
+Four families: a ramp in an output (with its own slope on every flight), a step in an output of one flight, a disturbance of all
+force equations over a stretch of one flight, and a gust there: its effect on the rate of a flow angle or of airspeed reverses as
+it goes. They are scored by linear theory with everything the base can absorb projected out, calibrated on the same nulls as
+everything else, and selected one after the other.
 """
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
@@ -21,17 +21,19 @@ from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round, unknown_above
 from estimation.gap.significance.screen import SEEN, SMALLEST_TAIL, TINY, shared_prior
-from estimation.gap.significance.tangent import Tangent, is_door, through_doors
+from estimation.gap.significance.tangent import Tangent, TangentColumns, is_door, output_changes
 
-EVERY = 0.5  # s between the instants at which a step is looked for: a twentieth of the gain is lost between two of them
-STRETCHES = (1.0, 3.0)  # s, of disturbances; each begins a third of it after the one before
-MOST = 6  # taken one after the other
-AIR = frozenset(DISTURBANCE.format(s) for s in ("V", "alpha", "beta"))  # motion through the air, which a gust moves
+SPACING = 0.5  # s between trial instants of a step: between two of them a twentieth of the gain is lost
+STRETCHES = (1.0, 3.0)  # s, lengths of disturbances; they start at every third of their length
+MOST = 6  # events
+AIR = frozenset(
+    DISTURBANCE.format(s) for s in ("V", "alpha", "beta")
+)  # motion relative to the air, which a gust changes
 FEWEST = 4  # samples to either side of a step
 
 
 class EventKind(StrEnum):
-    """What changes with time alone."""
+    """Kinds of events."""
 
     DRIFT = "drift"
     SLIP = "slip"
@@ -40,8 +42,8 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True)
 class TransientEvent:
-    """One happening. channel: the output, or "" for a disturbance of the motion. record: in which; -1 for a drift, which may be
-    in all. start, end: s on the flight's clock. air: of a gust the state that it moves."""
+    """An event. channel: the output, or "" for a disturbance of the motion. record: its index; -1 for a drift, which may be in
+    all. start, end: s on the flight's clock. air: the state that a gust changes."""
 
     kind: EventKind
     channel: str
@@ -53,8 +55,8 @@ class TransientEvent:
 
 @dataclass(frozen=True)
 class DetectedEvent:
-    """An event taken. score, threshold: as of a nameless signal. gain: twice the log-likelihood. sizes: estimates of its columns
-    with bounds: of a drift the change over each record, of a slip the step, of a burst the peak rates that it adds."""
+    """A significant event. score, threshold: as of a nameless signal. gain: twice the log-likelihood. sizes: estimates of its
+    columns with bounds: the change over each record by a drift, the step of a slip, the peak rates added by a burst."""
 
     event: TransientEvent
     score: float
@@ -65,24 +67,24 @@ class DetectedEvent:
 
 @dataclass(frozen=True)
 class Transients:
-    """All events taken, the one that stands out most first, and the round without what they did; None where that runs away."""
+    """The significant events, highest score first, and the round without them; None where its fit runs away."""
 
-    found: tuple[DetectedEvent, ...]
+    events: tuple[DetectedEvent, ...]
     cleared: Round | None
 
 
 class Course(StrEnum):
-    """What one column of an event does while it lasts."""
+    """Time histories of the columns of events."""
 
     RAMP = "ramp"
     STEP = "step"
     SWELL = "swell"  # half a sine
-    TURN = "turn"  # half a cosine, the rate of one
+    REVERSAL = "reversal"  # half a cosine: the rate of a swell
 
 
 @dataclass(frozen=True)
 class EventColumn:
-    """One unknown of an event. record: the only one that shows it; place: an output, or a door of the motion."""
+    """One unknown of an event. record: the only record with it; place: an output, or a door of the motion."""
 
     record: int
     place: str
@@ -91,7 +93,7 @@ class EventColumn:
     end: float
 
     def over(self, time: Array) -> Array:
-        """(N,) the course along a record, of unit size."""
+        """(N,) the course of unit size along a record."""
         if self.course is Course.STEP:
             return np.asarray(time >= self.start, dtype=float)
         share = np.clip((time - self.start) / (self.end - self.start), 0.0, 1.0)
@@ -103,170 +105,148 @@ class EventColumn:
 
 
 @dataclass(frozen=True)
-class Asked:
-    """Events with their columns. inside: of every event, which; columns: of all events."""
+class PossibleEvents:
+    """Events with their columns. members: of every event, indices of its columns; columns: of all events."""
 
     events: tuple[TransientEvent, ...]
-    inside: tuple[tuple[int, ...], ...]
+    members: tuple[tuple[int, ...], ...]
     columns: tuple[EventColumn, ...]
 
-    def showing_in(self, record: int) -> list[int]:
-        """The columns that show in a record."""
-        return [c for c, column in enumerate(self.columns) if column.record == record]
 
-
-def asked_of(problem: LikelihoodProblem) -> Asked:
+def possible_events(problem: LikelihoodProblem) -> PossibleEvents:
     """Every event that these records could show."""
     events: list[TransientEvent] = []
     members: list[tuple[int, ...]] = []
     columns: list[EventColumn] = []
 
-    def put(event: TransientEvent, made: Sequence[EventColumn]) -> None:
+    def add_event(event: TransientEvent, event_columns: Sequence[EventColumn]) -> None:
         events.append(event)
-        members.append(tuple(range(len(columns), len(columns) + len(made))))
-        columns.extend(made)
+        members.append(tuple(range(len(columns), len(columns) + len(event_columns))))
+        columns.extend(event_columns)
 
     times = [segment.time for segment in problem.coarse]
     for name in problem.model.output_names:
         ends = [(i, float(time[0]), float(time[-1])) for i, time in enumerate(times)]
-        put(
-            TransientEvent(EventKind.DRIFT, name, -1, *ends[0][1:]),
-            [EventColumn(i, name, Course.RAMP, a, b) for i, a, b in ends],
-        )
+        ramps = [EventColumn(i, name, Course.RAMP, a, b) for i, a, b in ends]
+        add_event(TransientEvent(EventKind.DRIFT, name, -1, *ends[0][1:]), ramps)
         for i, time in enumerate(times):
-            for begin in np.arange(time[FEWEST], time[-FEWEST], EVERY):
-                span = (float(begin), float(time[-1]))
-                put(TransientEvent(EventKind.SLIP, name, i, *span), [EventColumn(i, name, Course.STEP, *span)])
+            for start in np.arange(time[FEWEST], time[-FEWEST], SPACING):
+                span = (float(start), float(time[-1]))
+                add_event(TransientEvent(EventKind.SLIP, name, i, *span), [EventColumn(i, name, Course.STEP, *span)])
     doors = [n for n in problem.model.input_names if is_door(n)]
     for i, time in enumerate(times if doors else ()):
         for width in STRETCHES:
-            for begin in np.arange(time[0], time[-1] - width, width / 3.0):
-                span = (float(begin), float(begin + width))
-                put(
-                    TransientEvent(EventKind.BURST, "", i, *span),
-                    [EventColumn(i, d, Course.SWELL, *span) for d in doors],
-                )
+            for start in np.arange(time[0], time[-1] - width, width / 3.0):
+                span = (float(start), float(start + width))
+                swells = [EventColumn(i, d, Course.SWELL, *span) for d in doors]
+                add_event(TransientEvent(EventKind.BURST, "", i, *span), swells)
                 for d in (d for d in doors if d in AIR):
-                    air = d.removeprefix(DISTURBANCE.format(""))
-                    put(TransientEvent(EventKind.BURST, "", i, *span, air=air), [EventColumn(i, d, Course.TURN, *span)])
-    return Asked(tuple(events), tuple(members), tuple(columns))
+                    gust = TransientEvent(EventKind.BURST, "", i, *span, air=d.removeprefix(DISTURBANCE.format("")))
+                    add_event(gust, [EventColumn(i, d, Course.REVERSAL, *span)])
+    return PossibleEvents(tuple(events), tuple(members), tuple(columns))
 
 
 @dataclass(frozen=True)
 class Products:
-    """Inner products of [shared | columns | residuals of data and nulls], without what is never asked of them.
+    """Inner products of [shared unknowns | columns of events | residuals of data and nulls], without those never needed.
 
     n: shared unknowns. outer: (n + m, n + m) of these and the residuals, with priors; across: (columns, n + m) of every column
-    with them; raw: (columns,) of each with itself; own: of every event with several columns, these with each other. A column
-    shows in one record and meets no other record's: the whole matrix would grow with the square of the time flown.
+    with them; raw: (columns,) of each with itself; within: of every event with several columns, these with each other. A column
+    is zero in all records but one: the complete matrix would grow with the square of the flight time.
     """
 
     tangent: Tangent
-    asked: Asked
+    possible: PossibleEvents
     n: int
     outer: Array
     across: Array
     raw: Array
-    own: Mapping[int, Array]
+    within: Mapping[int, Array]
 
     @classmethod
-    def of(cls, asked: Asked, tangent: Tangent) -> "Products":
-        problem, model_fit = tangent.problem, tangent.fit
-        n, m, count = len(problem.free), 1 + len(tangent.nulls), len(asked.columns)
-        outer, across, raw = shared_prior(problem, model_fit, n + m, 0), np.zeros((count, n + m)), np.zeros(count)
-        several = {e: columns for e, columns in enumerate(asked.inside) if len(columns) > 1}
-        within_events = {e: np.zeros((len(columns),) * 2) for e, columns in several.items()}
+    def of(cls, possible: PossibleEvents, tangent: Tangent) -> "Products":
+        problem = tangent.problem
+        n, m, count = len(problem.free), 1 + len(tangent.nulls), len(possible.columns)
+        outer, across, raw = shared_prior(problem, tangent.fit, n + m, 0), np.zeros((count, n + m)), np.zeros(count)
+        several = {e: members for e, members in enumerate(possible.members) if len(members) > 1}
+        within = {e: np.zeros((len(members),) * 2) for e, members in several.items()}
         for i in range(len(problem.records)):
-            record, local_columns = tangent.record(i), asked.showing_in(i)
-            columns = record.columns(list(_changes(problem, model_fit, i, asked, local_columns)))
+            record = tangent.record(i)
+            position, columns = _columns_in(tangent, possible, i)
             outer += record.gram
-            across[local_columns], raw[local_columns] = record.products(columns, record.fixed), record.squares(columns)
-            position = {c: j for j, c in enumerate(local_columns)}
+            here = list(position)
+            across[here], raw[here] = record.products(columns, record.fixed), record.squares(columns)
             for e, members in several.items():
-                local_members = [j for j, c in enumerate(members) if c in position]
-                if local_members:
-                    member_columns = columns.some([position[members[j]] for j in local_members])
-                    within_events[e][np.ix_(local_members, local_members)] += record.products(
-                        member_columns, member_columns
-                    )
-        return cls(tangent, asked, n, outer, across, raw, within_events)
+                present = [j for j, c in enumerate(members) if c in position]
+                if present:
+                    event_columns = columns.some([position[members[j]] for j in present])
+                    within[e][np.ix_(present, present)] += record.products(event_columns, event_columns)
+        return cls(tangent, possible, n, outer, across, raw, within)
 
     def rows(self, event: int) -> dict[int, Array]:
-        """Of every column of an event its products (columns,) with all."""
+        """Column of an event -> (columns,) its products with all columns."""
         rows: dict[int, Array] = {}
-        columns, problem, model_fit = self.asked.inside[event], self.tangent.problem, self.tangent.fit
-        for i in dict.fromkeys(self.asked.columns[c].record for c in columns):
-            record, local_columns = self.tangent.record(i), self.asked.showing_in(i)
-            all_here = record.columns(list(_changes(problem, model_fit, i, self.asked, local_columns)))
-            position = {c: j for j, c in enumerate(local_columns)}
-            local_members = [c for c in columns if c in position]
-            for c, row in zip(
-                local_members,
-                record.products(all_here.some([position[c] for c in local_members]), all_here),
-                strict=True,
-            ):
-                rows[c] = np.zeros(len(self.asked.columns))
-                rows[c][local_columns] = row
+        members = self.possible.members[event]
+        for i in dict.fromkeys(self.possible.columns[c].record for c in members):
+            position, columns = _columns_in(self.tangent, self.possible, i)
+            present = [c for c in members if c in position]
+            products = self.tangent.record(i).products(columns.some([position[c] for c in present]), columns)
+            for c, row in zip(present, products, strict=True):
+                rows[c] = np.zeros(len(self.possible.columns))
+                rows[c][list(position)] = row
         return rows
 
 
+def _columns_in(tangent: Tangent, possible: PossibleEvents, index: int) -> tuple[dict[int, int], TangentColumns]:
+    """The columns of events in a record: index of a column -> its position, and the whitened columns."""
+    here = [c for c, column in enumerate(possible.columns) if column.record == index]
+    changes = _changes(tangent.problem, tangent.fit, index, [possible.columns[c] for c in here])
+    return {c: j for j, c in enumerate(here)}, tangent.record(index).columns(list(changes))
+
+
 def _changes(
-    problem: LikelihoodProblem, found: ModelFit, index: int, asked: Asked, columns: Sequence[int]
+    problem: LikelihoodProblem, found: ModelFit, index: int, columns: Sequence[EventColumn]
 ) -> Iterator[Array]:
-    """(N, ny) changes of the outputs of a record by unit size of some columns in it."""
-    z, outputs, time = problem.coarse[index].z, problem.model.output_names, problem.coarse[index].time
-    requested = [asked.columns[c] for c in columns]
-    door_changes = through_doors(
-        problem, found, index, [(c.place, c.over(time)) for c in requested if c.place not in outputs]
-    )
-    for column in requested:
-        if column.place in outputs:
-            yield _in_output(z, outputs.index(column.place), column.over(time))
-        else:
-            yield next(door_changes)
-
-
-def _in_output(z: Array, column: int, course: Array) -> Array:
-    change = np.zeros_like(z)
-    change[:, column] = course
-    return change
+    """(N, ny) changes of the outputs of a record by unit size of each of its columns."""
+    time = problem.coarse[index].time
+    return output_changes(problem, found, index, [(c.place, c.over(time)) for c in columns])
 
 
 @dataclass(frozen=True)
 class ProjectedColumns:
-    """All columns with the shared unknowns and some events' columns projected out. square: (columns,) what is left of each;
-    b: (columns, residuals); own: of every event with several columns, these with each other."""
+    """All columns with the shared unknowns and the columns of some events projected out. square: (columns,) squared length of
+    each; b: (columns, residuals) products; within: of every event with several columns, these with each other."""
 
     square: Array
     b: Array
-    own: Mapping[int, Array]
+    within: Mapping[int, Array]
 
     @classmethod
-    def of(cls, products: Products, taken: Sequence[int], rows: Mapping[int, Array]) -> "ProjectedColumns":
-        """taken: columns that are projected out; rows: their products with all."""
-        n, across, removed = products.n, products.across, list(taken)
+    def of(cls, products: Products, removed: list[int], rows: Mapping[int, Array]) -> "ProjectedColumns":
+        """removed: columns that are projected out; rows: their products with all."""
+        n, across = products.n, products.across
         right = np.concatenate([products.outer[:n, n:], across[removed, n:]])
         base = np.concatenate([products.outer[:n, :n], across[removed, :n]])
-        cross = np.column_stack([across[:, :n], *(rows[c] for c in removed)])  # (columns, n + taken)
+        cross = np.column_stack([across[:, :n], *(rows[c] for c in removed)])  # (columns, n + removed)
         square = np.column_stack([base, np.concatenate([across[removed, :n].T, cross[removed, n:]])])
         solution = solved(square, np.concatenate([cross.T, right], axis=1))
-        column_part, rest = solution[:, : len(cross)], solution[:, len(cross) :]
-        several = {e: list(products.asked.inside[e]) for e in products.own}
-        within_events = {
-            e: products.own[e] - cross[members] @ column_part[:, members] for e, members in several.items()
-        }
-        return cls(products.raw - np.sum(cross * column_part.T, axis=1), across[:, n:] - cross @ rest, within_events)
+        column_part, residual_part = solution[:, : len(cross)], solution[:, len(cross) :]
+        within = {}
+        for e, gram in products.within.items():
+            members = list(products.possible.members[e])
+            within[e] = gram - cross[members] @ column_part[:, members]
+        return cls(products.raw - np.sum(cross * column_part.T, axis=1), across[:, n:] - cross @ residual_part, within)
 
 
 def find_transients(round_: Round) -> Transients:
-    """Events one after the other as long as one stands out of the nulls, each projected out before the next is looked for; then
-    those that the later ones have made idle are dropped."""
-    events = asked_of(round_.baseline.problem)
-    products, criteria = Products.of(events, round_.tangent), round_.criteria
+    """Events selected one after the other while one is significant, each projected out before the next search; events that are no
+    longer significant beside the later ones are dropped in the end."""
+    possible = possible_events(round_.baseline.problem)
+    products, criteria = Products.of(possible, round_.tangent), round_.criteria
     rows: dict[int, Array] = {}
     selected: list[int] = []
     for _ in range(MOST):
-        scores, gains, limit = _scored(products, selected, rows, criteria)
+        scores, _gains, limit = _scored(products, selected, rows, criteria)
         leader = int(np.argmax(scores))
         if scores[leader] <= limit:
             break
@@ -278,42 +258,41 @@ def find_transients(round_: Round) -> Transients:
         if scores[e] <= limit:
             selected = remaining
     detected = []
-    members = [c for e in selected for c in events.inside[e]]
+    members = [c for e in selected for c in possible.members[e]]
     estimates = dict(zip(members, _estimates(products, members, rows), strict=True))
     for e in selected:
         scores, gains, limit = _scored(products, [o for o in selected if o != e], rows, criteria)
-        sizes = tuple(estimates[c] for c in events.inside[e])
-        detected.append(DetectedEvent(events.events[e], float(scores[e]), limit, float(gains[e]), sizes))
+        sizes = tuple(estimates[c] for c in possible.members[e])
+        detected.append(DetectedEvent(possible.events[e], float(scores[e]), limit, float(gains[e]), sizes))
     detected.sort(key=lambda f: -f.score)
-    return Transients(
-        tuple(detected), _without(round_, events, {c: v for c, (v, _) in estimates.items()}) if detected else round_
-    )
+    cleared = _without(round_, possible, {c: v for c, (v, _) in estimates.items()}) if detected else round_
+    return Transients(tuple(detected), cleared)
 
 
 def _scored(
-    products: Products, taken: Sequence[int], rows: Mapping[int, Array], criteria: Criteria
+    products: Products, selected: Sequence[int], rows: Mapping[int, Array], criteria: Criteria
 ) -> tuple[Array, Array, float]:
-    """(events,) scores and gains of all events beside those taken, nothing for the latter; and the limit from the nulls."""
-    events = products.asked
-    projected = ProjectedColumns.of(products, [c for e in taken for c in events.inside[e]], rows)
+    """(events,) scores and gains of all events beside those selected, zero for these; and the limit from the nulls."""
+    possible = products.possible
+    projected = ProjectedColumns.of(products, [c for e in selected for c in possible.members[e]], rows)
     single = projected.b**2 / np.maximum(projected.square, TINY)[:, None]
     single[projected.square <= SEEN * products.raw] = 0.0
-    gains = np.zeros((len(events.events), projected.b.shape[1]))
-    for e, columns in enumerate(events.inside):
-        if e not in taken:
-            gains[e] = single[columns[0]] if len(columns) == 1 else _gains(products, projected, e)
-    unknowns = np.array([len(c) for c in events.inside])
-    scores, largest = standing_out(gains, unknowns, [(e.kind, e.channel, e.air) for e in events.events])
+    gains = np.zeros((len(possible.events), projected.b.shape[1]))
+    for e, members in enumerate(possible.members):
+        if e not in selected:
+            gains[e] = single[members[0]] if len(members) == 1 else _gains(products, projected, e)
+    unknowns = np.array([len(c) for c in possible.members])
+    scores, largest = standing_out(gains, unknowns, [(e.kind, e.channel, e.air) for e in possible.events])
     return scores, gains[:, 0], unknown_above(largest, criteria)
 
 
-def _without(round_: Round, asked: Asked, sizes: Mapping[int, float]) -> Round | None:
-    """The round with the events taken out of what was measured and the base fitted again; None where that runs away."""
+def _without(round_: Round, possible: PossibleEvents, sizes: Mapping[int, float]) -> Round | None:
+    """The round with columns of events subtracted from the measurements and the base refitted; None where that runs away."""
     problem, model_fit = round_.baseline.problem, round_.baseline.fit
     z = [r.z for r in problem.records]
     for c, size in sizes.items():
-        i = asked.columns[c].record
-        z[i] = z[i] - size * next(_changes(problem, model_fit, i, asked, [c]))
+        i = possible.columns[c].record
+        z[i] = z[i] - size * next(_changes(problem, model_fit, i, [possible.columns[c]]))
     records = tuple(replace(r, z=outputs) for r, outputs in zip(problem.records, z, strict=True))
     cleared = replace(problem, records=records)
     refitted = fit(cleared, model_fit.values, model_fit.locals)
@@ -324,41 +303,41 @@ def _without(round_: Round, asked: Asked, sizes: Mapping[int, float]) -> Round |
 
 
 def standing_out(gains: Array, unknowns: Array, groups: Sequence[Hashable]) -> tuple[Array, Array]:
-    """(events,) scores of the data and (nulls,) largest score of every null, of gains (events, 1 + nulls) of events with so many
-    unknowns, scattered as on the nulls or more widely.
+    """(events,) scores of the data and (nulls,) largest score of every null, from gains (events, 1 + nulls) of events with so
+    many unknowns, in units of their scatter on the nulls, at least 1.
 
-    The scatter is that of a whole group of events: one instant's own is known from the nulls to a tenth, by which a neighbour
-    would be taken for it.
+    The scatter is that of a group of events: for a single instant the nulls give it to a tenth only, which would prefer a
+    neighbour of the true instant.
     """
     scatters = gains[:, 1:].mean(axis=1) / unknowns
     pooled = {
         g: max(float(np.mean([o for o, h in zip(scatters, groups, strict=True) if h == g])), 1.0) for g in set(groups)
     }
     scaled = gains / np.array([pooled[g] for g in groups])[:, None]
-    # of as many unknowns the largest gain is the largest score
+    # with equal unknowns the largest gain is the largest score
     largest = [equivalent(scaled[unknowns == k, 1:].max(axis=0), np.array(k)) for k in np.unique(unknowns)]
     return equivalent(scaled[:, 0], unknowns), np.asarray(np.max(largest, axis=0))
 
 
 def equivalent(gains: Array, unknowns: Array) -> Array:
-    """|z| of one unknown as improbable as gains of so many."""
+    """|z| of one unknown that is as improbable as gains of so many unknowns."""
     return np.asarray(-ndtri(0.5 * np.maximum(chdtrc(unknowns, gains), SMALLEST_TAIL)))
 
 
-def _gains(products: Products, beside: ProjectedColumns, event: int) -> Array:
-    """(residual columns,) gain of an event of several columns; nothing where the base absorbs one."""
-    columns, B = list(products.asked.inside[event]), beside.own[event]
-    b = beside.b[columns]
-    if (np.diag(B) <= SEEN * products.raw[columns]).any():
+def _gains(products: Products, projected: ProjectedColumns, event: int) -> Array:
+    """(residual columns,) gain of an event with several columns; zero where the base absorbs one."""
+    members, B = list(products.possible.members[event]), projected.within[event]
+    b = projected.b[members]
+    if (np.diag(B) <= SEEN * products.raw[members]).any():
         return np.zeros(b.shape[1])
     return np.asarray(np.sum(b * solved(B, b), axis=0))
 
 
-def _estimates(products: Products, inside: Sequence[int], rows: Mapping[int, Array]) -> list[tuple[float, float]]:
-    """Sizes of the events taken with their bounds, fitted together."""
-    if not inside:
+def _estimates(products: Products, members: list[int], rows: Mapping[int, Array]) -> list[tuple[float, float]]:
+    """(size, bound) of these columns, fitted together."""
+    if not members:
         return []
-    n, members = products.n, list(inside)
+    n = products.n
     cross, right = products.across[members, :n], products.outer[:n, n]
     solution = solved(products.outer[:n, :n], np.concatenate([cross.T, right[:, None]], axis=1))
     B = np.array([rows[c][members] for c in members]) - cross @ solution[:, :-1]

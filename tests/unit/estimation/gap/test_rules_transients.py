@@ -25,7 +25,7 @@ from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.tangent import Tangent
-from estimation.gap.significance.transients import asked_of, equivalent, find_transients, standing_out
+from estimation.gap.significance.transients import equivalent, find_transients, possible_events, standing_out
 from estimation.models.base import Model, Parameter, Signal
 from tests.unit.estimation.gap.roll import ROLL
 
@@ -79,13 +79,13 @@ NOTHING = np.zeros(TIME.size)
 def test_nothing_happens_on_flights_with_nothing_but_noise() -> None:
     round_ = rolled([NOTHING, NOTHING])
     found = find_transients(round_)
-    assert found.found == ()
+    assert found.events == ()
     assert found.cleared is round_
 
 
 def test_a_step_of_a_gyro_is_found_in_its_flight_at_its_time_and_taken_out() -> None:
     found = find_transients(rolled([NOTHING, 0.03 * (TIME > 12.0)]))
-    (slip,) = found.found
+    (slip,) = found.events
     assert (slip.event.kind, slip.event.channel, slip.event.record) == ("slip", "p", 1)
     assert slip.event.start == pytest.approx(12.0, abs=0.5)
     assert slip.sizes[0][0] == pytest.approx(0.03, abs=4.0 * slip.sizes[0][1])
@@ -117,7 +117,7 @@ def test_a_gust_that_comes_and_goes_is_found_as_one_of_the_air() -> None:
     gust = np.where((TIME > 8.0) & (TIME < 11.0), 0.2 * np.sin(np.pi * (TIME - 8.0) / 3.0), 0.0)
     round_ = sunk([NOTHING, gust], [DISTURBANCE.format("alpha")])
     found = find_transients(round_)
-    (burst,) = found.found
+    (burst,) = found.events
     assert (burst.event.kind, burst.event.air, burst.event.record) == ("burst", "alpha", 1)
     assert (burst.event.start, burst.event.end) == pytest.approx((8.0, 11.0), abs=0.5)
     assert burst.sizes[0][0] == pytest.approx(0.2 * np.pi / 3.0, abs=4.0 * burst.sizes[0][1])
@@ -125,9 +125,9 @@ def test_a_gust_that_comes_and_goes_is_found_as_one_of_the_air() -> None:
     assert told.sizes[0][0] == pytest.approx(0.2, abs=4.0 * told.sizes[0][1])
     assert "a gust changes alpha on f1 from 8.0 to 11.0 s by up to 0.2" in describe_events(Happened([told]))
     assert (told.to_json()["air"], told.to_json()["unit"]) == ("alpha", "rad")
-    events = asked_of(moving(round_)[0]).events
+    events = possible_events(moving(round_)[0]).events
     assert {e.air for e in events if e.kind == "burst"} == {"", "alpha"}
-    turning = asked_of(moving(sunk([NOTHING], [DISTURBANCE.format("q")]))[0])
+    turning = possible_events(moving(sunk([NOTHING], [DISTURBANCE.format("q")]))[0])
     assert {e.air for e in turning.events} == {""}, "the air turns the flow and not the body"
 
 
@@ -137,7 +137,7 @@ def moving(round_: Round) -> tuple[LikelihoodProblem, Any]:
 
 def test_a_drift_is_one_thing_on_all_flights_with_a_size_on_each() -> None:
     share = TIME / TIME[-1]
-    (drift,) = find_transients(rolled([0.04 * share, -0.05 * share])).found
+    (drift,) = find_transients(rolled([0.04 * share, -0.05 * share])).events
     assert (drift.event.kind, drift.event.channel, drift.event.record) == ("drift", "p", -1)
     for (size, bound), true in zip(drift.sizes, (0.04, -0.05), strict=True):
         assert size == pytest.approx(true, abs=4.0 * bound)

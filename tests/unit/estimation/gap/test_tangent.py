@@ -89,7 +89,7 @@ def test_records_too_long_to_keep_are_made_anew_and_say_the_same(monkeypatch: py
     found = fit(bound)
     kept = Tangent(bound, found)
     assert kept.record(1) is kept.record(1)
-    monkeypatch.setattr(tangents, "KEPT", kept.record(0).size)
+    monkeypatch.setattr(tangents, "CACHE", kept.record(0).size)
     short = Tangent(bound, found)
     assert short.record(0) is short.record(0)
     assert short.record(1) is not short.record(1)
