@@ -23,7 +23,7 @@ class Round:
 
     gains: (hypotheses,) twice the log-likelihood by linear theory; null_gains: (nulls, hypotheses) the same on the nulls.
     inflation: (hypotheses,) variance of the score on the nulls, at least 1. threshold: family-wise quantile of the
-    largest standardised score on the nulls, with a margin. tangent: what further questions to the fit begin with.
+    largest standardised score on the nulls, with a margin. tangent: linearised records for further tests of the fit.
     """
 
     baseline: Baseline
@@ -49,7 +49,7 @@ class Round:
 
 
 def inflation_by_hypothesis(round_: Round) -> dict[tuple[str, str], float]:
-    """Hypothesis -> its own inflation on the nulls, that of a small step."""
+    """Hypothesis -> its inflation on the nulls, by linear theory."""
     return {h.key: float(v) for h, v in zip(round_.screen.hypotheses, round_.inflation, strict=True)}
 
 
@@ -70,7 +70,7 @@ def screen_round(
         raise GapError(
             f"only {len(null_residuals)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
         )
-    nulls = len(null_residuals)  # flights are none of those that ran away, and what is left knows a threshold
+    nulls = len(null_residuals)  # without those that ran away: enough for a threshold
     hypotheses = hypotheses_for(baseline.clean, effects, prepared.available)
     tangent = Tangent(problem, baseline.fit, tuple(null_residuals))
     screen = build_screen(tangent, hypotheses)
@@ -87,12 +87,12 @@ def screen_round(
 
 
 def like_the_flights(energy: Array, criteria: Criteria) -> NDArray[np.bool_]:
-    """(nulls,) which nulls are flights like these. energy: (1 + nulls,) of the whitened residuals of the flights and of every
-    null, with all that the base can absorb taken out.
+    """(nulls,) which nulls are comparable with the flights. energy: (1 + nulls,) of the whitened residuals of the flights and of
+    every null, with the base projected out.
 
-    Where the fitted motion diverges slowly, as a spiral that a pilot held by what he saw, gusts carry a null away that no pilot
-    answers: of sets with such a base two nulls in three had 1.2 to 400 times the energy of the flights, all others 0.93 to 1.03.
-    What is left of them has to be enough to set a threshold by; else all count, and hide more than they should.
+    Where the fitted motion diverges slowly, like a spiral that a pilot controlled by sight, gusts carry a null away, because no
+    pilot flies it: with such a base two nulls in three had 1.2 to 400 times the energy of the flights, all others 0.93 to 1.03.
+    All count where too few comparable nulls remain for a threshold, which is then too high.
     """
     comparable = energy[1:] < criteria.null_energy * energy[0]
     sufficient = np.count_nonzero(comparable) >= max(criteria.nulls_least * comparable.size, 1.0)
@@ -100,13 +100,13 @@ def like_the_flights(energy: Array, criteria: Criteria) -> NDArray[np.bool_]:
 
 
 def significant_above(largest: Array, criteria: Criteria) -> float:
-    """Score from which something is significant, from the largest score of every null, (nulls,): the one rule for a name, a
-    shape, an instrument's error, and a flight that does not repeat the others."""
+    """Threshold from the largest score of every null, (nulls,): for a name, a shape, an instrument's error, and a flight that
+    does not repeat the others."""
     return criteria.null_margin * upper_quantile(largest, criteria.null_level)
 
 
 def unknown_above(largest: Array, criteria: Criteria) -> float:
-    """Score from which a nameless rest or an event in time is an unknown effect. largest: (nulls,) score of every null."""
+    """Threshold for a nameless rest or an event in time, from the largest score of every null, (nulls,)."""
     return criteria.unknown_margin * upper_quantile(largest, criteria.nameless_level)
 
 
@@ -117,8 +117,8 @@ def null_inflation(screen: Screen, nulls: int) -> Array:
 
 
 def upper_quantile(values: Array, level: float) -> float:
-    """Upper quantile of the largest of many scores, by a Gumbel law fitted to its moments and the sample's own quantile,
-    whichever is larger: two hundred nulls alone know a 95 % point only to some 3 %."""
+    """Upper quantile of the largest of many scores: by a Gumbel law fitted to the moments or from the sample, whichever is
+    larger. Two hundred nulls alone give a 95 % point only to some 3 %."""
     scale = float(np.std(values)) * np.sqrt(6.0) / np.pi  # of a Gumbel law with the same deviation
     law = float(np.mean(values)) - scale * (np.euler_gamma + np.log(-np.log(level)))
     return max(law if scale > 0.0 else 0.0, float(np.quantile(values, level)))

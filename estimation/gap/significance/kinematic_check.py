@@ -2,8 +2,8 @@
 
 Flight-path reconstruction without any aerodynamics: sideslip and bank integrated from measured rates and side
 acceleration must agree with the vane and the attitude. Scale, lag, position and timing errors of instruments show here;
-aerodynamic, inertial and actuator effects cannot. Scored and calibrated on nulls like everything else. A model that pitches
-is asked the same of airspeed, angle of attack and pitch attitude; one of all axes both, and the clearer answer counts.
+aerodynamic, inertial and actuator effects cannot. Scored and calibrated on nulls like everything else. For a model that pitches,
+the same check uses airspeed, angle of attack and pitch attitude; a model of all axes has both, and the clearer answer counts.
 """
 
 from collections.abc import Sequence
@@ -27,9 +27,9 @@ from estimation.models.base import Model, Parameter, ParameterRole, Signal
 from estimation.models.dependence import force_states
 from groundstation.flight import Flight
 
-MOST_NULLS = 100  # the check only says sensor or physics: more would not change that
+MOST_NULLS = 100  # enough to tell sensor from physics
 NEEDED_TO_PITCH = ("V", "alpha", "theta", "q", "ax", "az")
-ASIDE = ("beta", "p", "r", "phi", "ay")  # taken as zero where a flight does not have them
+OPTIONAL = ("beta", "p", "r", "phi", "ay")  # zero where a flight lacks them
 NEEDED = ("beta", "phi", "p", "q", "r", "ay", "V", "alpha", "theta")
 
 
@@ -40,7 +40,7 @@ def pitch_kinematic_model(criteria: Criteria) -> Model:
         name="kinematic",
         title="airspeed, angle of attack and pitch attitude from measured rates and forces, no aerodynamics",
         states=(Signal("V", "m/s"), Signal("alpha", "rad"), Signal("theta", "rad")),
-        inputs=(*(Signal(n) for n in ("q", "ax", "az")), *(Signal(n, optional=True) for n in ASIDE)),
+        inputs=(*(Signal(n) for n in ("q", "ax", "az")), *(Signal(n, optional=True) for n in OPTIONAL)),
         outputs=(Signal("V", "m/s"), Signal("alpha", "rad"), Signal("theta", "rad")),
         parameters=(
             _instrument("bias_gyro_q", "rad/s", gyro, local=True),
@@ -119,8 +119,8 @@ def kinematic_check(
     criteria: Criteria,
     model: Model | None = None,
 ) -> KinematicCheck:
-    """Score every instrument error on the kinematics of the training flights alone, on `nulls` of them. model: whose planes
-    are asked; without one the lateral."""
+    """Score every instrument error on the kinematics of the training flights, with `nulls` nulls. model: its planes are checked;
+    default the lateral."""
     lines = model.definitions if model is not None else {}
     checks = []
     if "Cm" not in lines or "CY" in lines:
@@ -133,7 +133,7 @@ def kinematic_check(
 
 
 def clearest(checks: Sequence[KinematicCheck]) -> KinematicCheck:
-    """The answer of the plane whose score stands highest over its threshold; one that could not say gives way to one that can."""
+    """The check with the highest score over its threshold; an undecided one only where all are."""
     return max(checks, key=lambda c: (c.origin != "undecided", c.score / c.threshold if c.threshold > 0.0 else 0.0))
 
 
@@ -163,12 +163,12 @@ def _checked(
         baseline = fit_baseline(working, clean, prepared, scatter)
         count = min(nulls, MOST_NULLS)
         return origin_of_error(screen_round(baseline, prepared, instruments, errors, count, seed + KINEMATIC))
-    except GapError as error:  # the check alone cannot say: the search among the hypotheses goes on without it
+    except GapError as error:  # the check is undecided: the search goes on without it
         return KinematicCheck("undecided", "", 0.0, 0.0, str(error))
 
 
 def origin_of_error(round_: Round) -> KinematicCheck:
-    """Sensor where an instrument error stands out of the nulls, physics where none does."""
+    """Sensor where an instrument error is above the threshold, physics where none is."""
     scores = round_.standardised()
     if not scores.size:
         return KinematicCheck("undecided", "", 0.0, round_.threshold, "no instrument error applies")

@@ -1,16 +1,15 @@
-"""What an effect would gain on flights that do not have it, where the controls are measured and prepared anew.
+"""The gain of an effect on simulated flights without it, with controls that are measured and prepared again.
 
-A control is recorded with noise. Whatever smooths it a little (a lag, a delay, a play) takes noise off the motion that the base
-makes of it, and gains although nothing of the kind is there: an elevator with 0.2 deg of noise passes for one that is 12 ms late,
-at a score of 6. Nulls whose residuals alone are drawn do not show that, for there the control is the one that the base is
-driven by.
+A control is recorded with noise. A hypothesis that smooths it a little (a lag, a delay, a play) removes noise from the modelled
+motion and gains although the effect is absent: an elevator with 0.2 deg of noise looks like one that is 12 ms late, at a score of
+6. Nulls with simulated residuals only do not show this, because there the recorded control drives both flight and base.
 
-So the fitted base is flown through courses that the controls may have taken, the controls are measured with fresh noise and
-prepared as those of the flights were, and base and hypothesis are held against each other on them: with the values found on the
-flights, nothing fitted. Where the likelihood is right, the hypothesis loses there what it has gained on the flights (to second
-order both are the same quadratic form, seen from either end); where preparation makes it gain, it gains on both. Half the
-difference is what the effect itself has gained: the centred likelihood ratio of D. R. Cox, "Further results on tests of separate
-families of hypotheses", Journal of the Royal Statistical Society B 24 (1962), 406-424, eq. 8.
+So the fitted base is flown through courses that the controls may have taken, and the controls are measured with new noise and
+prepared like those of the flights. Base and hypothesis are compared on these flights with the values found on the real ones,
+without a fit. With a correct likelihood the hypothesis loses there what it gained on the real flights (to second order both are
+the same quadratic form, seen from either end); a gain by preparation is a gain on both. Half the difference is the gain of the
+effect itself: the centred likelihood ratio of D. R. Cox, "Further results on tests of separate families of hypotheses", Journal
+of the Royal Statistical Society B 24 (1962), 406-424, eq. 8.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,13 +30,13 @@ from estimation.signals.controls import with_raw_steps
 from estimation.signals.denoise import denoise_many
 
 RAN_AWAY = 3.0  # energies of the flights: with more the base did not follow its own flight, whose motion grows
-REPEATS = 16  # flights made anew: their mean gain is known to a quarter of its scatter, some 4 of a gain of 40
+REPEATS = 16  # simulated sets: their mean gain is known to a quarter of its scatter, some 4 of a gain of 40
 
 
 @dataclass(frozen=True)
 class Remade:
-    """One record made anew. outputs: (N, ny), NaN where not measured; inputs: (N, nu) with the controls prepared anew; energy: of
-    the whitened residual of the base."""
+    """One simulated record. outputs: (N, ny), NaN where not measured; inputs: (N, nu) with the controls prepared again; energy:
+    of the whitened residual of the base."""
 
     outputs: Array
     inputs: Array
@@ -46,15 +45,15 @@ class Remade:
 
 @dataclass(frozen=True)
 class MeasuredAgain:
-    """The training flights of a baseline made anew, `REPEATS` times."""
+    """The training flights of a baseline simulated with controls measured again, `REPEATS` times."""
 
     baseline: Baseline
     seed: int
 
     @cached_property
     def sets(self) -> tuple[tuple[Remade, ...], ...]:
-        """Every repeat, a record each; none where the motion runs away, at once or as it grows: what is lost and gained on a
-        flight that leaves the base by a hundred times its noise says nothing of controls."""
+        """The records of every repeat, without repeats whose motion runs away or leaves the base by many times the noise: gains
+        on such flights do not come from controls."""
         problem = self.baseline.problem
         exact = [InputErrors({}) for _ in problem.records]
         flyer = NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, exact)
@@ -70,15 +69,13 @@ class MeasuredAgain:
     def share(self, gain: float, found: ModelFit) -> float:
         """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
 
-        Half the difference from its mean gain on flights without the effect, less what the sum of both, twice what the noise of
-        the controls gives it, may be wrong by. What the base need not move in time for it any more is its own: flights made anew
-        are held against each other by their residuals alone. 1 where these flights cannot be flown.
+        From its mean gain on simulated flights without the effect, as in `own_share`. Gains by priors, such as those of times
+        that the base need not shift any more, are the hypothesis' own: simulated flights are compared by their residuals alone.
+        1 where these flights cannot be flown.
         """
         if gain <= 0.0:
             return 1.0
-        trial = replace(
-            self.baseline.problem, model=found.model
-        )  # one for all repeats: it keeps what it has worked out
+        trial = replace(self.baseline.problem, model=found.model)  # one for all repeats: it caches results
         gains = [g for remade in self.sets if (g := _gain(trial, remade, found)) is not None]
         if not gains:
             return 1.0
@@ -86,7 +83,7 @@ class MeasuredAgain:
         return own_share(gain, float(np.mean(gains)), freed, self.baseline.criteria)
 
     def problems(self) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
-        """Every repeat as flights of its own: the base with the values found on the flights, and its residuals on these."""
+        """Every repeat as flights: the base with the values found on the real flights, and its residuals."""
         problem, found = self.baseline.problem, self.baseline.fit
         for remade in self.sets:
             pairs = list(zip(problem.records, remade, strict=True))
@@ -97,8 +94,8 @@ class MeasuredAgain:
                 yield again, replace(found, residuals=residuals)
 
     def _flown(self, flyer: NullFlyer, index: int, rng: np.random.Generator) -> tuple[Array | None, Array]:
-        """Outputs of the base flown through a course that the controls of a record may have taken, None where it runs away;
-        and its inputs (N, nu), those controls as measured."""
+        """Outputs of the base flown through a course that the controls of a record may have taken, None where it runs away; and
+        inputs (N, nu) with these controls as measured."""
         problem, record = self.baseline.problem, self.baseline.problem.records[index]
         true_inputs, measured = problem.coarse[index].u.copy(), problem.coarse[index].u.copy()
         for column, name, noise in self._noisy_controls(index):
@@ -108,7 +105,7 @@ class MeasuredAgain:
         return flyer.observed(index, rng, driven), measured
 
     def _remade(self, index: int, flown: Sequence[tuple[Array | None, Array]]) -> list[Remade | None]:
-        """One record as flown in every repeat, its controls prepared anew; None where the motion runs away."""
+        """One record of every repeat with its controls prepared again; None where the motion runs away."""
         problem, fit = self.baseline.problem, self.baseline.fit
         prepared = [measured.copy() for _, measured in flown]
         for column, name, noise in self._noisy_controls(index):
@@ -133,7 +130,7 @@ class MeasuredAgain:
 
 
 def _recorded(model: Model, record: FlightRecord, remade: Remade) -> FlightRecord:
-    """A record with the outputs and the controls of one made anew."""
+    """A record with the outputs and the controls of a simulated one."""
     controls = {
         s.name: remade.inputs[:, i] for i, s in enumerate(model.inputs) if s.control and s.name in record.inputs
     }
@@ -141,7 +138,7 @@ def _recorded(model: Model, record: FlightRecord, remade: Remade) -> FlightRecor
 
 
 def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], found: ModelFit) -> float | None:
-    """What a fitted hypothesis gains on one set made anew (twice a log-likelihood); None where its motion runs away."""
+    """Gain of a fitted hypothesis on one simulated set (twice a log-likelihood); None where its motion runs away."""
     total = 0.0
     for index, record in enumerate(remade):
         outputs = problem.modelled(index, found.values, found.locals[index], inputs=record.inputs)
@@ -152,8 +149,12 @@ def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], found: ModelFit)
 
 
 def own_share(gain: float, without: float, freed: float, criteria: Criteria) -> float:
-    """The share of a gain that is the effect's own, within 0 to 1. without: what residuals gain where the effect is not; freed:
-    what of the gain is no residual's but that of priors."""
+    """The share of a gain that is the effect's own, within 0 to 1. without: gain by residuals on flights without the effect;
+    freed: part of `gain` from priors and not from residuals.
+
+    Of the gain by residuals, half the difference from `without` is its own, and half the sum comes from the noise of the
+    controls; the uncertainty of the latter is subtracted.
+    """
     by_residuals = gain - freed
     by_noise = max(0.5 * (by_residuals + without), 0.0)
     own = 0.5 * (by_residuals - without) - criteria.control_noise_known * by_noise
@@ -161,8 +162,8 @@ def own_share(gain: float, without: float, freed: float, criteria: Criteria) -> 
 
 
 def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: np.random.Generator) -> Array:
-    """(N,) a course that a control may have taken: as prepared, with one draw of what that leaves open; by its steps, where the
-    measured values stand with all of their noise, without it."""
+    """(N,) a course that a control may have taken: as prepared, with one draw of its possible errors; near its steps, where the
+    prepared values are the measured ones, without their noise."""
     raw = record.raw.get(name)
     draws = record.errors.get(name)
     error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
@@ -176,8 +177,8 @@ def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: 
 def prepared_anew(
     record: FlightRecord, name: str, measured: Sequence[Array], noise: float, baseline: Baseline
 ) -> list[Array]:
-    """(N,) each: a control measured several times without its noise, but for what follows the motion, and by its steps as
-    measured where the record's own is."""
+    """(N,) each: repeated measurements of a control, de-noised except for the part that follows the motion, and as measured near
+    its steps where the record is."""
     follows = record.follows.get(name, 0.0)
     smooth = [d.values + follows for d in denoise_many([m - follows for m in measured], noise=noise)]
     raw = record.raw.get(name)

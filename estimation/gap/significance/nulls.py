@@ -1,8 +1,8 @@
-"""What the whole chain shows when nothing is hidden: the fitted baseline flown again, many times.
+"""Nulls: simulated flights of the fitted baseline with nothing hidden.
 
 Each null flies the fitted model through the recorded inputs with process noise of the strength found in these flights,
-adds sensor noise to the outputs, takes the inputs as a de-noised noisy measurement of the true ones, and is analysed by
-the same linear algebra as the flights. Thresholds, floors and inflation factors come from here; none is assumed.
+adds sensor noise to the outputs, treats the inputs as de-noised noisy measurements of the true ones, and is analysed by
+the same linear algebra as the flights. Thresholds, floors and inflation factors come from nulls; none is assumed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,22 +22,22 @@ from estimation.gap.records.flight_records import FlightRecord
 from estimation.models.base import Model
 from estimation.signals.first_order import decaying_sum
 
-SMOOTHED = 0.25  # of a frequency, to either side of it: the spectrum of errors falls slowly
+SMOOTHED = 0.25  # of a frequency, to either side: the spectrum of errors falls slowly
 
 
 @dataclass(frozen=True)
 class InputErrors:
-    """What de-noising leaves wrong in the inputs of one record: name -> (realisations, N)."""
+    """Possible errors of the inputs of one record after de-noising. bank: name -> (realisations, N)."""
 
     bank: Mapping[str, Array]
 
     @property
     def count(self) -> int:
-        """How many courses there are; of every input as many."""
+        """Number of realisations, the same for every input."""
         return min((len(courses) for courses in self.bank.values()), default=0)
 
     def course(self, names: Sequence[str], number: int) -> Array:
-        """(N, names) one course of the errors of all inputs, zero where an input has none."""
+        """(N, names) one realisation of the errors of all inputs, zero for an input without errors."""
         zeros = np.zeros(next(iter(self.bank.values())).shape[1])
         return np.column_stack([self.bank[n][number] if n in self.bank else zeros for n in names])
 
@@ -45,7 +45,7 @@ class InputErrors:
 def with_errors(
     records: Sequence[FlightRecord], model: Model, errors: Sequence[InputErrors]
 ) -> tuple[FlightRecord, ...]:
-    """The records with the spectra of what is wrong with their controls, as the nulls have it."""
+    """The records with the spectra of the errors of their controls in the nulls."""
     controls = [s.name for s in model.inputs if s.control]
     return tuple(
         replace(r, error_spectra={n: spectrum(e.bank[n]) for n in controls if n in e.bank})
@@ -64,7 +64,7 @@ def spectrum(courses: Array) -> Array:
 
 
 def input_errors(record: FlightRecord, model: Model, rng: np.random.Generator) -> InputErrors:
-    """What may be wrong with each input: as drawn when it was prepared, and its noise where it is used as it was measured."""
+    """Possible errors of each input: those drawn at its preparation, and its noise where the measured values are used."""
     bank = {}
     for signal in model.inputs:
         sigma, draws = record.input_noise.get(signal.name, 0.0), record.errors.get(signal.name)
@@ -77,15 +77,14 @@ def input_errors(record: FlightRecord, model: Model, rng: np.random.Generator) -
 
 @dataclass(frozen=True)
 class Modelled:
-    """What a fitted model makes of one record: outputs (N, ny) from its inputs, and changes (courses, N, ny) with each course of
-    errors in those."""
+    """Modelled outputs (N, ny) of one record, and their changes (realisations, N, ny) by errors of the inputs."""
 
     outputs: Array
     changes: Array
 
     def draw(self, rng: np.random.Generator) -> Array:
-        """(N, ny) outputs from inputs with one course of errors, of either sign: they are small, so that what they do changes its
-        sign with them."""
+        """(N, ny) outputs with one realisation of input errors, of either sign: the errors are small and their response is
+        linear."""
         if not len(self.changes):
             return self.outputs
         sign, number = 2.0 * rng.integers(2) - 1.0, rng.integers(len(self.changes))
@@ -95,9 +94,8 @@ class Modelled:
 @dataclass(frozen=True)
 class NullFlyer:
     """Flies nulls of one fitted model. modelled: per record, None where the model runs away on it. jumps: per record sample,
-    output column and standard deviation of what a sample next to a jump may be off. states: whose rates are disturbed, and the
-    input column that does it. driven: per record, its inputs as the fit has them, with the middles between samples. intervals:
-    per record, between its samples [s]."""
+    output column and standard deviation of the error next to a jump. states: disturbed state -> input column of its disturbance.
+    driven: per record, the inputs of the fit, with the middles between samples. intervals: per record, sample interval [s]."""
 
     problem: LikelihoodProblem
     fit: ModelFit
@@ -165,8 +163,8 @@ class NullFlyer:
         return np.asarray(observed)
 
     def _wander(self, noise: Array, h: float, rng: np.random.Generator) -> None:
-        """Add what filtered attitudes do to the noise of the outputs (N, ny), h [s] apart: gyro noise and its integral, slow
-        wandering."""
+        """Add the errors of filtered attitudes to the noise of the outputs (N, ny), h [s] apart: gyro noise and its integral,
+        slow wandering."""
         outputs, process, count = self.problem.model.output_names, self.noise.process, len(noise)
         memory = self.problem.criteria.filter_memory
         for c, name in enumerate(outputs):
@@ -189,24 +187,24 @@ class NullFlyer:
 
     def _disturb(self, u: Array, h: float, rng: np.random.Generator) -> None:
         """Add disturbances of the rates with the spectra of the noise model to the inputs (2N - 1, nu), h [s] apart."""
-        at_work = [
+        active = [
             (part, strength)
             for part, strength in self.noise.process.items()
             if part.source in ON_FORCES and part.of in self.states
         ]
-        white = rng.standard_normal((len(at_work), len(u)))
-        for memory in dict.fromkeys(part.memory for part, _ in at_work):
-            group = [i for i, (part, _) in enumerate(at_work) if part.memory == memory]
+        white = rng.standard_normal((len(active), len(u)))
+        for memory in dict.fromkeys(part.memory for part, _ in active):
+            group = [i for i, (part, _) in enumerate(active) if part.memory == memory]
             slow = _slow(white[group], h, memory) if memory else np.zeros((len(group), len(u)))
             for i, course in zip(group, slow, strict=True):
-                part, strength = at_work[i]
+                part, strength = active[i]
                 # strength counts per sample of the record (2 h); white noise sampled every h has variance density / h
                 disturbance = course if part.source is NoiseSource.TWIST else white[i] - course
                 u[:, self.states[part.of]] += np.sqrt(strength * 2.0) * disturbance
 
 
 def _modelled(problem: LikelihoodProblem, fit: ModelFit, index: int, errors: InputErrors) -> Modelled | None:
-    """Courses of errors with which the model runs away are left out."""
+    """The modelled record, without realisations of errors with which the model runs away; None where it always does."""
     local, coarse = fit.locals[index], problem.coarse[index]
     nominal = problem.modelled(index, fit.values, local)
     if nominal is None:
@@ -221,19 +219,17 @@ def _modelled(problem: LikelihoodProblem, fit: ModelFit, index: int, errors: Inp
 
 
 def _slow(white: Array, h: float, tau: float) -> Array:
-    """First-order low-pass of time constant tau [s] of courses (many, N), started in its steady state of no motion."""
+    """First-order low-pass with time constant tau [s] of courses (many, N), started at rest."""
     a = np.exp(-h / tau)
     return np.asarray((1.0 - a) * decaying_sum(float(a), white))
 
 
 def _forgetting(rate: Array, h: float, memory: float, rng: np.random.Generator) -> Array:
-    """A sampled rate (N,) integrated over steps h [s] with the forgetting of an attitude filter (time constant `memory` [s]),
-    begun in its steady state."""
-    keep = float(np.exp(-h / memory))
-    begin = float(np.std(rate)) * h / np.sqrt(1.0 - keep**2) * rng.standard_normal()
+    """A sampled rate (N,) integrated over steps h [s] with the memory of an attitude filter [s], started in the steady state."""
+    decay = float(np.exp(-h / memory))
     drive = h * rate
-    drive[0] = begin
-    return decaying_sum(keep, drive)
+    drive[0] = float(np.std(rate)) * h / np.sqrt(1.0 - decay**2) * rng.standard_normal()
+    return decaying_sum(decay, drive)
 
 
 def fly_nulls(

@@ -1,8 +1,8 @@
-"""Is anything left that no named effect explains? Nameless terms, restless times and restless regimes.
+"""The omnibus test: is there anything in the residuals that no named effect explains?
 
 Three families of statistics on the residuals of a fitted model, each calibrated on the same simulated nulls:
-nameless terms (simple functions of the motion added to an output or to a force equation), energy in a second of flight,
-and energy that follows some activity (a clipped, stale or sticking sensor errs where its signal moves most).
+nameless terms (simple functions of the motion added to an output or to a force equation), energy in windows of a second,
+and energy that grows with some activity (a clipped, stale or sticking sensor errs where its signal moves most).
 """
 
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ from estimation.gap.significance.nameless_terms import (
     regressors_of,
 )
 
-LEADING = 8  # signals kept for the answer
+LEADING = 8  # signals for the answer
 NOTHING = 1e-12  # energy of a window without samples
-RESTLESS = 3  # windows kept of a record, most restless first
-FEWEST = 4  # samples a window has at the least
+RESTLESS = 3  # windows of each record with the largest scores
+FEWEST = 4  # samples in a window
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def examine(round_: Round) -> Omnibus:
     problem, model_fit, criteria = round_.baseline.problem, round_.baseline.fit, round_.criteria
     nulls = len(round_.null_residuals)
     terms, term_null = nameless_terms(round_.tangent)
-    white = whitened(problem, model_fit, round_)
+    white = whitened(round_)
     times, time_null = restless_times(problem, white, nulls)
     activity, activity_null = scatter_with_activity(problem, model_fit, white, nulls)
     largest = np.max([term_null, time_null, activity_null], axis=0)
@@ -67,14 +67,15 @@ def summed_up(signals: Sequence[OmnibusSignal], largest: Array, criteria: Criter
     return Omnibus(ranked[0].score if ranked else 0.0, unknown_above(largest, criteria), ranked)
 
 
-def whitened(problem: LikelihoodProblem, found: ModelFit, round_: Round) -> list[Array]:
-    """Per record (N, ny, 1 + nulls): whitened residuals of the data and the nulls, local unknowns taken out."""
+def whitened(round_: Round) -> list[Array]:
+    """Per record (N, ny, 1 + nulls): whitened residuals of the data and the nulls, local unknowns projected out."""
+    problem, found = round_.baseline.problem, round_.baseline.fit
     result = []
     for i in range(len(problem.records)):
         stack = np.stack([found.residuals[i], *(null[i] for null in round_.null_residuals)], axis=2)
         residuals = np.nan_to_num(stack)
         linear = problem.linearised(i, found.values, found.locals[i])
-        if linear is not None:  # else the local unknowns stay where they are, on data and nulls alike
+        if linear is not None:  # else the local unknowns stay as fitted, for data and nulls alike
             dy = linear[1]
             n = dy.shape[2]
             gram = problem.whiteners[i].gram(np.concatenate([dy, residuals], axis=2))
@@ -84,13 +85,13 @@ def whitened(problem: LikelihoodProblem, found: ModelFit, round_: Round) -> list
 
 
 def restless_times(problem: LikelihoodProblem, white: Sequence[Array], nulls: int) -> tuple[list[OmnibusSignal], Array]:
-    """Energy of every channel in windows of a second, standardised by the same window on the nulls."""
+    """Energy of every channel in windows of a second, standardised by the same window of the nulls."""
     signals: list[OmnibusSignal] = []
     largest = np.zeros(nulls)
     for i, series in enumerate(white):
         time = problem.coarse[i].time
         width = max(round(problem.criteria.window / float(np.median(np.diff(time)))), FEWEST)
-        width = min(width, len(time))  # a stretch between two gaps may be shorter: one window then
+        width = min(width, len(time))  # a short stretch between two gaps is one window
         energy, z = window_energy(series, width)
         largest = np.maximum(largest, z[:, :, 1:].max(axis=(0, 1)))
         for w, c in zip(*np.unravel_index(np.argsort(-z[:, :, 0].ravel())[:RESTLESS], z.shape[:2]), strict=True):
@@ -111,11 +112,11 @@ def window_energy(series: Array, width: int) -> tuple[Array, Array]:
 
 
 def beside_others(values: Array) -> Array:
-    """(..., 1 + nulls) values of the data and of nulls -> distances from the mean of the nulls in units of their scatter; for
-    each null of the others.
+    """(..., 1 + nulls) values of the data and of nulls -> distances from the mean of the nulls in units of their scatter; each
+    null from the other nulls.
 
-    A null measured by a scatter in which it takes part looks smaller than it is, one of four standard deviations among forty
-    by a quarter; the data take no part in it and would be called restless too often.
+    A null that is part of its own reference looks smaller than it is (four standard deviations among forty nulls by a quarter).
+    The data are no part of it and would be significant too often.
     """
     values = values - values[..., 1:].mean(axis=-1, keepdims=True)
     nulls, count = values[..., 1:], values.shape[-1] - 1
@@ -128,14 +129,14 @@ def beside_others(values: Array) -> Array:
 def scatter_with_activity(
     problem: LikelihoodProblem, found: ModelFit, white: Sequence[Array], nulls: int
 ) -> tuple[list[OmnibusSignal], Array]:
-    """Does the energy of a channel follow the size or the rate of some signal?"""
+    """How much the energy of each channel grows with the size or the rate of each signal, and the largest score of every null."""
     total: dict[tuple[int, str], Array] = {}
     jumping = {s.name for s in problem.model.inputs if s.control} | set(jumping_outputs(problem.model))
     for i, series in enumerate(white):
         (regressors,) = pooled([regressors_of(problem, found, i)])
         for (name, shape), values in regressors.items():
-            # fast surfaces between two samples leave scatter of their own, and so does what jumps with them: rates of
-            # theirs say nothing here, nor does the scatter of an output that jumps
+            # fast surfaces between two samples cause scatter, and so do signals that jump with them: their rates are no
+            # activity, and outputs that jump are not tested
             if shape not in ("even", "rate") or (shape == "rate" and name in jumping):
                 continue
             for c in (c for c, output in enumerate(problem.model.output_names) if output not in jumping):
@@ -153,6 +154,6 @@ def scatter_with_activity(
 
 
 def energy_with_activity(activity: Array, white: Array, criteria: Criteria) -> Array:
-    """(1 + nulls,) how much of the energy of whitened series (N, 1 + nulls) comes with an activity (N,) of unit rms."""
+    """(1 + nulls,) product of the energy of whitened series (N, 1 + nulls) with an activity (N,) of unit rms about its mean."""
     weight = np.minimum(np.abs(activity), criteria.certain)
     return np.asarray((weight - weight.mean()) @ np.minimum(white**2, criteria.certain**2))

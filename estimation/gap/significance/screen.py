@@ -1,9 +1,9 @@
-"""Score-test screen: what each hypothesis would leave in the residuals, with everything the base can absorb taken out.
+"""Score-test screen: the signature of each hypothesis in the residuals, with everything the base can absorb projected out.
 
 A hypothesis is a form of an effect that applies to the model. All are linearised at the fitted baseline by small steps. Per
-record the whitened sensitivities of shared parameters, of all hypotheses and the residuals are reduced to one small Gram matrix
-with the record's own unknowns (initial states, biases) eliminated. From then on scores, ties, detectable sizes, pairs, nulls and
-held-out predictions are small linear algebra.
+record the whitened sensitivities of shared parameters and of all hypotheses and the residuals give one small Gram matrix, with
+the unknowns of the record alone (initial states, biases) eliminated. Scores, ties, detectable sizes, pairs, nulls and held-out
+predictions are then small linear algebra.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -22,9 +22,9 @@ from estimation.gap.records.candidate_model import awakened
 from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model
 
-SMALL = 0.05  # usual sizes: secant steps to both sides, in which every smooth effect is linear
-LARGE = 0.3  # usual sizes: where only one side is possible, far enough that a play or a delay acts at all
-SEEN = 1e-6  # of a column's squared length: what the base leaves of less is rounding
+SMALL = 0.05  # usual sizes: secant steps to both sides, within which every smooth effect is linear
+LARGE = 0.3  # usual sizes: step to one side, large enough for a play or a delay to act
+SEEN = 1e-6  # of a column's squared length: less beside the base is rounding
 TINY = 1e-300  # keeps a column without length from dividing by zero
 SMALLEST_TAIL = 1e-300  # a probability that still has a quantile
 
@@ -101,8 +101,8 @@ def hypotheses_for(model: Model, effects: Sequence[Effect], available: frozenset
 @dataclass(frozen=True)
 class Screen:
     """The linearised problem. shared: (n,) names; columns: of the hypotheses; grams: per record, of whitened columns [shared |
-    hypotheses | residuals] with what is the record's own eliminated; prior: of the shared priors, of the same size; flights: of
-    each record."""
+    hypotheses | residuals] with the unknowns of the record alone eliminated; prior: Gram matrix of the shared priors, of the same
+    size; flights: of each record."""
 
     shared: tuple[str, ...]
     hypotheses: tuple[Hypothesis, ...]
@@ -128,16 +128,16 @@ class Screen:
         """Hypotheses and residuals with the shared parameters projected out."""
         return Projected.of(self.total(flights), self.n, self.k)
 
-    def with_nulls(self, kept: NDArray[np.bool_]) -> "Screen":
-        """The same with some of the residual columns behind the data's. kept: (nulls,)."""
-        index = np.flatnonzero(np.concatenate([np.ones(self.n + self.k + 1, dtype=bool), kept]))
+    def with_nulls(self, selected: NDArray[np.bool_]) -> "Screen":
+        """The same with some of the nulls. selected: (nulls,)."""
+        index = np.flatnonzero(np.concatenate([np.ones(self.n + self.k + 1, dtype=bool), selected]))
         pick = np.ix_(index, index)
         return replace(self, grams=tuple(gram[pick] for gram in self.grams), prior=self.prior[pick])
 
     def cross_gain(self, hypothesis: int, column: int = 0) -> float | None:
-        """Twice the log-likelihood gained on each flight by a hypothesis fitted to all the others, summed; linear theory.
+        """Twice the log-likelihood gained on each flight by a hypothesis fitted to the others, summed, by linear theory.
 
-        None where there is only one flight.
+        None with one flight only.
         """
         names = sorted(set(self.flights))
         if len(names) < 2:
@@ -168,8 +168,8 @@ class Screen:
 
 @dataclass(frozen=True)
 class Projected:
-    """B: (k, k) Gram matrix, b: (k, m) correlations with each of m residual columns, energy: (m,) what is left of each
-    residual, raw: (k,) squared length of each hypothesis before projection."""
+    """B: (k, k) Gram matrix, b: (k, m) products with each of m residual columns, energy: (m,) squared length of each residual,
+    raw: (k,) squared length of each column before projection."""
 
     B: Array
     b: Array
@@ -203,7 +203,7 @@ class Projected:
 
 
 def equivalent_z(gain: float, unknowns: int) -> float:
-    """The |z| of one unknown that is as improbable as a gain in twice the log-likelihood with several."""
+    """|z| of one unknown that is as improbable as a gain in twice the log-likelihood with several unknowns."""
     if unknowns == 1:
         return float(np.sqrt(max(gain, 0.0)))
     tail = chdtrc(unknowns, max(gain, 0.0))
@@ -241,8 +241,8 @@ def shared_prior(problem: LikelihoodProblem, fit: ModelFit, size: int, k: int) -
 
 
 def gram_of(tangent: Tangent, changes: Callable[[int], Iterable[Array]] = lambda index: ()) -> Array:
-    """Gram matrix of shared unknowns, columns, residuals of the data and of nulls over all records: those of a record alone
-    eliminated, with the priors of the shared ones. changes: of a record, (N, ny) of each column.
+    """Gram matrix of shared unknowns, columns, residuals of the data and of nulls over all records, with the unknowns of each
+    record alone eliminated and the priors of the shared ones. changes: record -> (N, ny) changes of the outputs by each column.
 
     Raises GapError where the fitted motion cannot be linearised.
     """
