@@ -25,20 +25,20 @@ from estimation.gap.significance.calibration import Round
 
 @dataclass(frozen=True)
 class ShapeContinuation:
-    """findings: effects of the rounds about the model with the shape; round_: the last round. standing: the model with these
-    names and without the shape; found: the shape about that model."""
+    """findings: effects of the rounds about the model with the shape; round_: the last round. baseline: the model with these
+    names and without the shape; shapes: the search for a shape about that model."""
 
     findings: tuple[AcceptedEffect, ...]
     round_: Round
-    standing: Baseline
-    found: ShapeSearch
+    baseline: Baseline
+    shapes: ShapeSearch
     rejected: tuple[Rejected, ...]
 
 
 def names_beside(
-    setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
+    setting: Setting, search: SearchState, baseline: Baseline, shapes: ShapeSearch, decision: Decision
 ) -> ShapeContinuation | None:
-    """Effects that stand beside a shape found about `standing`, or about the model with the names that the rest outweighs.
+    """Effects that stand beside a shape found about `baseline`, or about the model with the names that the rest outweighs.
 
     None where there is no such effect, or the shape does not stand beside them.
     """
@@ -46,7 +46,7 @@ def names_beside(
     if room <= 0:
         return None
     try:
-        shape, child = _shaped(setting, search, standing, found, decision)
+        shape, child = _shaped(setting, search, baseline, shapes, decision)
         if shape is None or child is None:
             return None
         setting.tell("names beside the shape", 0.93)
@@ -56,7 +56,7 @@ def names_beside(
         )
         if not extended.findings:
             return None
-        bare = replace(setting, working=standing.model, clean=standing.clean)
+        bare = replace(setting, working=baseline.model, clean=baseline.clean)
         nameless_base = afresh_with(bare, extended.findings, extended.findings[-1].child)
         if nameless_base is None:
             return None
@@ -69,39 +69,39 @@ def names_beside(
 
 
 def _shaped(
-    setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
+    setting: Setting, search: SearchState, baseline: Baseline, shapes: ShapeSearch, decision: Decision
 ) -> tuple[CoefficientShape | None, Baseline | None]:
     """A shape and the standing model with it.
 
     Where an unrelated rest outweighs names, neither closes the gap alone: the shape is sought about the model with the names, and
     added to the model without them.
     """
-    if found.shape is not None:
-        return found.shape, found.shape.measured.child
-    if decision.kept == len(search.findings) or isinstance(found.follower, SwingingTerm):
+    if shapes.shape is not None:
+        return shapes.shape, shapes.shape.measured.child
+    if decision.kept == len(search.findings) or isinstance(shapes.follower, SwingingTerm):
         return None, None
     shape = search_shape(setting, search, search.rounds[-1], decision).shape
-    fitted = None if shape is None else fit_increment(standing, shape.fitted.increment)
+    fitted = None if shape is None else fit_increment(baseline, shape.fitted.increment)
     if fitted is None:
         return None, None
-    model, clean = fitted.problem.model, standing.clean
-    return shape, fit_baseline(model, clean, setting.prepared, setting.scatter, fitted.fit, standing.noise)
+    model, clean = fitted.problem.model, baseline.clean
+    return shape, fit_baseline(model, clean, setting.prepared, setting.scatter, fitted.fit, baseline.noise)
 
 
 def in_its_place(
-    setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect], beside: ShapeContinuation
+    setting: Setting, search: SearchState, findings: Sequence[AcceptedEffect], beside: ShapeContinuation
 ) -> SearchState | None:
     """The search in which the rounds, with the names that stood beside a shape, name the effect behind the shape; None where they
     name nothing. Each of two missing effects can be too large a rest for the other to be named."""
-    standing, parent = beside.standing, kept[-1].child if kept else search.rounds[0].baseline
-    room = setting.options.most - len(kept) - len(beside.findings)
+    baseline, parent = beside.baseline, findings[-1].child if findings else search.rounds[0].baseline
+    room = setting.options.most - len(findings) - len(beside.findings)
     if room <= 0:
         return None
     setting.tell("a name in place of the shape", 0.94)
     options = replace(setting.options, most=room)
-    renewed = replace(setting, working=standing.model, clean=standing.clean, options=options, tell=_silent)
+    renewed = replace(setting, working=baseline.model, clean=baseline.clean, options=options, tell=_silent)
     try:
-        extended = run_rounds(renewed, standing)
+        extended = run_rounds(renewed, baseline)
     except GapError:  # a motion that cannot be linearised: the shape stands
         return None
     if not extended.findings:
@@ -110,7 +110,7 @@ def in_its_place(
     if replacements is None:
         return None
     return SearchState(
-        (*kept, *replacements, *extended.findings),
+        (*findings, *replacements, *extended.findings),
         (*search.rounds, *extended.rounds),
         extended.omnibus,
         (*search.rejected, *beside.rejected, *extended.rejected),
@@ -123,7 +123,7 @@ def _without_shape(setting: Setting, before: Baseline, beside: ShapeContinuation
     replaced: list[AcceptedEffect] = []
     for count, finding in enumerate(beside.findings, 1):
         complete = count == len(beside.findings)
-        child = beside.standing if complete else afresh_with(bare, beside.findings[:count], finding.child)
+        child = beside.baseline if complete else afresh_with(bare, beside.findings[:count], finding.child)
         if child is None:
             return None
         # `doubted` compares the effect with a shape about another model
@@ -135,7 +135,7 @@ def _silent(what: str, share: float) -> None:
     """No progress: the caller has reported these rounds."""
 
 
-def as_good(shape: CoefficientShape, name: EffectStep, criteria: Criteria) -> bool:
+def closes_as_much(shape: CoefficientShape, name: EffectStep, criteria: Criteria) -> bool:
     """Whether a shape closes as much of the gap as a name, within the margin by which two formulas count as equal."""
     closed = name.gap.closed if name.holdout is None else name.holdout.closed
     return shape.measured.closed >= closed - (1.0 - criteria.shape_share)
@@ -144,31 +144,28 @@ def as_good(shape: CoefficientShape, name: EffectStep, criteria: Criteria) -> bo
 def without_doubted(
     setting: Setting,
     search: SearchState,
-    kept: Sequence[AcceptedEffect],
+    findings: Sequence[AcceptedEffect],
     named: Sequence[EffectStep],
     decision: Decision,
 ) -> tuple[Decision, tuple[AcceptedEffect, ...], Baseline, ShapeSearch, ShapeContinuation | None] | None:
     """A shape in place of the first name that explains less than a shape: the decision, the names before it, the model with
     these, the shape and the names beside it. None where there is no such name, or later names do not stand beside the shape."""
-    number = next((k for k, f in enumerate(kept) if f.doubted), None)
+    number = next((k for k, f in enumerate(findings) if f.doubted), None)
     if number is None:
         return None
-    round_ = kept[number].round_
-    search_result = search_shape(setting, search, round_, as_unknown(decision))
-    if search_result.shape is None or not as_good(search_result.shape, named[number], setting.options.criteria):
+    doubted, round_ = findings[number], findings[number].round_
+    shapes = search_shape(setting, search, round_, as_unknown(decision))
+    if shapes.shape is None or not closes_as_much(shapes.shape, named[number], setting.options.criteria):
         return None
-    changed = without_name(decision, kept[number], number, search_result.shape)
-    continuation = names_beside(setting, search, round_.baseline, search_result, changed)
-    findings = continuation.findings if continuation is not None else ()
-    continued_names = {f.candidate.hypothesis.effect.name for f in findings}
-    if not {f.candidate.hypothesis.effect.name for f in kept[number + 1 :]} <= continued_names:
-        return None
-    return changed, tuple(kept[:number]), round_.baseline, search_result, continuation
-
-
-def without_name(decision: Decision, finding: AcceptedEffect, number: int, shape: CoefficientShape) -> Decision:
-    """The decision in which a shape without a name replaces a name, after `number` others, that explains less."""
-    place = shape.fitted.increment.place.words
+    place = shapes.shape.fitted.increment.place.words
     reason = f"a smooth function without a name ({place}) explains clearly more than this form of it"
-    effect = finding.candidate.hypothesis.effect.name
-    return replace(decision, kept=number, withdrawn=(*decision.withdrawn, (effect, reason)))
+    withdrawn = (*decision.withdrawn, (doubted.candidate.hypothesis.effect.name, reason))
+    changed = replace(decision, kept=number, withdrawn=withdrawn)
+    continuation = names_beside(setting, search, round_.baseline, shapes, changed)
+    if not _names(findings[number + 1 :]) <= _names(continuation.findings if continuation is not None else ()):
+        return None
+    return changed, tuple(findings[:number]), round_.baseline, shapes, continuation
+
+
+def _names(findings: Sequence[AcceptedEffect]) -> set[str]:
+    return {f.candidate.hypothesis.effect.name for f in findings}

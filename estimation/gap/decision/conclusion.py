@@ -17,7 +17,6 @@ from estimation.gap.decision.decide import (
     decide,
     only_steered,
     with_names,
-    with_shape,
 )
 from estimation.gap.decision.followers import beside_memory, late_rest, settled_follower
 from estimation.gap.decision.held_out import held_out_step, not_predicted
@@ -63,11 +62,11 @@ LEADING = 5  # nameless signals in the JSON file
 
 
 @dataclass
-class _Standing:
+class _Conclusion:
     """The state of the conclusion.
 
-    named: steps of all accepted effects; kept: the effects that stand; model: the fitted model with these; rest: the nameless
-    signals about it; gap: its plain gap; found: a shape, lag or swing for the rest; event: events in time instead.
+    named: steps of all accepted effects; findings: the effects that stand; model: the fitted model with these; rest: the nameless
+    signals about it; gap: its plain gap; shapes: a shape, lag or swing for the rest; event: events in time instead.
     """
 
     setting: Setting
@@ -76,11 +75,11 @@ class _Standing:
     cannot: list[Effect]
     named: list[EffectStep]
     decision: Decision
-    kept: tuple[AcceptedEffect, ...]
+    findings: tuple[AcceptedEffect, ...]
     model: Baseline
     rest: Omnibus
     gap: float
-    found: ShapeSearch = NOT_SEARCHED
+    shapes: ShapeSearch = NOT_SEARCHED
     event: Happened | None = None
 
 
@@ -89,23 +88,23 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     state = _decided(setting, search)
     replaced = None
     if not setting.steered and not state.decision.doubted:
-        replaced = without_doubted(setting, search, state.kept, state.named, state.decision)
+        replaced = without_doubted(setting, search, state.findings, state.named, state.decision)
     continuation = None
     if replaced is not None:
-        state.decision, state.kept, state.model, state.found, continuation = replaced
+        state.decision, state.findings, state.model, state.shapes, continuation = replaced
     elif not setting.steered and not state.decision.doubted:
         _search_unnamed(state)
     if replaced is None and state.event is None and not state.decision.doubted:
-        continuation = names_beside(setting, search, state.model, state.found, state.decision)
+        continuation = names_beside(setting, search, state.model, state.shapes, state.decision)
     if continuation is not None:
-        renewed = in_its_place(setting, search, state.kept, continuation)
+        renewed = in_its_place(setting, search, state.findings, continuation)
         if renewed is not None:
             return concluded(setting, renewed, check)
         _add_names(state, continuation)
     return _answer(state, check, rejected_hypotheses(search, continuation))
 
 
-def _decided(setting: Setting, search: SearchState) -> _Standing:
+def _decided(setting: Setting, search: SearchState) -> _Conclusion:
     """The decision on the effects of the rounds, before the search for shapes and events."""
     first, last = search.rounds[0], search.rounds[-1]
     floor = floor_about(setting, last)
@@ -118,45 +117,45 @@ def _decided(setting: Setting, search: SearchState) -> _Standing:
     decision = decide(facts, setting.options.criteria, bool(setting.commanded))
     standing = search.findings[: decision.kept]
     model = standing[-1].child if standing else first.baseline
-    return _Standing(setting, search, floor, cannot, steps, decision, standing, model, search.omnibus, gap)
+    return _Conclusion(setting, search, floor, cannot, steps, decision, standing, model, search.omnibus, gap)
 
 
-def _search_unnamed(state: _Standing) -> None:
+def _search_unnamed(state: _Conclusion) -> None:
     """Look for a shape, an event in time, or a lag or swing beside the standing names."""
     setting, search = state.setting, state.search
-    round_ = standing_round(setting, search, state.kept)
-    if not state.kept or state.decision.verdict is GapVerdict.UNKNOWN:
-        state.found = search_shape(setting, search, round_, state.decision)
-    if state.found.shape is None:  # also with names, which are no events in time
+    round_ = standing_round(setting, search, state.findings)
+    if not state.findings or state.decision.verdict is GapVerdict.UNKNOWN:
+        state.shapes = search_shape(setting, search, round_, state.decision)
+    if state.shapes.shape is None:  # also with names, which are no events in time
         state.event = events_in_time(setting, round_)
-    if state.found.shape is not None or state.event is not None:
+    if state.shapes.shape is not None or state.event is not None:
         return
-    late_term = late_rest(setting, search, state.kept)
+    late_term = late_rest(setting, search, state.findings)
     if late_term is None:
-        follower = settled_follower(state.found.follower, state.model, setting.options.seed)
+        follower = settled_follower(state.shapes.follower, state.model, setting.options.seed)
     else:
         follower = late_term.follower
         state.decision = beside_memory(state.decision, [n.effect for n in state.named], late_term)
-        if state.decision.kept < len(state.kept):
-            state.kept = state.kept[: state.decision.kept]
-            round_ = standing_round(setting, search, state.kept)
+        if state.decision.kept < len(state.findings):
+            state.findings = state.findings[: state.decision.kept]
+            round_ = standing_round(setting, search, state.findings)
             state.model, state.rest = round_.baseline, examine(round_)
             state.gap = rms_over_noise(state.model.problem, state.model.fit, setting.scatter)
-    state.found = replace(state.found, follower=follower)
+    state.shapes = replace(state.shapes, follower=follower)
     if follower:
         state.decision = as_unknown(state.decision)
 
 
-def _add_names(state: _Standing, beside: ShapeContinuation) -> None:
+def _add_names(state: _Conclusion, beside: ShapeContinuation) -> None:
     """Add the names that stand beside a shape, and the shape found about the model with them."""
     floor = floor_about(state.setting, beside.round_)
-    state.kept, state.model, state.found = (*state.kept, *beside.findings), beside.standing, beside.found
+    state.findings, state.model, state.shapes = (*state.findings, *beside.findings), beside.baseline, beside.shapes
     new_steps = (step_of(state.setting, f, floor) for f in beside.findings)
     state.named = [*state.named[: state.decision.kept], *new_steps]
     state.decision = with_names(state.decision, [s.effect for s in state.named])
 
 
-def _of_inputs(state: _Standing, rest: Omnibus) -> str:
+def _of_inputs(state: _Conclusion, rest: Omnibus) -> str:
     """A sentence on the first withdrawn name, or the nameless rest, that the times of recorded commands may have caused."""
     if not state.decision.doubted:
         return ""
@@ -167,14 +166,15 @@ def _of_inputs(state: _Standing, rest: Omnibus) -> str:
     return rest_of_inputs(state.setting.commanded, f"what is left in {place}", rest.score, rest.threshold)
 
 
-def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, ...]) -> GapResult:
+def _answer(state: _Conclusion, check: KinematicCheck, rejected: tuple[Rejected, ...]) -> GapResult:
     """The answer from the final state."""
-    setting, search, shapes = state.setting, state.search, state.found
+    setting, search, shapes = state.setting, state.search, state.shapes
     prepared, first, last = setting.prepared, search.rounds[0], search.rounds[-1]
     decision, rest, final = state.decision, state.rest, state.model
     unchanged_gap, unnamed, remainder = Gap(state.gap, state.gap, state.floor.training_median), None, ""
     if shapes.shape is not None:
-        decision, unnamed = with_shape(decision), shaped_step(shapes.shape, state.model, setting, rejected)
+        decision = replace(decision, verdict=GapVerdict.GAP_REDUCED)  # smaller, but unnamed
+        unnamed = shaped_step(shapes.shape, state.model, setting, rejected)
         last, final = shapes.shape.measured.round_, shapes.shape.measured.child
         rest, remainder = still_left(last, rest)
     elif state.event is not None:
@@ -188,13 +188,13 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
     unlike = not_predicted(final, prepared, state.floor)
     if unlike is not None and decision.verdict is GapVerdict.NO_GAP:
         decision, unnamed, unlike = as_unknown(decision), held_out_step(unlike, unchanged_gap, state.floor), None
-    effect_steps = [with_final_estimates(s, f, final) for s, f in zip(state.named, state.kept, strict=False)]
+    effect_steps = [with_final_estimates(s, f, final) for s, f in zip(state.named, state.findings, strict=False)]
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
     odd = odd_flights(repeats)
     late = shapes.follower if len(odd) < max(len(repeats), 1) else None  # no swing explains flights that all differ
     steps = steps_in_words(decision, effect_steps, rest, check, state.gap, state.floor, unnamed, late)
     stages = views(first.baseline, final, prepared)
-    before_model, after_model = models(setting.base, first.baseline, state.kept, shapes.shape)
+    before_model, after_model = models(setting.base, first.baseline, state.findings, shapes.shape)
     hypotheses = {h.effect.name for h in first.screen.hypotheses}
     held_channels = [s.shape.channel for s in steps if isinstance(s.shape, HeldInstrument)]
     return GapResult(

@@ -93,11 +93,6 @@ def only_steered(facts: VerdictFacts) -> VerdictFacts:
     return replace(facts, rest=0.0, blind=facts.asked)
 
 
-def with_shape(decision: Decision) -> Decision:
-    """The decision with a nameless shape for the rest: the gap is smaller, but unnamed."""
-    return replace(decision, verdict=GapVerdict.GAP_REDUCED)
-
-
 def with_names(decision: Decision, names: Sequence[str]) -> Decision:
     """The decision in which these names stand beside a shape; some may have been withdrawn without it."""
     withdrawn = tuple((effect, reason) for effect, reason in decision.withdrawn if effect not in names)

@@ -97,18 +97,18 @@ def settled_follower(follower: Follower | None, baseline: Baseline, seed: int) -
     return as_fitted(follower, fitted, baseline.criteria)
 
 
-def stands(follower: Follower, baseline: Baseline, found: ModelFit, seed: int) -> bool:
+def stands(follower: Follower, baseline: Baseline, model_fit: ModelFit, seed: int) -> bool:
     """Whether a fitted lag or swing is significant by its own share of its gain."""
-    share = MeasuredAgain(baseline, seed).share(2.0 * (baseline.fit.cost - found.cost), found)
+    share = MeasuredAgain(baseline, seed).share(2.0 * (baseline.fit.cost - model_fit.cost), model_fit)
     return follower.score * math.sqrt(share) > follower.threshold
 
 
-def as_fitted(follower: Follower, found: ModelFit, criteria: Criteria) -> Follower | None:
+def as_fitted(follower: Follower, model_fit: ModelFit, criteria: Criteria) -> Follower | None:
     """A lag unchanged, a swing with the fitted values; None where that does not ring, or where a limit stopped the fit: an
     undamped tone needs no acceleration to drive it, and a frequency far from the first one belongs to another swing."""
-    if not isinstance(follower, SwingingTerm) or found.diverged:
+    if not isinstance(follower, SwingingTerm) or model_fit.diverged:
         return follower
-    values, std = found.values, found.std()
+    values, std = model_fit.values, model_fit.std()
     fitted = replace(
         follower,
         by={a: float(values[f"{SWING}_{a}"]) for a in follower.by},
@@ -131,16 +131,18 @@ class LateRest:
     needed: int
 
 
-def late_rest(setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect]) -> LateRest | None:
-    """The lag or swing that the model with the names `kept` lacks; None where none is significant, or where the motion of that
-    model cannot be linearised or flown: the answer stands without it."""
+def late_rest(setting: Setting, search: SearchState, findings: Sequence[AcceptedEffect]) -> LateRest | None:
+    """The lag or swing that the model with the names `findings` lacks; None where none is significant, or where the motion of
+    that model cannot be linearised or flown: the answer stands without it."""
     try:
-        return _late_rest(setting, search, kept, standing_round(setting, search, kept)) if kept else None
+        return _late_rest(setting, search, findings, standing_round(setting, search, findings)) if findings else None
     except GapError:
         return None
 
 
-def _late_rest(setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect], about: Round) -> LateRest | None:
+def _late_rest(
+    setting: Setting, search: SearchState, findings: Sequence[AcceptedEffect], about: Round
+) -> LateRest | None:
     motion = ModelMotion.of(about.baseline.problem, about.baseline.fit)
     candidates = (find_memory(motion, about, places_of(setting.base)), find_swing(motion, about))
     significant_terms = [f for f in candidates if f is not None and stands_out(f, setting.options.criteria)]
@@ -152,11 +154,11 @@ def _late_rest(setting: Setting, search: SearchState, kept: Sequence[AcceptedEff
     problem, current = fit_hypothesis(first.problem, first.fit, hypothesis, start)
     fitted = as_fitted(follower, current, setting.options.criteria)
     if fitted is None or current.diverged:
-        return None if fitted is None else LateRest(fitted, len(kept))
+        return None if fitted is None else LateRest(fitted, len(findings))
     if not stands(follower, first, current, setting.options.seed):
         return None
     count = 0
-    for finding in kept:
+    for finding in findings:
         estimates = {n: v for n, (v, _) in finding.candidate.estimates.items()}
         problem, extended = fit_hypothesis(problem, current, finding.candidate.hypothesis, estimates)
         if extended.diverged or not significant_beside(2.0 * (current.cost - extended.cost), finding):

@@ -133,17 +133,17 @@ def with_models(result: GapResult, flights: Sequence[Flight], seed: int, folder:
 
 
 def models(
-    base: Model, first: Baseline, kept: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
+    base: Model, first: Baseline, findings: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
 ) -> tuple[Model, Model]:
     """The fitted base, and the child with the standing effects and a nameless shape (the base where there is neither)."""
     parent = with_values(base, first.fit.values)
-    if not kept and shape is None:
+    if not findings and shape is None:
         return parent, parent
     child = base
-    for f in kept:
+    for f in findings:
         child = f.candidate.hypothesis.form.added_to(child)
-    names = [base.name, *(f.candidate.hypothesis.effect.name for f in kept)]
-    values = kept[-1].child.fit.values if kept else first.fit.values
+    names = [base.name, *(f.candidate.hypothesis.effect.name for f in findings)]
+    values = findings[-1].child.fit.values if findings else first.fit.values
     if shape is not None:
         values = shape.measured.child.fit.values
         child = shape.fitted.increment.written_into(child, values)

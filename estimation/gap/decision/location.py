@@ -102,13 +102,13 @@ def windows(time: Array, squares: Array) -> list[tuple[float, float, float]]:
 
 
 def missing_coefficients(
-    problem: LikelihoodProblem, found: ModelFit, index: int, residual: Array, scatter: Array
+    problem: LikelihoodProblem, model_fit: ModelFit, index: int, residual: Array, scatter: Array
 ) -> dict[str, Array]:
     """Equation -> (N,) disturbance that most likely caused a residual (N, ny): a Wiener smoother over the linearised motion, with
     each disturbance of the strength that alone would double the measurement noise."""
     model, segment = problem.model, problem.coarse[index]
     simulator = Simulator.build(model, (), substeps=1, hold="linear")
-    values = {**problem.starts(), **found.values}
+    values = {**problem.starts(), **model_fit.values}
     linear = linear_motion(model, simulator, segment, values)
     states = force_states(problem.base)
     shapes = as_seen(shapes_of(model, linear, len(segment), problem.criteria, states), np.isfinite(residual))

@@ -36,9 +36,9 @@ POINTS = 16  # at which two forms are compared: more than the zeros that product
 SAME = 1e-9  # relative change of the ratio of two forms by rounding alone
 
 
-def standing_round(setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect]) -> Round:
+def standing_round(setting: Setting, search: SearchState, findings: Sequence[AcceptedEffect]) -> Round:
     """The round about the model with the names that stand."""
-    standing = kept[-1].child if kept else search.rounds[0].baseline
+    standing = findings[-1].child if findings else search.rounds[0].baseline
     round_ = next((r for r in search.rounds if r.baseline is standing), None)
     return round_ or setting.screened(standing, len(search.rounds))
 

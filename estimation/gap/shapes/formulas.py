@@ -44,12 +44,12 @@ FORMULAS = (
 
 @dataclass(frozen=True)
 class Sketch:
-    """A formula regressed on a spline. left: share of the spline's variance at the samples flown that it leaves."""
+    """A formula regressed on a spline. missed: share of the spline's variance at the samples flown that it does not explain."""
 
     formula: Formula
     width: float
     size: float
-    left: float
+    missed: float
 
 
 def sketched(fitted: FittedIncrement, flown: ModelMotion) -> list[Sketch]:
@@ -78,10 +78,10 @@ def regressed(x: Array, target: Array, increment: Increment) -> list[Sketch]:
                 continue  # the base has it
             size = float(column @ remainder) / length
             sketch = Sketch(formula, width, size, float(np.sum((remainder - size * column) ** 2)) / total)
-            closest = sketch if closest is None or sketch.left < closest.left else closest
+            closest = sketch if closest is None or sketch.missed < closest.missed else closest
         if closest is not None:
             sketches.append(closest)
-    return sorted(sketches, key=lambda s: s.left)
+    return sorted(sketches, key=lambda s: s.missed)
 
 
 def _without(values: Array, base: Array) -> Array:

@@ -47,8 +47,7 @@ class Increment:
     @property
     def weights(self) -> tuple[str, ...]:
         """Names of the unknowns."""
-        extra = [f"{TAG}_line"] * self.place.lacks_line + [f"{TAG}_constant"] * self.place.lacks_constant
-        return (*(f"{TAG}_w{j}" for j in range(1, KEPT + 1)), *extra)
+        return tuple(w for w in self.text_weights if w != "0")
 
     def edges(self, held: Range | None = None) -> dict[str, float]:
         """Values of the parameters that scale the variable and limit it to `held` (default: the range flown)."""
@@ -157,16 +156,16 @@ def holdout_predictions(baseline: Baseline, fitted: FittedIncrement, flown: Mode
 
 def holdout_cost(
     problem: LikelihoodProblem,
-    found: ModelFit,
+    model_fit: ModelFit,
     training: Sequence[int],
     holdout: Sequence[int],
     edges: Mapping[str, float],
 ) -> float | None:
     """Whitened cost of the records `holdout` with the parameters fitted to `training`; None where the motion runs away."""
-    trained = fit(of_records(problem, training), found.values, [found.locals[i] for i in training])
+    trained = fit(of_records(problem, training), model_fit.values, [model_fit.locals[i] for i in training])
     if trained.diverged:
         return None
-    starts = [found.locals[i] for i in holdout]
+    starts = [model_fit.locals[i] for i in holdout]
     tested = fit(of_records(problem, holdout), {**trained.values, **edges}, starts, frozen=True)
     return None if tested.diverged else tested.cost
 
@@ -180,9 +179,9 @@ def of_records(problem: LikelihoodProblem, records: Sequence[int]) -> Likelihood
     )
 
 
-def predicts_every_flight(found: Sequence[HoldoutPrediction], criteria: Criteria) -> bool:
+def predicts_every_flight(predictions: Sequence[HoldoutPrediction], criteria: Criteria) -> bool:
     """Whether there are flights within the range of the others, and each of them is predicted better."""
-    testable = [f for f in found if f.inside >= criteria.form_inside]
+    testable = [f for f in predictions if f.inside >= criteria.form_inside]
     return bool(testable) and all(f.gain > 0.0 for f in testable)
 
 
@@ -193,11 +192,11 @@ def closed(before: float, after: float, floor: float) -> float:
     return float(np.clip(1.0 - (after - floor) / (before - floor), 0.0, 1.0))
 
 
-def holdout_energy(problem: LikelihoodProblem, found: ModelFit, baseline: Baseline, noise: NoiseModel) -> float:
+def holdout_energy(problem: LikelihoodProblem, model_fit: ModelFit, baseline: Baseline, noise: NoiseModel) -> float:
     """Whitened energy of a fitted model on the held-out flights with frozen shared parameters; on the training flights where
-    there are none. problem, found: on the training flights; noise: of the whitening."""
-    held_out = replace(baseline, problem=problem, fit=found, noise=noise).held_out
-    return 2.0 * (found.cost if held_out is None else held_out[1].cost)
+    there are none. problem, model_fit: on the training flights; noise: of the whitening."""
+    held_out = replace(baseline, problem=problem, fit=model_fit, noise=noise).held_out
+    return 2.0 * (model_fit.cost if held_out is None else held_out[1].cost)
 
 
 def floor_energy(child: Baseline, errors: Sequence[InputErrors], seed: int) -> float:
@@ -206,19 +205,21 @@ def floor_energy(child: Baseline, errors: Sequence[InputErrors], seed: int) -> f
     The upper end, not the middle: the weather of one day and the surfaces of one flight are not average.
     """
     training = len(child.problem.records)
-    problem, found = child.held_out or (child.problem, child.fit)
+    problem, model_fit = child.held_out or (child.problem, child.fit)
     record_errors = errors[:training] if child.held_out is None else errors[len(errors) - len(problem.records) :]
-    flyer = NullFlyer.build(problem, found, child.noise, record_errors)
+    flyer = NullFlyer.build(problem, model_fit, child.noise, record_errors)
     total = np.zeros(NULLS)
     for i in range(len(problem.records)):
-        tangent = RecordTangent.of(problem, found, i, flyer.residuals(i, Stream.CLOSURE_NULLS, seed, NULLS))
+        tangent = RecordTangent.of(problem, model_fit, i, flyer.residuals(i, Stream.CLOSURE_NULLS, seed, NULLS))
         total += tangent.squares(tangent.fixed)[-NULLS:]
     return float(np.quantile(total, problem.criteria.null_level))
 
 
-def refitted_with(problem: LikelihoodProblem, found: ModelFit, child: Baseline) -> tuple[LikelihoodProblem, ModelFit]:
+def refitted_with(
+    problem: LikelihoodProblem, model_fit: ModelFit, child: Baseline
+) -> tuple[LikelihoodProblem, ModelFit]:
     """A model refitted to the training flights with the noise of another."""
     reweighted = LikelihoodProblem(
         problem.model, problem.base, child.problem.records, child.problem.whiteners, problem.criteria
     )
-    return reweighted, fit(reweighted, found.values, found.locals)
+    return reweighted, fit(reweighted, model_fit.values, model_fit.locals)

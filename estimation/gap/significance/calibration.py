@@ -21,7 +21,7 @@ from estimation.gap.significance.tangent import Tangent
 class Round:
     """A baseline with its screen and its nulls.
 
-    gains: (hypotheses,) twice the log-likelihood by linear theory; null_gains: (nulls, hypotheses) the same on the nulls.
+    gains: (hypotheses,) twice the log-likelihood by linear theory.
     inflation: (hypotheses,) variance of the score on the nulls, at least 1. threshold: family-wise quantile of the
     largest standardised score on the nulls, with a margin. tangent: linearised records for further tests of the fit.
     """
@@ -29,7 +29,6 @@ class Round:
     baseline: Baseline
     screen: Screen
     gains: Array
-    null_gains: Array
     inflation: Array
     threshold: float
     tangent: Tangent
@@ -83,7 +82,7 @@ def screen_round(
     inflation = null_inflation(screen, nulls)
     largest = np.sqrt(null_gains / inflation).max(axis=1) if screen.hypotheses else np.zeros(nulls)
     limit = significant_above(largest, baseline.criteria)
-    return Round(baseline, screen, gains, null_gains, inflation, limit, tangent)
+    return Round(baseline, screen, gains, inflation, limit, tangent)
 
 
 def like_the_flights(energy: Array, criteria: Criteria) -> NDArray[np.bool_]:

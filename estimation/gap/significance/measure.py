@@ -24,43 +24,45 @@ from estimation.gap.significance.tangent import Tangent
 PAIR = 2  # flights: which of them is the odd one cannot be known
 
 
-def rms_over_noise(problem: LikelihoodProblem, found: ModelFit, scatter: Array) -> float:
+def rms_over_noise(problem: LikelihoodProblem, model_fit: ModelFit, scatter: Array) -> float:
     """Gap of a fitted model: rms over records, samples and outputs of residual / noise.
 
     The whitened fit tolerates slow drifts, which gusts cause. For this plain measure the initial states and biases of every
     record are fitted again with plain weights and fixed shared parameters. Nulls are measured in the same way.
     """
     squares, count = 0.0, 0.0
-    for i, residual in enumerate(found.residuals):
+    for i, residual in enumerate(model_fit.residuals):
         finite = np.isfinite(residual)
-        part = _plain_squares(problem, found, i, np.nan_to_num(residual)[:, :, None], scatter)
+        part = _plain_squares(problem, model_fit, i, np.nan_to_num(residual)[:, :, None], scatter)
         squares += float(part[0])
         count += float(finite.sum())
     return float(np.sqrt(squares / max(count, 1.0)))
 
 
-def plain_residuals(problem: LikelihoodProblem, found: ModelFit, index: int, scatter: Array) -> Array:
+def plain_residuals(problem: LikelihoodProblem, model_fit: ModelFit, index: int, scatter: Array) -> Array:
     """(N, ny) residuals of a record after its initial states and biases were fitted with plain weights."""
-    residual = found.residuals[index]
-    rows = _plain_rows(problem, found, index, np.nan_to_num(residual)[:, :, None], scatter)
+    residual = model_fit.residuals[index]
+    rows = _plain_rows(problem, model_fit, index, np.nan_to_num(residual)[:, :, None], scatter)
     return np.where(np.isfinite(residual), rows.reshape(residual.shape) * scatter, np.nan)
 
 
-def _plain_squares(problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, scatter: Array) -> Array:
+def _plain_squares(
+    problem: LikelihoodProblem, model_fit: ModelFit, index: int, residuals: Array, scatter: Array
+) -> Array:
     """(m,) sums of squares over noise of residuals (N, ny, m) after the unknowns of the record alone were fitted to them."""
-    return np.sum(_plain_rows(problem, found, index, residuals, scatter) ** 2, axis=0)
+    return np.sum(_plain_rows(problem, model_fit, index, residuals, scatter) ** 2, axis=0)
 
 
-def _plain_rows(problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, scatter: Array) -> Array:
+def _plain_rows(problem: LikelihoodProblem, model_fit: ModelFit, index: int, residuals: Array, scatter: Array) -> Array:
     """(N ny, m) residuals over noise after the unknowns of the record alone were fitted to them."""
     finite = np.isfinite(problem.coarse[index].z)
     rows = (residuals / scatter[None, :, None] * finite[:, :, None]).reshape(-1, residuals.shape[2])
-    linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
+    linear = problem.linearised(index, {**problem.starts(), **model_fit.values}, model_fit.locals[index])
     if linear is None:  # a motion too sensitive for a better initial state
         return rows
     local_columns = linear[1][:, :, len(problem.free) :] / scatter[None, :, None] * finite[:, :, None]
     J = local_columns.reshape(rows.shape[0], -1)
-    weights, _ = local_prior(problem, found.locals[index], J.shape[1])
+    weights, _ = local_prior(problem, model_fit.locals[index], J.shape[1])
     return rows - J @ solved(J.T @ J + np.diag(weights), J.T @ rows)
 
 
@@ -163,16 +165,16 @@ def floors(
 
 
 def _gaps(
-    problem: LikelihoodProblem, found: ModelFit, null_records: Sequence[Array], shift: Array, scatter: Array
+    problem: LikelihoodProblem, model_fit: ModelFit, null_records: Sequence[Array], shift: Array, scatter: Array
 ) -> Array:
     """(nulls,) gap of null residuals, per record (N, ny, nulls), after the shared parameters moved by `shift` (n, nulls)."""
     squares = []
     for i, residuals in enumerate(null_records):
         refitted = np.nan_to_num(residuals)
-        linear = problem.linearised(i, {**problem.starts(), **found.values}, found.locals[i])
+        linear = problem.linearised(i, {**problem.starts(), **model_fit.values}, model_fit.locals[i])
         if linear is not None:
             refitted = refitted - linear[1][:, :, : len(problem.free)] @ shift
-        squares.append(_plain_squares(problem, found, i, refitted, scatter))
+        squares.append(_plain_squares(problem, model_fit, i, refitted, scatter))
     count = sum(float(np.isfinite(segment.z).sum()) for segment in problem.coarse)
     return np.asarray(np.sqrt(np.sum(squares, axis=0) / max(count, 1.0)))
 

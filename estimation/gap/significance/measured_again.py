@@ -66,7 +66,7 @@ class MeasuredAgain:
         finite = (tuple(r for r in records if r is not None) for records in remade)
         return tuple(f for f in finite if len(f) == len(problem.records) and sum(r.energy for r in f) < limit)
 
-    def share(self, gain: float, found: ModelFit) -> float:
+    def share(self, gain: float, model_fit: ModelFit) -> float:
         """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
 
         From its mean gain on simulated flights without the effect, as in `own_share`. Gains by priors, such as those of times
@@ -75,23 +75,23 @@ class MeasuredAgain:
         """
         if gain <= 0.0:
             return 1.0
-        trial = replace(self.baseline.problem, model=found.model)  # one for all repeats: it caches results
-        gains = [g for remade in self.sets if (g := _gain(trial, remade, found)) is not None]
+        trial = replace(self.baseline.problem, model=model_fit.model)  # one for all repeats: it caches results
+        gains = [g for remade in self.sets if (g := _gain(trial, remade, model_fit)) is not None]
         if not gains:
             return 1.0
-        freed = freed_by(self.baseline.problem, self.baseline.fit, found)
+        freed = freed_by(self.baseline.problem, self.baseline.fit, model_fit)
         return own_share(gain, float(np.mean(gains)), freed, self.baseline.criteria)
 
     def problems(self) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
         """Every repeat as flights: the base with the values found on the real flights, and its residuals."""
-        problem, found = self.baseline.problem, self.baseline.fit
+        problem, model_fit = self.baseline.problem, self.baseline.fit
         for remade in self.sets:
             pairs = list(zip(problem.records, remade, strict=True))
             again = replace(problem, records=tuple(_recorded(problem.model, record, r) for record, r in pairs))
-            modelled = [again.modelled(i, found.values, local) for i, local in enumerate(found.locals)]
+            modelled = [again.modelled(i, model_fit.values, local) for i, local in enumerate(model_fit.locals)]
             residuals = tuple(r.outputs - y for (_, r), y in zip(pairs, modelled, strict=True) if y is not None)
             if len(residuals) == len(pairs):
-                yield again, replace(found, residuals=residuals)
+                yield again, replace(model_fit, residuals=residuals)
 
     def _flown(self, flyer: NullFlyer, index: int, rng: np.random.Generator) -> tuple[Array | None, Array]:
         """Outputs of the base flown through a course that the controls of a record may have taken, None where it runs away; and
@@ -137,11 +137,11 @@ def _recorded(model: Model, record: FlightRecord, remade: Remade) -> FlightRecor
     return replace(record, inputs={**record.inputs, **controls}, z=remade.outputs)
 
 
-def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], found: ModelFit) -> float | None:
+def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], model_fit: ModelFit) -> float | None:
     """Gain of a fitted hypothesis on one simulated set (twice a log-likelihood); None where its motion runs away."""
     total = 0.0
     for index, record in enumerate(remade):
-        outputs = problem.modelled(index, found.values, found.locals[index], inputs=record.inputs)
+        outputs = problem.modelled(index, model_fit.values, model_fit.locals[index], inputs=record.inputs)
         if outputs is None:
             return None
         total += record.energy - problem.whiteners[index].energy(record.outputs - outputs)

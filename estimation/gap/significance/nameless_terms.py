@@ -38,9 +38,9 @@ class OmnibusSignal:
     sign: float = 1.0
 
 
-def regressors_of(problem: LikelihoodProblem, found: ModelFit, index: int) -> dict[tuple[str, str], Array]:
+def regressors_of(problem: LikelihoodProblem, model_fit: ModelFit, index: int) -> dict[tuple[str, str], Array]:
     """(signal, shape) -> (N,) functions of the fitted motion and the controls."""
-    coarse, outputs = problem.coarse[index], problem.fitted_outputs(index, found)
+    coarse, outputs = problem.coarse[index], problem.fitted_outputs(index, model_fit)
     signals = {n: outputs[:, i] for i, n in enumerate(problem.model.output_names)}
     signals |= {s.name: coarse.u[:, i] for i, s in enumerate(problem.model.inputs) if s.control}
     regressors = {}
@@ -128,8 +128,8 @@ def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> lis
     """
     keys = [s.key for s in signals]
     scores = [
-        _projected(Tangent(problem, found, (found.residuals,)), keys).scores()[:, 1]
-        for problem, found in MeasuredAgain(round_.baseline, CONTROLS_ANEW).problems()
+        _projected(Tangent(problem, model_fit, (model_fit.residuals,)), keys).scores()[:, 1]
+        for problem, model_fit in MeasuredAgain(round_.baseline, CONTROLS_ANEW).problems()
     ]
     if len(scores) < FEWEST_ANEW:
         return list(signals)

@@ -69,12 +69,12 @@ def summed_up(signals: Sequence[OmnibusSignal], largest: Array, criteria: Criter
 
 def whitened(round_: Round) -> list[Array]:
     """Per record (N, ny, 1 + nulls): whitened residuals of the data and the nulls, local unknowns projected out."""
-    problem, found = round_.baseline.problem, round_.baseline.fit
+    problem, model_fit = round_.baseline.problem, round_.baseline.fit
     result = []
     for i in range(len(problem.records)):
-        stack = np.stack([found.residuals[i], *(null[i] for null in round_.null_residuals)], axis=2)
+        stack = np.stack([model_fit.residuals[i], *(null[i] for null in round_.null_residuals)], axis=2)
         residuals = np.nan_to_num(stack)
-        linear = problem.linearised(i, found.values, found.locals[i])
+        linear = problem.linearised(i, model_fit.values, model_fit.locals[i])
         if linear is not None:  # else the local unknowns stay as fitted, for data and nulls alike
             dy = linear[1]
             n = dy.shape[2]
@@ -127,13 +127,13 @@ def beside_others(values: Array) -> Array:
 
 
 def scatter_with_activity(
-    problem: LikelihoodProblem, found: ModelFit, white: Sequence[Array], nulls: int
+    problem: LikelihoodProblem, model_fit: ModelFit, white: Sequence[Array], nulls: int
 ) -> tuple[list[OmnibusSignal], Array]:
     """How much the energy of each channel grows with the size or the rate of each signal, and the largest score of every null."""
     total: dict[tuple[int, str], Array] = {}
     jumping = {s.name for s in problem.model.inputs if s.control} | set(jumping_outputs(problem.model))
     for i, series in enumerate(white):
-        (regressors,) = pooled([regressors_of(problem, found, i)])
+        (regressors,) = pooled([regressors_of(problem, model_fit, i)])
         for (name, shape), values in regressors.items():
             # fast surfaces between two samples cause scatter, and so do signals that jump with them: their rates are no
             # activity, and outputs that jump are not tested

@@ -32,19 +32,19 @@ def is_door(name: str) -> bool:
 
 
 def output_changes(
-    problem: LikelihoodProblem, found: ModelFit, index: int, additions: Sequence[tuple[str, Array]]
+    problem: LikelihoodProblem, model_fit: ModelFit, index: int, additions: Sequence[tuple[str, Array]]
 ) -> Iterator[Array]:
     """(N, ny) changes of the outputs of one record by each of `additions`: a course (N,) added to an output or entering at a
     door.
 
     Zero where a response runs away, and for a door where nothing was measured.
     """
-    z, outputs, values = problem.coarse[index].z, problem.model.output_names, found.values
+    z, outputs, values = problem.coarse[index].z, problem.model.output_names, model_fit.values
     through_doors = responses(
-        lambda du: problem.disturbed(index, values, found.locals[index], du),
+        lambda du: problem.disturbed(index, values, model_fit.locals[index], du),
         problem.model.input_names,
         [(place, course) for place, course in additions if place not in outputs],
-        ~np.isfinite(found.residuals[index]),
+        ~np.isfinite(model_fit.residuals[index]),
     )
     for place, course in additions:
         if place in outputs:

@@ -205,11 +205,11 @@ def _columns_in(tangent: Tangent, possible: PossibleEvents, index: int) -> tuple
 
 
 def _changes(
-    problem: LikelihoodProblem, found: ModelFit, index: int, columns: Sequence[EventColumn]
+    problem: LikelihoodProblem, model_fit: ModelFit, index: int, columns: Sequence[EventColumn]
 ) -> Iterator[Array]:
     """(N, ny) changes of the outputs of a record by unit size of each of its columns."""
     time = problem.coarse[index].time
-    return output_changes(problem, found, index, [(c.place, c.over(time)) for c in columns])
+    return output_changes(problem, model_fit, index, [(c.place, c.over(time)) for c in columns])
 
 
 @dataclass(frozen=True)

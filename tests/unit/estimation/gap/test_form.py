@@ -126,7 +126,7 @@ def test_the_formula_of_a_curve_is_found_whatever_constant_and_line_it_has(curve
     increment = Increment(Place("Cn", "beta", False, False), Range(-0.2, 0.2), 1.0, np.ones(KEPT))
     best = regressed(x, curve(x), increment)[0]  # type: ignore[operator]
     assert best.formula.text == text
-    assert best.left < 0.02
+    assert best.missed < 0.02
 
 
 def test_a_line_is_a_formula_only_where_the_base_has_none() -> None:

@@ -327,7 +327,7 @@ def test_rounds_about_the_names_that_stood_beside_a_shape_may_name_what_it_stood
     ]  # type: ignore[arg-type]
     standing: Any = stub(model="all three", clean="to read")
     search = SearchState((kept,), ("first",), "rest", ("no",))  # type: ignore[arg-type]
-    beside: Any = stub(standing=standing, findings=tuple(found), rejected=("not beside",))
+    beside: Any = stub(baseline=standing, findings=tuple(found), rejected=("not beside",))
     setting: Any = _Setting("model", "clean", Options(most=room), lambda what, share: None)
     more = beside_shape.in_its_place(setting, search, [kept], beside)
     assert (more is not None) is taken
@@ -342,7 +342,7 @@ def test_rounds_about_the_names_that_stood_beside_a_shape_may_name_what_it_stood
         assert more.findings[3:] == ("Cm_beta2",)
         assert (more.rounds, more.omnibus) == (("first", "last"), "left")
         assert more.rejected == ("no", "not beside", "turned down")
-    alone: Any = stub(standing=standing, findings=(found[1],), rejected=())
+    alone: Any = stub(baseline=standing, findings=(found[1],), rejected=())
     more = beside_shape.in_its_place(setting, search, [kept], alone)
     if more is not None:
         assert (more.findings[1].parent, more.findings[1].child) == (one, standing)

@@ -248,7 +248,7 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     def round_of(threshold: float) -> Round:
         none: Any = None
         known = stub(hypotheses=asked[:2])
-        return Round(none, known, np.zeros(2), np.zeros((0, 2)), np.array([5.0, threshold]), threshold, none)
+        return Round(none, known, np.zeros(2), np.array([5.0, threshold]), threshold, none)
 
     def confirmed(setting: Any, round_: Round, candidate: FittedHypothesis, nameless: float) -> tuple[str | None, str]:
         given.update(baseline=round_.baseline, inflation=list(round_.inflation), gains=list(round_.gains))

@@ -14,7 +14,7 @@ from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.answer.shape import EventReport, Happened
 from estimation.gap.answer.words import describe_events
 from estimation.gap.criteria import AS_SET
-from estimation.gap.decision.decide import Decision, as_unknown, with_shape
+from estimation.gap.decision.decide import Decision, as_unknown
 from estimation.gap.decision.unnamed import event_report, event_step
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit
@@ -62,9 +62,7 @@ def round_about(model: Model, inputs: dict[str, Array], shown: Sequence[Array], 
     baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), model, flights)
     nulls = tuple(tuple(NOISE * rng.standard_normal((TIME.size, 1)) for _ in records) for _ in range(60))
     screen: Any = None
-    return Round(
-        baseline, screen, np.zeros(0), np.zeros((60, 0)), np.zeros(0), 4.0, Tangent(problem, baseline.fit, nulls)
-    )
+    return Round(baseline, screen, np.zeros(0), np.zeros(0), 4.0, Tangent(problem, baseline.fit, nulls))
 
 
 def rolled(added: Sequence[Array], seed: int = 5) -> Round:
@@ -159,5 +157,4 @@ def test_an_event_is_told_with_its_time_and_blames_no_term_of_the_model() -> Non
 
 def test_a_shape_reduces_the_gap_and_an_event_stays_unknown() -> None:
     decision = Decision(GapVerdict.NO_GAP, 1, (("a", "b"),))
-    assert with_shape(decision) == replace(decision, verdict=GapVerdict.GAP_REDUCED)
     assert as_unknown(decision) == replace(decision, verdict=GapVerdict.UNKNOWN)
