@@ -231,12 +231,7 @@ class Happened:
 
     def to_json(self) -> dict[str, Any]:
         first = self.events[0]
-        return {
-            "kind": "event",
-            "nameless": True,
-            **first.to_json(),
-            "events": [e.to_json() for e in self.events],
-        }
+        return {"kind": "event", "nameless": True, **first.to_json(), "events": [e.to_json() for e in self.events]}
 
 
 Shape = ShapeCurve | LaggedTerm | SwingingTerm | Happened | HeldInstrument | NotPredicted

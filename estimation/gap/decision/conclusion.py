@@ -9,15 +9,7 @@ from estimation.gap.answer.result import EffectStep, Gap, GapResult, GapVerdict,
 from estimation.gap.answer.shape import Happened, HeldInstrument, LaggedTerm, SwingingTerm
 from estimation.gap.answer.words import conclude, describe_not_predicted, describe_step, rest_of_inputs
 from estimation.gap.decision.beside import ShapeContinuation, in_its_place, names_beside, without_doubted
-from estimation.gap.decision.decide import (
-    Decision,
-    Named,
-    VerdictFacts,
-    as_unknown,
-    decide,
-    only_steered,
-    with_names,
-)
+from estimation.gap.decision.decide import Decision, Named, VerdictFacts, as_unknown, decide, only_steered, with_names
 from estimation.gap.decision.followers import beside_memory, late_rest, settled_follower
 from estimation.gap.decision.held_out import held_out_step, not_predicted
 from estimation.gap.decision.lineage import models

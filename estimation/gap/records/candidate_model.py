@@ -155,8 +155,7 @@ def _with_output_errors(model: Model, attitude: str, errors: Mapping[str, tuple[
     for name, (signal, unit, width) in errors.items():
         if signal in symbols and name not in model.parameter_names:
             model = model.plus(
-                outputs={attitude: f"{attitude} + {name}*{signal}"},
-                parameters=[nuisance_parameter(name, unit, width)],
+                outputs={attitude: f"{attitude} + {name}*{signal}"}, parameters=[nuisance_parameter(name, unit, width)]
             )
     return model
 
