@@ -206,13 +206,6 @@ class Effect:
         """The forms that can be added to `model`, as it shows them."""
         return tuple(f.shown_by(model) for f in self.forms if f.obstacle(model) is None)
 
-    def form(self, label: str) -> Form:
-        """The form of that label; EffectError otherwise."""
-        for form in self.forms:
-            if form.label == label:
-                return form
-        raise EffectError(f"effect {self.name}: no form {label!r}; it has {', '.join(f.label for f in self.forms)}")
-
 
 def add_effect(effect: Effect, model: Model, size: float | None = None) -> Model:
     """`model` with the first applicable form of `effect`, started at `size` typical sizes (default: no effect)."""

@@ -8,6 +8,7 @@ predictions are then small linear algebra.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,9 +125,13 @@ class Screen:
         grams = [gram for gram, f in zip(self.grams, self.flights, strict=True) if flights is None or f in flights]
         return np.sum(grams, axis=0) + self.prior
 
-    def projected(self, flights: Sequence[int] | None = None) -> "Projected":
+    @cached_property
+    def _projected(self) -> "Projected":
+        return Projected.of(self.total(), self.n, self.k)
+
+    def projected(self) -> "Projected":
         """Hypotheses and residuals with the shared parameters projected out."""
-        return Projected.of(self.total(flights), self.n, self.k)
+        return self._projected
 
     def with_nulls(self, selected: NDArray[np.bool_]) -> "Screen":
         """The same with some of the nulls. selected: (nulls,)."""
@@ -134,7 +139,7 @@ class Screen:
         pick = np.ix_(index, index)
         return replace(self, grams=tuple(gram[pick] for gram in self.grams), prior=self.prior[pick])
 
-    def cross_gain(self, hypothesis: int, column: int = 0) -> float | None:
+    def cross_gain(self, hypothesis: int) -> float | None:
         """Twice the log-likelihood gained on each flight by a hypothesis fitted to the others, summed, by linear theory.
 
         None with one flight only.
@@ -142,7 +147,7 @@ class Screen:
         names = sorted(set(self.flights))
         if len(names) < 2:
             return None
-        n, r = self.n, self.n + self.k + column
+        n, r = self.n, self.n + self.k
         theta = list(range(n))
         extended = theta + [n + c for c in self.span(hypothesis)]
         total = 0.0
@@ -186,9 +191,9 @@ class Projected:
         """(k, m) signed scores of single columns: unit variance where the noise model is right and nothing is hidden."""
         return self.b / np.sqrt(np.maximum(np.diag(self.B), TINY))[:, None]
 
-    def gain(self, subset: Sequence[int], column: int = 0) -> float:
-        """Twice the log-likelihood that a set of columns gains."""
-        return float(self.gains(subset, slice(column, column + 1))[0])
+    def gain(self, subset: Sequence[int]) -> float:
+        """Twice the log-likelihood that a set of columns gains on the data."""
+        return float(self.gains(subset, slice(0, 1))[0])
 
     def gains(self, subset: Sequence[int], columns: slice) -> Array:
         """(residual columns,) twice the log-likelihood that a set of columns gains on each of them."""
@@ -252,12 +257,10 @@ def gram_of(tangent: Tangent, changes: Callable[[int], Iterable[Array]] = lambda
     return np.asarray(gram + shared_prior(problem, tangent.fit, len(gram), columns))
 
 
-def linear_gains(
-    screen: Screen, problem: LikelihoodProblem, column: int | slice = 0, flights: Sequence[int] | None = None
-) -> Array:
+def linear_gains(screen: Screen, problem: LikelihoodProblem, column: int | slice = 0) -> Array:
     """Gains in twice the log-likelihood by linear theory, (hypotheses,) for one residual column, (columns, hypotheses)
     for a slice of them; zero where the sign is physically impossible."""
-    projected = screen.projected(flights)
+    projected = screen.projected()
     residual_columns = column if isinstance(column, slice) else slice(column, column + 1)
     gains = np.zeros((projected.b[:, residual_columns].shape[1], len(screen.hypotheses)))
     for h in range(len(screen.hypotheses)):

@@ -55,13 +55,12 @@ class TransientEvent:
 
 @dataclass(frozen=True)
 class DetectedEvent:
-    """A significant event. score, threshold: as of a nameless signal. gain: twice the log-likelihood. sizes: estimates of its
-    columns with bounds: the change over each record by a drift, the step of a slip, the peak rates added by a burst."""
+    """A significant event. score, threshold: as of a nameless signal. sizes: (estimate, bound) of its columns: the change over
+    each record by a drift, the step of a slip, the peak rates added by a burst."""
 
     event: TransientEvent
     score: float
     threshold: float
-    gain: float
     sizes: tuple[tuple[float, float], ...]
 
 
@@ -246,7 +245,7 @@ def find_transients(round_: Round) -> Transients:
     rows: dict[int, Array] = {}
     selected: list[int] = []
     for _ in range(MOST):
-        scores, _gains, limit = _scored(products, selected, rows, criteria)
+        scores, limit = _scored(products, selected, rows, criteria)
         leader = int(np.argmax(scores))
         if scores[leader] <= limit:
             break
@@ -254,16 +253,16 @@ def find_transients(round_: Round) -> Transients:
         rows |= products.rows(leader)
     for e in list(selected):
         remaining = [o for o in selected if o != e]
-        scores, _, limit = _scored(products, remaining, rows, criteria)
+        scores, limit = _scored(products, remaining, rows, criteria)
         if scores[e] <= limit:
             selected = remaining
     detected = []
     members = [c for e in selected for c in possible.members[e]]
     estimates = dict(zip(members, _estimates(products, members, rows), strict=True))
     for e in selected:
-        scores, gains, limit = _scored(products, [o for o in selected if o != e], rows, criteria)
+        scores, limit = _scored(products, [o for o in selected if o != e], rows, criteria)
         sizes = tuple(estimates[c] for c in possible.members[e])
-        detected.append(DetectedEvent(possible.events[e], float(scores[e]), limit, float(gains[e]), sizes))
+        detected.append(DetectedEvent(possible.events[e], float(scores[e]), limit, sizes))
     detected.sort(key=lambda f: -f.score)
     cleared = _without(round_, possible, {c: v for c, (v, _) in estimates.items()}) if detected else round_
     return Transients(tuple(detected), cleared)
@@ -271,8 +270,8 @@ def find_transients(round_: Round) -> Transients:
 
 def _scored(
     products: Products, selected: Sequence[int], rows: Mapping[int, Array], criteria: Criteria
-) -> tuple[Array, Array, float]:
-    """(events,) scores and gains of all events beside those selected, zero for these; and the limit from the nulls."""
+) -> tuple[Array, float]:
+    """(events,) scores of all events beside those selected, zero for these; and the limit from the nulls."""
     possible = products.possible
     projected = ProjectedColumns.of(products, [c for e in selected for c in possible.members[e]], rows)
     single = projected.b**2 / np.maximum(projected.square, TINY)[:, None]
@@ -283,7 +282,7 @@ def _scored(
             gains[e] = single[members[0]] if len(members) == 1 else _gains(products, projected, e)
     unknowns = np.array([len(c) for c in possible.members])
     scores, largest = standing_out(gains, unknowns, [(e.kind, e.channel, e.air) for e in possible.events])
-    return scores, gains[:, 0], unknown_above(largest, criteria)
+    return scores, unknown_above(largest, criteria)
 
 
 def _without(round_: Round, possible: PossibleEvents, sizes: Mapping[int, float]) -> Round | None:
