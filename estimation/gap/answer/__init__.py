@@ -1,1 +1,1 @@
-"""What the workflow answers: data, and the words made of it."""
+"""The answer of the workflow: data and words."""

@@ -200,7 +200,7 @@ class HeldInstrument:
 
 @dataclass(frozen=True)
 class NotPredicted:
-    """A held-out flight that the model does not predict, though nothing stands out on the training flights.
+    """A held-out flight that the model does not predict, though nothing is significant on the training flights.
 
     channels: outputs with large residuals, the worst first. segments: (from, to [s]) with large residuals. gap: of the held-out
     flights; highest: upper end of the gap with nothing hidden.

@@ -34,7 +34,14 @@ from estimation.gap.significance.measure import plain_residuals
 from estimation.models.dependence import force_states
 from groundstation.flight.arrays import true_runs
 
-LINES = {"beta": "CY", "p": "Cl", "r": "Cn", "alpha": "CL", "q": "Cm"}
+RATES: dict[str, tuple[str, str, tuple[str, ...]]] = {
+    "beta": ("CY", "m", ("S",)),
+    "alpha": ("CL", "m", ("S",)),
+    "p": ("Cl", "Ixx", ("S", "b")),
+    "r": ("Cn", "Izz", ("S", "b")),
+    "q": ("Cm", "Iyy", ("S", "c")),
+}
+"""State -> coefficient that drives its rate, inertia, and the lengths and area that make a coefficient of a force or moment."""
 DEGREES = {"beta", "alpha", "phi", "theta", "delta_a", "delta_r", "delta_e", "p", "q", "r"}
 SPANS = 4  # stretches of flight given for one effect
 NOTHING = 1e-12  # gain of an effect that changes nothing
@@ -125,31 +132,25 @@ def missing_coefficients(
         name = part.of
         spectrum = v * np.sum(shapes.parts[part].conj() * weighed, axis=1)
         rate = np.fft.irfft(spectrum, n=len(segment))
-        factor = _coefficient_per_rate(problem, name, index)
-        result[LINES[name] if factor is not None else f"{name}_dot"] = rate * (1.0 if factor is None else factor)
+        line, factor = _coefficient_per_rate(problem, name, index) or (f"{name}_dot", 1.0)
+        result[line] = rate * factor
     return result
 
 
-def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) -> float | None:
-    """Coefficient that causes a unit rate of a state at the mean dynamic pressure; None where the model lacks a number for it."""
+def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) -> tuple[str, float] | None:
+    """The coefficient that drives a state, and its value for a unit rate at the mean dynamic pressure; None where the model
+    lacks a number for it."""
     constants, record = problem.model.constants, problem.records[index]
-    if state not in LINES or LINES[state] not in problem.model.definitions or "V" not in record.inputs:
+    if state not in RATES or "V" not in record.inputs:
         return None
+    line, inertia, lengths = RATES[state]
     V = float(np.mean(record.inputs["V"]))
     rho = float(np.mean(record.inputs["rho"])) if "rho" in record.inputs else constants.get("rho", 0.0)
     pressure = 0.5 * rho * V**2
-    need = {
-        "beta": ("m", "S"),
-        "alpha": ("m", "S"),
-        "p": ("Ixx", "S", "b"),
-        "r": ("Izz", "S", "b"),
-        "q": ("Iyy", "S", "c"),
-    }
-    if pressure <= 0.0 or any(n not in constants for n in need[state]):
+    if line not in problem.model.definitions or pressure <= 0.0 or not {inertia, *lengths} <= constants.keys():
         return None
-    inertia, *lengths = (constants[n] for n in need[state])
-    factor = inertia / (pressure * float(np.prod(lengths)))
-    return {"beta": V, "alpha": -V}.get(state, 1.0) * factor
+    factor = constants[inertia] / (pressure * float(np.prod([constants[n] for n in lengths])))
+    return line, {"beta": V, "alpha": -V}.get(state, 1.0) * factor
 
 
 def by_regime(baseline: Baseline, squares: Array) -> dict[str, list[dict[str, float]]]:

@@ -69,7 +69,7 @@ def search_shape(setting: Setting, search: SearchState, round_: Round, decision:
 def shaped_step(
     shape: CoefficientShape, baseline: Baseline, setting: Setting, rejected: Sequence[Rejected]
 ) -> EffectStep:
-    """The step of an unknown whose shape was found about `baseline`. rejected: names that were turned down."""
+    """The step of an unknown whose shape was found about `baseline`. rejected: names rejected by the search."""
     location, measured = locate(baseline, shape.measured.child, shape.fitted.increment.place.line), shape.measured
     formulas = [formula for formula, _ in shape.plain]
     alike = effects_of_same_form(formulas, location.equation, baseline.clean, setting.effects, rejected)

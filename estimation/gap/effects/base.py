@@ -54,10 +54,10 @@ class EffectParameter:
 class Form:
     """One way an effect enters a model: the arguments of `Model.plus`, as data.
 
-    terms: line -> pieces added to it; a piece naming a symbol the model lacks is left out, and a form none of whose
-    pieces apply does not apply. requires: symbols the model must know. unless: (line, symbol) pairs; where the line
-    (or a line it is made of) already contains the symbol, the model has the effect. inputs: flight columns the form
-    brings in as inputs where the model does not have them already. frees: parameters the model has but holds fixed.
+    terms: line -> pieces added to it; a piece with a symbol that the model lacks is left out, and a form without any
+    piece does not apply. requires: symbols that the model must have. unless: (line, symbol) pairs; where the line
+    (or a line it is made of) already contains the symbol, the model has the effect. inputs: flight columns that become
+    inputs where the model lacks them. frees: parameters that the model holds fixed.
     optional: outputs that are changed or delayed only where the model has them: one instrument may measure more than the model
     compares. equation: of this form, where it differs from the effect's.
     """

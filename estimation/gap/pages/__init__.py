@@ -1,1 +1,1 @@
-"""Report, pictures, rerun recording and pages of the documentation."""
+"""The answer as a page with pictures and tables, and as a rerun recording."""

@@ -1,1 +1,1 @@
-"""A shape for what no name explains: a missing coefficient as a smooth function of what the data choose."""
+"""Shapes of effects without a name: smooth functions, lags and swings of a coefficient."""

@@ -30,7 +30,7 @@ NOTHING = 1e-300  # keeps a gain of zero on the nulls from dividing by zero
 
 @dataclass(frozen=True)
 class Place:
-    """A coefficient and the variable of which a part of it is a function. by: a second variable that multiplies it.
+    """A coefficient and the variable on which a part of it depends. by: a second variable that multiplies that part.
 
     lacks_line, lacks_constant: the base has no free parameter for a line in the variable (a constant), so that the increment
     needs it.

@@ -1,1 +1,1 @@
-"""What does not fit, and how much of it chance makes: screens, nameless signals and gaps, calibrated on nulls."""
+"""Significance of hypotheses, nameless signals and gaps, calibrated on simulated nulls."""

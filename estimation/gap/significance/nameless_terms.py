@@ -1,4 +1,4 @@
-"""Nameless terms: simple functions of the motion added to an output or to a force equation, held against nulls."""
+"""Nameless terms: simple functions of the motion added to an output or to a force equation, with scores from nulls."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

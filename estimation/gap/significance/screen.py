@@ -90,7 +90,7 @@ def one_sided(parameter: EffectParameter, none: float, criteria: Criteria) -> bo
 
 
 def hypotheses_for(model: Model, effects: Sequence[Effect], available: frozenset[str]) -> tuple[Hypothesis, ...]:
-    """Every form of every effect that applies to `model` and whose inputs are at hand."""
+    """Every form of every effect that applies to `model`, with its inputs among `available`."""
     return tuple(
         Hypothesis(effect, form)
         for effect in effects
