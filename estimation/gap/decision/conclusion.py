@@ -214,7 +214,7 @@ def _answer(state: _Conclusion, check: KinematicCheck, rejected: tuple[Rejected,
         rejected=(
             *rejected,
             *(Rejected(effect, reason) for effect, reason in decision.withdrawn),
-            *(Rejected(t.place.words, f"as a shape without a name: {t.why}") for t in shapes.tried),
+            *shapes.rejected,
         ),
         ties=ties_of(first),
         model_before=before_model,

@@ -37,15 +37,15 @@ NEAR_LIMIT = 1.01  # times a limit: the fit was stopped by it
 SIZE_RANGE = 1e3  # usual sizes to either side: no limit in practice
 
 
-def hypothesis_of(follower: Follower, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
+def hypothesis_of(follower: Follower, motion: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """A lag or a swing as a hypothesis, and the start values of its fit."""
-    return lag_of(follower, flown) if isinstance(follower, LaggedTerm) else swing_of(follower, flown)
+    return lag_of(follower, motion) if isinstance(follower, LaggedTerm) else swing_of(follower, motion)
 
 
-def lag_of(memory: LaggedTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
+def lag_of(memory: LaggedTerm, motion: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """A term proportional to a first-order lag of a variable minus that variable, and its start value."""
     line, variable = memory.line, memory.variable
-    scale = flown.scale[line] / flown.reach(variable)
+    scale = motion.scale[line] / motion.reach(variable)
     form = Form(
         SIZE,
         (EffectParameter(SIZE, "1", scale, -SIZE_RANGE * scale, SIZE_RANGE * scale),),
@@ -57,10 +57,10 @@ def lag_of(memory: LaggedTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str
     return _unnamed(f"{line} late after {variable}", form), {SIZE: 0.0}
 
 
-def swing_of(swing: SwingingTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
+def swing_of(swing: SwingingTerm, motion: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """An oscillator driven by accelerations, with unknown frequency and damping, and its start values."""
     sizes = {f"{SWING}_{a}": size for a, size in swing.by.items()}
-    scales = {f"{SWING}_{a}": flown.scale[swing.line] / flown.reach(a) for a in swing.by}
+    scales = {f"{SWING}_{a}": motion.scale[swing.line] / motion.reach(a) for a in swing.by}
     w, z = swing.frequency, swing.damping
     drive = " + ".join(f"{SWING}_{a}*{a}" for a in swing.by)
     form = Form(

@@ -18,7 +18,6 @@ from estimation.gap.fit.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.shapes.formulas import Plain
-from estimation.gap.shapes.increment import FittedIncrement
 from estimation.gap.shapes.search import CoefficientShape, SearchTask, ShapeSearch, find_shape
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measure import Floors, floors
@@ -84,9 +83,7 @@ def curve_of(shape: CoefficientShape, setting: Setting, regime: str, alike: tupl
     """The curve of a shape as the answer has it. alike: effects of the catalogue with its form."""
     increment = shape.fitted.increment
     place, limits = increment.place, increment.flown
-    child = shape.measured.child
-    final = FittedIncrement(increment, child.problem, child.fit, shape.fitted.gain)
-    x, value, std = final.curve()
+    x, value, std = increment.curve(shape.measured.child.fit)
     unit = "rad" if place.variable in ANGLES else _unit(setting.base, place.variable)
     variables = (place.variable, place.by) if place.by else (place.variable,)
     formulas = [(p, c, True) for p, c in shape.plain] + [(p, c, False) for p, c in shape.refused]

@@ -52,10 +52,10 @@ class Sketch:
     missed: float
 
 
-def sketched(fitted: FittedIncrement, flown: ModelMotion) -> list[Sketch]:
+def sketched(fitted: FittedIncrement, motion: ModelMotion) -> list[Sketch]:
     """Every formula regressed on the spline at the samples flown, best first."""
     increment = fitted.increment
-    x = np.concatenate([c[increment.place.variable] for c in flown.courses])
+    x = np.concatenate([c[increment.place.variable] for c in motion.courses])
     target = increment.columns(x) @ increment.vector(fitted.fit.values)
     return regressed(x, target, increment)
 
@@ -125,7 +125,7 @@ def refitted(baseline: Baseline, increment: Increment, sketch: Sketch) -> Plain 
     return Plain(text, estimates, problem, model_fit, 2.0 * (baseline.fit.cost - model_fit.cost))
 
 
-def plain_formulas(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) -> list[Plain]:
+def plain_formulas(baseline: Baseline, fitted: FittedIncrement, motion: ModelMotion) -> list[Plain]:
     """The formulas nearest to a spline, refitted."""
-    formulas = [refitted(baseline, fitted.increment, s) for s in sketched(fitted, flown)[:REFITTED]]
+    formulas = [refitted(baseline, fitted.increment, s) for s in sketched(fitted, motion)[:REFITTED]]
     return [p for p in formulas if p is not None]

@@ -40,9 +40,9 @@ class Increment:
     spread: Array
 
     @classmethod
-    def of(cls, place: Place, flown: ModelMotion) -> "Increment":
-        reach = flown.reach(place.by) if place.by else 1.0
-        return cls(place, flown.range_of(place.variable), reach, spread_of(place, flown.scale[place.line]))
+    def of(cls, place: Place, motion: ModelMotion) -> "Increment":
+        reach = motion.reach(place.by) if place.by else 1.0
+        return cls(place, motion.range_of(place.variable), reach, spread_of(place, motion.scale[place.line]))
 
     @property
     def weights(self) -> tuple[str, ...]:
@@ -83,6 +83,15 @@ class Increment:
     def vector(self, values: Mapping[str, float]) -> Array:
         return np.array([values[n] for n in self.weights])
 
+    def curve(self, model_fit: ModelFit) -> tuple[Array, Array, Array]:
+        """(x, value, standard deviation), each (POINTS,), over the range flown, of a fit with this increment."""
+        x = np.linspace(self.flown.low, self.flown.high, POINTS)
+        columns = self.columns(x)
+        indices = [model_fit.free.index(n) for n in self.weights]
+        covariance = pseudo_inverse(model_fit.hessian)[0][np.ix_(indices, indices)]
+        variance = np.einsum("ij,jk,ik->i", columns, covariance, columns)
+        return x, columns @ self.vector(model_fit.values), np.sqrt(np.maximum(variance, 0.0))
+
     def written_into(self, model: Model, values: Mapping[str, float]) -> Model:
         """`model` with the curve in numbers, which a person can read and any simulation can adopt."""
         w = self.vector(values)
@@ -102,15 +111,6 @@ class FittedIncrement:
     problem: LikelihoodProblem
     fit: ModelFit
     gain: float
-
-    def curve(self, inflation: float = 1.0) -> tuple[Array, Array, Array]:
-        """(x, value, standard deviation) over the range flown; inflation: of the variance, from nulls."""
-        x = np.linspace(self.increment.flown.low, self.increment.flown.high, POINTS)
-        columns = self.increment.columns(x)
-        indices = [self.fit.free.index(n) for n in self.increment.weights]
-        covariance = pseudo_inverse(self.fit.hessian)[0][np.ix_(indices, indices)]
-        variance = np.einsum("ij,jk,ik->i", columns, covariance, columns)
-        return x, columns @ self.increment.vector(self.fit.values), np.sqrt(np.maximum(variance * inflation, 0.0))
 
 
 def fit_increment(baseline: Baseline, increment: Increment) -> FittedIncrement | None:
@@ -132,7 +132,7 @@ class HoldoutPrediction:
     gain: float
 
 
-def holdout_predictions(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) -> list[HoldoutPrediction]:
+def holdout_predictions(baseline: Baseline, fitted: FittedIncrement, motion: ModelMotion) -> list[HoldoutPrediction]:
     """Every training flight predicted from the others, with and without the increment."""
     flights = [r.flight for r in baseline.problem.records]
     predictions = []
@@ -142,8 +142,8 @@ def holdout_predictions(baseline: Baseline, fitted: FittedIncrement, flown: Mode
         if not training:
             continue
         variable = fitted.increment.place.variable
-        limits = Range.of([flown.courses[i][variable] for i in training])
-        share = float(np.mean([limits.inside(flown.courses[i][variable]) for i in holdout]))
+        limits = Range.of([motion.courses[i][variable] for i in training])
+        share = float(np.mean([limits.inside(motion.courses[i][variable]) for i in holdout]))
         base_cost = holdout_cost(baseline.problem, baseline.fit, training, holdout, {})
         increment_cost = holdout_cost(fitted.problem, fitted.fit, training, holdout, fitted.increment.edges(limits))
         if increment_cost is None:

@@ -39,17 +39,17 @@ def lag_behind(course: Array, time: Array, memory: float) -> Array:
     return np.asarray(decaying_sum(keep, (1.0 - keep) * departure) - departure)
 
 
-def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> LaggedTerm | None:
+def find_memory(motion: ModelMotion, round_: Round, places: Sequence[Place]) -> LaggedTerm | None:
     """The place and time constant with the largest gain by linear theory; None where it is not above the nulls."""
-    candidates = [(p, t) for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0 for t in TIMES]
+    candidates = [(p, t) for p in places if motion.moves(p.variable) and motion.scale[p.line] > 0.0 for t in TIMES]
 
     def changes(i: int) -> Iterator[Array]:
-        courses, time = flown.courses[i], flown.segments[i].time
-        lags = [(p.line, lag_behind(courses[p.variable], time, t) / flown.reach(p.variable)) for p, t in candidates]
-        return flown.changes(i, lags)
+        courses, time = motion.courses[i], motion.segments[i].time
+        lags = [(p.line, lag_behind(courses[p.variable], time, t) / motion.reach(p.variable)) for p, t in candidates]
+        return motion.changes(i, lags)
 
     gram = gram_of(round_.tangent, changes)
-    gains = Projected.of(gram, len(flown.problem.free), len(candidates)).scores() ** 2
+    gains = Projected.of(gram, len(motion.problem.free), len(candidates)).scores() ** 2
     result = ranked([p for p, _ in candidates], gains, round_.criteria)
     if not result.order:
         return None
@@ -114,26 +114,26 @@ def frequencies(time: Array) -> Array:
     return np.asarray(SLOWEST * RATIO ** np.arange(count + 1))
 
 
-def find_swing(flown: ModelMotion, round_: Round) -> SwingingTerm | None:
+def find_swing(motion: ModelMotion, round_: Round) -> SwingingTerm | None:
     """The coefficient and oscillator with the largest gain by linear theory; None where it is not above the nulls or does not
     ring.
 
     Parts proportional to the accelerations and their rates are projected out first: an oscillator faster than the motion has only
     these.
     """
-    drives = [a for a in ACCELERATIONS if a in flown.courses[0] and flown.moves(a)]
-    lines = [line for line, size in flown.scale.items() if size > 0.0]
+    drives = [a for a in ACCELERATIONS if a in motion.courses[0] and motion.moves(a)]
+    lines = [line for line, size in motion.scale.items() if size > 0.0]
     if not drives or not lines:
         return None
-    coarse_grid = frequencies(flown.segments[0].time)
+    coarse_grid = frequencies(motion.segments[0].time)
     oscillators = [_Oscillator(n, a, w, DAMPING) for n in lines for w in coarse_grid for a in drives]
-    result = ranked(*_Grams.of(flown, round_.tangent, lines, drives, oscillators).gains(), round_.criteria)
+    result = ranked(*_Grams.of(motion, round_.tangent, lines, drives, oscillators).gains(), round_.criteria)
     if not result.order:
         return None
     leader = result.order[0]
     line, coarse, _ = result.places[leader]
     oscillators = [_Oscillator(line, a, w * coarse, z) for w in AROUND for z in DAMPINGS for a in drives]
-    finer = _Grams.of(flown, round_.tangent, [line], drives, oscillators)
+    finer = _Grams.of(motion, round_.tangent, [line], drives, oscillators)
     groups, gains = finer.gains()
     nearest = int(np.argmax(gains[:, 0]))
     _, frequency, damping = groups[nearest]
@@ -145,7 +145,7 @@ def find_swing(flown: ModelMotion, round_: Round) -> SwingingTerm | None:
     sizes = solved(projected.B[np.ix_(selected, selected)], projected.b[selected, 0])
     return SwingingTerm(
         line,
-        {oscillators[k].by: float(x) / flown.reach(oscillators[k].by) for k, x in zip(selected, sizes, strict=True)},
+        {oscillators[k].by: float(x) / motion.reach(oscillators[k].by) for k, x in zip(selected, sizes, strict=True)},
         float(frequency),
         float(damping),
         projected.gain(span) - len(span),
@@ -184,7 +184,7 @@ class _Grams:
     @classmethod
     def of(
         cls,
-        flown: ModelMotion,
+        motion: ModelMotion,
         tangent: Tangent,
         lines: Sequence[str],
         drives: Sequence[str],
@@ -194,8 +194,8 @@ class _Grams:
         columns: tuple[_Oscillator | _Direct, ...] = (*direct, *oscillators)
 
         def changes(i: int) -> Iterator[Array]:
-            courses, time = flown.courses[i], flown.segments[i].time
-            return flown.changes(i, [(c.line, c.course(courses[c.by], time) / flown.reach(c.by)) for c in columns])
+            courses, time = motion.courses[i], motion.segments[i].time
+            return motion.changes(i, [(c.line, c.course(courses[c.by], time) / motion.reach(c.by)) for c in columns])
 
         return cls(gram_of(tangent, changes), len(tangent.problem.free), direct, tuple(oscillators))
 

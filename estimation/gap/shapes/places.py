@@ -209,21 +209,21 @@ class Ranked(Generic[Candidate]):
         return float((self.gains - self.usual)[self.order].max()) if self.order else 0.0
 
 
-def rank(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> Ranked[Place]:
+def rank(motion: ModelMotion, round_: Round, places: Sequence[Place]) -> Ranked[Place]:
     """Score every place on the residuals of a round's baseline and on its nulls."""
-    problem, criteria = flown.problem, round_.criteria
-    usable = [p for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0]
+    problem, criteria = motion.problem, round_.criteria
+    usable = [p for p in places if motion.moves(p.variable) and motion.scale[p.line] > 0.0]
     spans: list[range] = []
     parts: list[list[tuple[str, Array]]] = [[] for _ in problem.records]
     weights: list[Array] = []
     for place in usable:
-        limits = flown.range_of(place.variable)
+        limits = motion.range_of(place.variable)
         begin = len(parts[0])
         for i, record_parts in enumerate(parts):
-            record_parts += [(place.line, course) for course in flown.columns(place, i, limits).T]
+            record_parts += [(place.line, course) for course in motion.columns(place, i, limits).T]
         spans.append(range(begin, len(parts[0])))
-        weights.append(1.0 / spread_of(place, flown.scale[place.line]) ** 2)
-    gram = gram_of(round_.tangent, lambda i: flown.changes(i, parts[i]))
+        weights.append(1.0 / spread_of(place, motion.scale[place.line]) ** 2)
+    gram = gram_of(round_.tangent, lambda i: motion.changes(i, parts[i]))
     projected = Projected.of(gram, len(problem.free), len(parts[0]))
     gains = np.array([penalised(projected, span, w) for span, w in zip(spans, weights, strict=True)])
     return ranked(usable, gains, criteria)

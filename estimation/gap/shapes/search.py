@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from estimation.gap.answer.result import Gap
+from estimation.gap.answer.result import Gap, Rejected
 from estimation.gap.answer.shape import LaggedTerm, SwingingTerm
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
@@ -44,14 +44,6 @@ class SearchTask:
     seed: int
     screened: Callable[[Baseline], Round]
     floors: Callable[[Round], Floors]
-
-
-@dataclass(frozen=True)
-class Tried:
-    """A place that was fitted, and why it is no shape."""
-
-    place: Place
-    why: str
 
 
 @dataclass(frozen=True)
@@ -109,10 +101,11 @@ class CoefficientShape:
 
 @dataclass(frozen=True)
 class ShapeSearch:
-    """The shape, if any, and the places that failed; follower: a lag or a swing that gains where there is no shape."""
+    """The shape, if any, and places that were fitted and are none; follower: a lag or a swing that gains where there is no
+    shape."""
 
     shape: CoefficientShape | None
-    tried: tuple[Tried, ...]
+    rejected: tuple[Rejected, ...]
     follower: LaggedTerm | SwingingTerm | None = None
 
 
@@ -125,20 +118,20 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
     ranking = rank(motion, round_, singles)
     swing = find_swing(motion, round_)
     minimum = swing.gain if swing is not None else 0.0
-    shape, attempts = _best(round_, task, motion, ranking, minimum)
+    shape, rejected = _best(round_, task, motion, ranking, minimum)
     if shape is not None:
-        return ShapeSearch(shape, tuple(attempts))
+        return ShapeSearch(shape, tuple(rejected))
     if not at_length:
         stands_alone = swing is not None and alone(swing, round_.criteria)
-        return ShapeSearch(None, tuple(attempts), swing if stands_alone else None)
+        return ShapeSearch(None, tuple(rejected), swing if stands_alone else None)
     if ranking.order:
         line = ranking.places[ranking.order[0]].line
         products = [p for p in products_of(task.prepared.base) if p.line == line]
-        shape, product_attempts = _best(round_, task, motion, rank(motion, round_, products), minimum)
-        attempts += product_attempts
+        shape, rejected_products = _best(round_, task, motion, rank(motion, round_, products), minimum)
+        rejected += rejected_products
     memory = find_memory(motion, round_, singles) if shape is None else None
     followers = [f for f in (memory, swing) if f is not None and shape is None]
-    return ShapeSearch(shape, tuple(attempts), max(followers, key=lambda f: f.gain, default=None))
+    return ShapeSearch(shape, tuple(rejected), max(followers, key=lambda f: f.gain, default=None))
 
 
 def alone(swing: SwingingTerm, criteria: Criteria) -> bool:
@@ -147,17 +140,17 @@ def alone(swing: SwingingTerm, criteria: Criteria) -> bool:
 
 
 def _best(
-    round_: Round, task: SearchTask, flown: ModelMotion, ranking: Ranked[Place], least: float = 0.0
-) -> tuple[CoefficientShape | None, list[Tried]]:
+    round_: Round, task: SearchTask, motion: ModelMotion, ranking: Ranked[Place], least: float
+) -> tuple[CoefficientShape | None, list[Rejected]]:
     """The first of the leading places that holds on flights left out and closes the gap, and the places that failed. least: gain
     of another nameless candidate, to compare with like that of a nameless term."""
     baseline, criteria = round_.baseline, round_.criteria
     fits: dict[int, FittedIncrement] = {}
-    attempts: list[Tried] = []
+    rejected: list[Rejected] = []
     for i in ranking.order[:FITTED]:
-        fitted = fit_increment(baseline, Increment.of(ranking.places[i], flown))
+        fitted = fit_increment(baseline, Increment.of(ranking.places[i], motion))
         if fitted is None:
-            attempts.append(Tried(ranking.places[i], "the fit runs away"))
+            rejected.append(_rejected(ranking.places[i], "the fit runs away"))
         else:
             fits[i] = fitted
     term = max(best_term(round_), least) if fits else 0.0
@@ -170,7 +163,7 @@ def _best(
             reason = f"explains only {fitted.gain / term:.0%} of what a nameless term or swing does"
         elif score * math.sqrt(remeasured.share(fitted.gain, fitted.fit)) < ranking.threshold:
             reason = "gains nearly as much where only the controls are measured again"
-        elif not predicts_every_flight(predictions := holdout_predictions(baseline, fitted, flown), criteria):
+        elif not predicts_every_flight(predictions := holdout_predictions(baseline, fitted, motion), criteria):
             reason = "does not predict every training flight better than the base where that is left out"
         elif (measured := _measured(task, baseline, fitted)) is None:
             reason = "the model with it runs away"
@@ -178,12 +171,16 @@ def _best(
             reason = f"closes only {measured.closed:.0%} of the gap"
         else:
             rivals = runners_up(fitted, [f for k, f in fits.items() if k != i], criteria)
-            formulas = [(p, measured.by(p)) for p in plain_formulas(baseline, fitted, flown)]
+            formulas = [(p, measured.by(p)) for p in plain_formulas(baseline, fitted, motion)]
             accepted, refused = as_good(formulas, measured.energy_closed, criteria)
             shape = CoefficientShape(fitted, measured, predictions, rivals, accepted, refused, score, ranking.threshold)
-            return shape, attempts
-        attempts.append(Tried(ranking.places[i], reason))
-    return None, attempts
+            return shape, rejected
+        rejected.append(_rejected(ranking.places[i], reason))
+    return None, rejected
+
+
+def _rejected(place: Place, reason: str) -> Rejected:
+    return Rejected(place.words, f"as a shape without a name: {reason}")
 
 
 def best_term(round_: Round) -> float:

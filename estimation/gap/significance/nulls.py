@@ -232,9 +232,7 @@ def _forgetting(rate: Array, h: float, memory: float, rng: np.random.Generator) 
     return decaying_sum(decay, drive)
 
 
-def fly_nulls(
-    flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None] = lambda done: None
-) -> list[tuple[Array, ...]]:
+def fly_nulls(flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None]) -> list[tuple[Array, ...]]:
     """`count` nulls, each a tuple of residuals per record; fewer where many diverge. The same seed gives the same nulls."""
     nulls: list[tuple[Array, ...]] = []
     for number in range(2 * count):

@@ -245,7 +245,7 @@ def shared_prior(problem: LikelihoodProblem, fit: ModelFit, size: int, k: int) -
     return prior
 
 
-def gram_of(tangent: Tangent, changes: Callable[[int], Iterable[Array]] = lambda index: ()) -> Array:
+def gram_of(tangent: Tangent, changes: Callable[[int], Iterable[Array]]) -> Array:
     """Gram matrix of shared unknowns, columns, residuals of the data and of nulls over all records, with the unknowns of each
     record alone eliminated and the priors of the shared ones. changes: record -> (N, ny) changes of the outputs by each column.
 
