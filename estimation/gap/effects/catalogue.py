@@ -60,14 +60,12 @@ def catalogue(extra_files: Iterable[str | Path] = (), model: Model | None = None
 
     Raises EffectError naming the file and key that does not fit.
     """
-    effects = {e.name: e for e in at_size_of(built_in(model), model)}
+    effects = [*at_size_of(built_in(model), model)]
     for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
-        for effect in _checked(point.load(), f"entry point {point.name}"):
-            effects[effect.name] = effect
+        effects += _checked(point.load(), f"entry point {point.name}")
     for path in extra_files:
-        for effect in load_effects(path):
-            effects[effect.name] = effect
-    return tuple(effects.values())
+        effects += load_effects(path)
+    return tuple({e.name: e for e in effects}.values())
 
 
 def at_size_of(effects: Sequence[Effect], model: Model | None) -> tuple[Effect, ...]:

@@ -4,16 +4,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimation.gap.answer.result import DisagreementView, GapResult
+from estimation.gap.answer.result import PRIOR_FROZEN, DisagreementView, GapResult
 from estimation.report.drawing.figures import Picture, picture, styled
 from estimation.report.names import literal, tex
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BEFORE, AFTER = "#d55e00", "#0072b2"
-COLOURS = {0: "#9aa3ad", 1: BEFORE, 2: AFTER}  # prior frozen, refit, named effects
-EDGE = "#9aa3ad"
+BEFORE, AFTER, EDGE = "#d55e00", "#0072b2", "#9aa3ad"
+COLOURS = [EDGE, BEFORE, AFTER]  # prior frozen, refit, named effects
 
 
 def residual_maps(result: GapResult) -> Picture:
@@ -21,8 +20,7 @@ def residual_maps(result: GapResult) -> Picture:
     from matplotlib.figure import Figure
 
     stages = list(result.views)
-    first = 3 - len(stages) if len(stages) < 3 and "prior" not in stages[0].stage else 0
-    colours = [COLOURS[first + i] for i in range(len(stages))]
+    colours = COLOURS[: len(stages)] if stages[0].stage == PRIOR_FROZEN else COLOURS[-len(stages) :]
     equations = list(stages[0].equations)
     with styled():
         figure = Figure(figsize=(11.6, 5.2 + 1.2 * len(equations)), layout="constrained")

@@ -122,14 +122,12 @@ def kinematic_check(
     """Score every instrument error on the kinematics of the training flights, with `nulls` nulls. model: its planes are checked;
     default the lateral."""
     lines = model.definitions if model is not None else {}
-    checks = []
+    planes = []
     if "Cm" not in lines or "CY" in lines:
-        checks.append(_checked(kinematic_model(criteria), NEEDED, flights, effects, nulls, seed, criteria))
+        planes.append((kinematic_model(criteria), NEEDED))
     if "Cm" in lines:
-        checks.append(
-            _checked(pitch_kinematic_model(criteria), NEEDED_TO_PITCH, flights, effects, nulls, seed, criteria)
-        )
-    return clearest(checks)
+        planes.append((pitch_kinematic_model(criteria), NEEDED_TO_PITCH))
+    return clearest([_checked(base, needed, flights, effects, nulls, seed, criteria) for base, needed in planes])
 
 
 def clearest(checks: Sequence[KinematicCheck]) -> KinematicCheck:
@@ -174,8 +172,7 @@ def origin_of_error(round_: Round) -> KinematicCheck:
         return KinematicCheck("undecided", "", 0.0, round_.threshold, "no instrument error applies")
     leader = int(np.argmax(scores))
     label, score = round_.screen.hypotheses[leader].label, float(scores[leader])
+    origin, agreement = ("physics", "agrees with its kinematics")
     if score > round_.threshold:
-        return KinematicCheck(
-            "sensor", label, score, round_.threshold, "measured motion contradicts its own kinematics"
-        )
-    return KinematicCheck("physics", label, score, round_.threshold, "measured motion agrees with its kinematics")
+        origin, agreement = ("sensor", "contradicts its own kinematics")
+    return KinematicCheck(origin, label, score, round_.threshold, f"measured motion {agreement}")
