@@ -122,7 +122,7 @@ def kinematic_check(
     """Score every instrument error on the kinematics of the training flights, with `nulls` nulls. model: its planes are checked;
     default the lateral."""
     lines = model.definitions if model is not None else {}
-    planes = []
+    planes: list[tuple[Model, tuple[str, ...]]] = []
     if "Cm" not in lines or "CY" in lines:
         planes.append((kinematic_model(criteria), NEEDED))
     if "Cm" in lines:
