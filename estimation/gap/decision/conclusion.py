@@ -184,7 +184,7 @@ def _answer(state: _Conclusion, check: KinematicCheck, rejected: tuple[Rejected,
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
     odd = odd_flights(repeats)
     late = shapes.follower if len(odd) < max(len(repeats), 1) else None  # no swing explains flights that all differ
-    steps = steps_in_words(decision, effect_steps, rest, check, state.gap, state.floor, unnamed, late)
+    steps = steps_in_words(decision, effect_steps, rest, check, unchanged_gap, unnamed, late)
     stages = views(first.baseline, final, prepared)
     before_model, after_model = models(setting.base, first.baseline, state.findings, shapes.shape)
     hypotheses = {h.effect.name for h in first.screen.hypotheses}
@@ -296,21 +296,20 @@ def steps_in_words(
     named: Sequence[EffectStep],
     rest: Omnibus,
     check: KinematicCheck,
-    left: float,
-    floor: Floors,
+    gap: Gap,
     unnamed: EffectStep | None = None,
     late: LaggedTerm | SwingingTerm | None = None,
 ) -> tuple[EffectStep, ...]:
     """The steps of the answer with their words: the standing names, and the nameless rest where that is the verdict.
 
-    rest: nameless signals; left: gap; unnamed: the step of a shape or an event, if any; late: a lag or swing without such a step.
+    rest: nameless signals; gap: unchanged; unnamed: the step of a shape or an event, if any; late: a lag or swing without one.
     The kinematic check looks at the flights before any step: its origin belongs to the first.
     """
     steps = list(named[: decision.kept])
     if unnamed is not None:
         steps.append(unnamed)
     elif decision.verdict is GapVerdict.UNKNOWN:
-        steps.append(unknown_step(rest, Gap(left, left, floor.training_median), late))
+        steps.append(unknown_step(rest, gap, late))
     if steps:
         steps[0] = replace(steps[0], where=replace(steps[0].where, origin=check.origin))
     return tuple(replace(s, text=describe_step(s)) for s in steps)

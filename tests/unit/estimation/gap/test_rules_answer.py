@@ -202,22 +202,19 @@ def test_facts_know_whose_instrument_a_name_blames_and_how_many_effects_were_ask
 
 def test_an_answer_tells_the_names_that_stand_and_then_the_rest() -> None:
     named = [step("Cn_da"), step("beta_lag")]
-    check, floor = stub(origin="sensor"), stub(training_median=1.0)
-    steps = steps_in_words(
-        Decision(GapVerdict.UNKNOWN, 1, ()), named, search("Cn_da", "beta_lag").omnibus, check, 1.4, floor
-    )
+    check, gap = stub(origin="sensor"), Gap(1.4, 1.4, 1.0)
+    steps = steps_in_words(Decision(GapVerdict.UNKNOWN, 1, ()), named, search("Cn_da", "beta_lag").omnibus, check, gap)
     assert [s.effect for s in steps] == ["Cn_da", "unknown"]
     assert [s.where.origin for s in steps] == ["sensor", ""]
     assert all(s.text for s in steps)
     assert steps[1].gap == Gap(1.4, 1.4, 1.0)
     assert [
-        s.effect
-        for s in steps_in_words(Decision(GapVerdict.GAP_CLOSED, 2, ()), named, search().omnibus, check, 1.0, floor)
+        s.effect for s in steps_in_words(Decision(GapVerdict.GAP_CLOSED, 2, ()), named, search().omnibus, check, gap)
     ] == [
         "Cn_da",
         "beta_lag",
     ]
-    assert steps_in_words(Decision(GapVerdict.NO_GAP, 0, ()), [], search().omnibus, check, 1.0, floor) == ()
+    assert steps_in_words(Decision(GapVerdict.NO_GAP, 0, ()), [], search().omnibus, check, gap) == ()
 
 
 def test_the_rest_is_placed_by_the_signals_above_the_threshold() -> None:
