@@ -39,7 +39,7 @@ def describe_step(step: EffectStep) -> str:
         before, highest = step.holdout.before, step.holdout.highest
         text += (
             f" The held-out flights did not show it in their gap ({before:.2f}, up to {highest:.2f} with nothing hidden): "
-            "what is closed of that says nothing for it or against it."
+            "the share closed there speaks neither for it nor against it."
         )
     if len(step.members) > 1:
         rivals = " or ".join(f"{m.effect} ({m.weight:.2f})" for m in step.members)
@@ -228,13 +228,13 @@ def conclude(
     if stale:
         parts.append(
             f"{' and '.join(stale)} repeat{'s' if len(stale) == 1 else ''} the last value in many samples (a stale, slow or "
-            "coarsely rounded sensor): that is the instrument's, and no term of the model is asked to explain it."
+            "coarsely rounded sensor): an error of the instrument, which no term of the model has to explain."
         )
     if following:
         verb = "rests or only follows" if len(following) == 1 else "rest or only follow"
         parts.append(
-            f"{' and '.join(following)} {verb} the motion, as a pilot or an autopilot steers: gusts that are answered look like "
-            "terms of the model, and when the surface moves and how far is not told; move it by itself, in steps."
+            f"{' and '.join(following)} {verb} the motion, as a pilot or an autopilot steers: answered gusts look like terms of "
+            "the model, and these flights do not show when and how far the surface moves; move it by itself, in steps."
         )
     if cannot:
         names = ", ".join(e.name for e in cannot[:NAMES]) + (
@@ -260,7 +260,7 @@ def rest_of_inputs(commanded: Mapping[str, float], what: str, score: float, thre
     return (
         f"{' and '.join(commanded)} {are} that the log has every {1e3 * max(commanded.values()):.0f} ms, each move at an unknown "
         f"time within that, and what this leaves wrong looks like {what} (score {score:.1f} where "
-        f"{threshold:.1f} is chance): nothing is accused of that, and nothing smaller can be told. Log the servo outputs "
+        f"{threshold:.1f} is chance): no effect is named for that, and no smaller one can be seen. Log the servo outputs "
         "as often as the gyros, or measure the surfaces."
     )
 

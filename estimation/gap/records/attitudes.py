@@ -41,7 +41,9 @@ def with_attitudes_between(flight: Flight, criteria: Criteria) -> Flight:
             filled = _rounded(flight, flight[attitude], spacing, rates[attitude], criteria)
         if filled is not None:
             rate = 1.0 / (spacing * flight.sample_interval)
-            note = f"{attitude} is a filter's, logged at {rate:.3g} Hz: between its values it goes as the gyros say"
+            note = (
+                f"{attitude} is a filter's, logged at {rate:.3g} Hz: filled in between its values with the gyro rates"
+            )
             flight = flight.with_columns(**{attitude: filled}).with_notes(note)
     return flight
 

@@ -78,6 +78,6 @@ def unmoved_in_words(flights: Sequence[Flight], model: Model) -> str:
     if not still:
         return ""
     return (
-        f"{' and '.join(still)} never moved: nothing is known of what that would do, and if the surface did move, its channel "
-        "is dead and what is missing is that."
+        f"{' and '.join(still)} never moved: nothing is known of its effect; if the surface did move, its channel is dead, and "
+        "that is the missing effect."
     )

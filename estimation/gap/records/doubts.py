@@ -85,20 +85,16 @@ def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
     for flight in flights:
         if clock_step(flight) is None:
             steps = 1e3 * np.quantile(np.diff(flight.time), (0.05, 0.95))
-            fact = f"its rows come {steps[0]:.0f} to {steps[1]:.0f} ms after one another"
+            fact = f"its rows are {steps[0]:.0f} to {steps[1]:.0f} ms apart"
             doubts.append(
-                f"{flight.name}: {fact}: if that is the clock that stamped them and not the sampling, give even times"
+                f"{flight.name}: {fact}: if only their time stamps are uneven and not the sampling, give even times"
             )
         if flight.provenance.detail.get("aligned") is False:
-            fact = "its sensors stand at their own instants, some ms apart"
             doubts.append(
-                f"{flight.name}: {fact}: a name for when or where an instrument measures may be that; where scans are missing, "
-                "give the recording on board"
+                f"{flight.name}: its sensors were sampled some ms apart and not brought to one time: an effect of the time or "
+                "place of an instrument may come from that; where scans are missing, give the recording on board"
             )
         if reconstructed := [c for c in flight.reconstructed if c in compared and uncertainty(flight, c) is None]:
-            fact = (
-                f"{', '.join(reconstructed)} not measured but found from the motion, without saying how well: "
-                "errors look like effects"
-            )
-            doubts.append(f"{flight.name}: {fact}")
+            fact = f"{', '.join(reconstructed)} not measured but found from the motion, without an uncertainty"
+            doubts.append(f"{flight.name}: {fact}: their errors look like effects")
     return doubts

@@ -29,7 +29,9 @@ def only_following(records: Sequence[FlightRecord], model: Model, criteria: Crit
 
 def words_on(control: str) -> str:
     """The note on such a control."""
-    return f"{control} rests or only follows the motion: whether it is late or has play is not asked; move it by itself, in steps"
+    return (
+        f"{control} rests or only follows the motion: its delay and play are not searched; move it by itself, in steps"
+    )
 
 
 def _follows(record: FlightRecord, control: str, criteria: Criteria) -> bool:

@@ -208,8 +208,8 @@ def _thinned(flight: Flight, controls: Sequence[str], outputs: Sequence[str], cr
         **{c: np.where(f, flight[c], np.nan) for c, f in fresh.items()}, **{s.column: s.values for s in slow_controls}
     ).part(keep)
     return read.with_notes(
-        f"values of {names} come at {rate:.3g} Hz only: the flight is read at {1.0 / read.sample_interval:.3g} Hz, for where "
-        "a surface was between two of them is not known; log it as often as the motion"
+        f"values of {names} come at {rate:.3g} Hz only: the flight is read at {1.0 / read.sample_interval:.3g} Hz, because "
+        "the path of a surface between two values is unknown; log it as often as the motion"
     )
 
 
