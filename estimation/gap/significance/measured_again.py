@@ -34,7 +34,7 @@ REPEATS = 16  # simulated sets: their mean gain is known to a quarter of its sca
 
 
 @dataclass(frozen=True)
-class Remade:
+class SimulatedRecord:
     """One simulated record. outputs: (N, ny), NaN where not measured; inputs: (N, nu) with the controls prepared again; energy:
     of the whitened residual of the base."""
 
@@ -51,7 +51,7 @@ class MeasuredAgain:
     seed: int
 
     @cached_property
-    def sets(self) -> tuple[tuple[Remade, ...], ...]:
+    def sets(self) -> tuple[tuple[SimulatedRecord, ...], ...]:
         """The records of every repeat, without repeats whose motion runs away or leaves the base by many times the noise: gains
         on such flights do not come from controls."""
         problem = self.baseline.problem
@@ -62,8 +62,8 @@ class MeasuredAgain:
         indices = range(len(problem.records))
         streams = (Stream.MEASURED_AGAIN.generator(self.seed, number) for number in range(REPEATS))
         flown = [[self._flown(flyer, index, rng) for index in indices] for rng in streams]
-        remade = zip(*(self._remade(index, [flights[index] for flights in flown]) for index in indices), strict=True)
-        finite = (tuple(r for r in records if r is not None) for records in remade)
+        by_record = (self._simulated(index, [flights[index] for flights in flown]) for index in indices)
+        finite = (tuple(r for r in records if r is not None) for records in zip(*by_record, strict=True))
         return tuple(f for f in finite if len(f) == len(problem.records) and sum(r.energy for r in f) < limit)
 
     def share(self, gain: float, model_fit: ModelFit) -> float:
@@ -76,7 +76,7 @@ class MeasuredAgain:
         if gain <= 0.0:
             return 1.0
         trial = replace(self.baseline.problem, model=model_fit.model)  # one for all repeats: it caches results
-        gains = [g for remade in self.sets if (g := _gain(trial, remade, model_fit)) is not None]
+        gains = [g for simulated in self.sets if (g := _gain(trial, simulated, model_fit)) is not None]
         if not gains:
             return 1.0
         freed = freed_by(self.baseline.problem, self.baseline.fit, model_fit)
@@ -85,8 +85,8 @@ class MeasuredAgain:
     def problems(self) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
         """Every repeat as flights: the base with the values found on the real flights, and its residuals."""
         problem, model_fit = self.baseline.problem, self.baseline.fit
-        for remade in self.sets:
-            pairs = list(zip(problem.records, remade, strict=True))
+        for simulated in self.sets:
+            pairs = list(zip(problem.records, simulated, strict=True))
             again = replace(problem, records=tuple(_recorded(problem.model, record, r) for record, r in pairs))
             modelled = [again.modelled(i, model_fit.values, local) for i, local in enumerate(model_fit.locals)]
             residuals = tuple(r.outputs - y for (_, r), y in zip(pairs, modelled, strict=True) if y is not None)
@@ -104,23 +104,23 @@ class MeasuredAgain:
         driven = problem.driven(problem.grids[index].with_inputs(true_inputs), self.baseline.fit.values)
         return flyer.observed(index, rng, driven), measured
 
-    def _remade(self, index: int, flown: Sequence[tuple[Array | None, Array]]) -> list[Remade | None]:
+    def _simulated(self, index: int, flown: Sequence[tuple[Array | None, Array]]) -> list[SimulatedRecord | None]:
         """One record of every repeat with its controls prepared again; None where the motion runs away."""
         problem, fit = self.baseline.problem, self.baseline.fit
         prepared = [measured.copy() for _, measured in flown]
         for column, name, noise in self._noisy_controls(index):
             courses = [measured[:, column] for _, measured in flown]
-            anew = prepared_anew(problem.records[index], name, courses, noise, self.baseline)
-            for inputs, values in zip(prepared, anew, strict=True):
+            again = prepared_again(problem.records[index], name, courses, noise, self.baseline)
+            for inputs, values in zip(prepared, again, strict=True):
                 inputs[:, column] = values
-        remade: list[Remade | None] = []
+        simulated: list[SimulatedRecord | None] = []
         for (outputs, _), inputs in zip(flown, prepared, strict=True):
             modelled = problem.modelled(index, fit.values, fit.locals[index], inputs=inputs)
             if outputs is None or modelled is None:
-                remade.append(None)
+                simulated.append(None)
             else:
-                remade.append(Remade(outputs, inputs, problem.whiteners[index].energy(outputs - modelled)))
-        return remade
+                simulated.append(SimulatedRecord(outputs, inputs, problem.whiteners[index].energy(outputs - modelled)))
+        return simulated
 
     def _noisy_controls(self, index: int) -> list[tuple[int, str, float]]:
         """Column, name and noise of every control of a record that has noise."""
@@ -129,18 +129,18 @@ class MeasuredAgain:
         return [(i, name, noise) for i, name, noise in controls if noise > 0.0]
 
 
-def _recorded(model: Model, record: FlightRecord, remade: Remade) -> FlightRecord:
+def _recorded(model: Model, record: FlightRecord, simulated: SimulatedRecord) -> FlightRecord:
     """A record with the outputs and the controls of a simulated one."""
     controls = {
-        s.name: remade.inputs[:, i] for i, s in enumerate(model.inputs) if s.control and s.name in record.inputs
+        s.name: simulated.inputs[:, i] for i, s in enumerate(model.inputs) if s.control and s.name in record.inputs
     }
-    return replace(record, inputs={**record.inputs, **controls}, z=remade.outputs)
+    return replace(record, inputs={**record.inputs, **controls}, z=simulated.outputs)
 
 
-def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], model_fit: ModelFit) -> float | None:
+def _gain(problem: LikelihoodProblem, simulated: Sequence[SimulatedRecord], model_fit: ModelFit) -> float | None:
     """Gain of a fitted hypothesis on one simulated set (twice a log-likelihood); None where its motion runs away."""
     total = 0.0
-    for index, record in enumerate(remade):
+    for index, record in enumerate(simulated):
         outputs = problem.modelled(index, model_fit.values, model_fit.locals[index], inputs=record.inputs)
         if outputs is None:
             return None
@@ -174,7 +174,7 @@ def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: 
     return np.where(raw, smooth, prepared + error)
 
 
-def prepared_anew(
+def prepared_again(
     record: FlightRecord, name: str, measured: Sequence[Array], noise: float, baseline: Baseline
 ) -> list[Array]:
     """(N,) each: repeated measurements of a control, de-noised except for the part that follows the motion, and as measured near

@@ -16,8 +16,8 @@ from estimation.gap.significance.tangent import Tangent, is_door, output_changes
 
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
 TENTH = 0.1  # of an output's scatter: size of an addition to it, which does not change its score
-CONTROLS_ANEW = 1  # seed of the flights whose controls are measured again
-FEWEST_ANEW = 4  # of these flights, for the scatter of a score
+MEASURED_AGAIN_SEED = 1  # seed of the flights whose controls are measured again
+FEWEST_REPEATS = 4  # of these flights, for the scatter of a score
 NOTHING = 1e-12  # smallest score
 
 
@@ -129,9 +129,9 @@ def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> lis
     keys = [s.key for s in signals]
     scores = [
         _projected(Tangent(problem, model_fit, (model_fit.residuals,)), keys).scores()[:, 1]
-        for problem, model_fit in MeasuredAgain(round_.baseline, CONTROLS_ANEW).problems()
+        for problem, model_fit in MeasuredAgain(round_.baseline, MEASURED_AGAIN_SEED).problems()
     ]
-    if len(scores) < FEWEST_ANEW:
+    if len(scores) < FEWEST_REPEATS:
         return list(signals)
     scattered = np.array(scores)
     shares = own_shares(np.array([s.sign * np.sqrt(s.gain) for s in signals]), scattered.mean(axis=0))
