@@ -11,6 +11,8 @@ from estimation.models.base import Model
 
 
 class GapVerdict(StrEnum):
+    """The verdict of a run."""
+
     NO_GAP = "no_gap"
     GAP_CLOSED = "gap_closed"
     GAP_REDUCED = "gap_reduced"
@@ -175,6 +177,8 @@ class EffectStep:
 
 @dataclass(frozen=True)
 class Rejected:
+    """A hypothesis or shape that was not accepted."""
+
     effect: str
     why: str
 
@@ -235,6 +239,13 @@ class DisagreementView:
 
 @dataclass(frozen=True)
 class GapResult:
+    """The answer of one run.
+
+    minimum_detectable: effect or parameter -> smallest size that would have been seen. scores: effect -> score, highest first;
+    threshold: family-wise, from nulls; nominal_threshold: with an exact noise model. files: of model_before and model_after.
+    details: further entries of the JSON document.
+    """
+
     verdict: GapVerdict
     text: str
     minimum_detectable: Mapping[str, float]
