@@ -26,9 +26,7 @@ from estimation.gap.significance.tangent import Tangent, TangentColumns, is_door
 SPACING = 0.5  # s between trial instants of a step: between two of them a twentieth of the gain is lost
 STRETCHES = (1.0, 3.0)  # s, lengths of disturbances; they start at every third of their length
 MOST = 6  # events
-AIR = frozenset(
-    DISTURBANCE.format(s) for s in ("V", "alpha", "beta")
-)  # motion relative to the air, which a gust changes
+AIR = frozenset(DISTURBANCE.format(s) for s in ("V", "alpha", "beta"))  # of motion relative to the air
 FEWEST = 4  # samples to either side of a step
 
 
