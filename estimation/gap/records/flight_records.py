@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
-from estimation.gap.effects.base import Effect, Form, symbols_of
+from estimation.gap.effects.base import Effect, symbols_of
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.sampling import command_times, unseen_paths
 from estimation.models.base import Model, Signal
@@ -104,11 +104,8 @@ class FlightRecord:
         zeros = np.zeros(len(self))
         columns = [self.inputs.get(n, zeros) for n in model.input_names]
         u = np.column_stack(columns) if columns else np.zeros((len(self), 0))
-        return Segment(self.first, self.time, np.ascontiguousarray(u), self.z, self.start(model, base))
-
-    def start(self, model: Model, base: Model) -> Array:
-        """Guess of the initial state of `model`; as `starting_state`, from the states of `base`."""
-        return starting_state(model, dict(zip(base.state_names, self.x0, strict=True)))
+        x0 = starting_state(model, dict(zip(base.state_names, self.x0, strict=True)))
+        return Segment(self.first, self.time, np.ascontiguousarray(u), self.z, x0)
 
 
 def starting_state(model: Model, known: Mapping[str, float]) -> Array:
@@ -140,10 +137,6 @@ class FlightRecords:
         """Records of the named flights."""
         indices = set(flights)
         return tuple(r for r in self.records if r.flight in indices)
-
-    def supports(self, form: Form) -> bool:
-        """Whether every flight has the inputs of a form."""
-        return all(s.name in self.available for s in form.inputs)
 
 
 def prepare_flights(
