@@ -27,7 +27,7 @@ from estimation.models.base import ParameterRole
 UNKNOWN = "an effect the catalogue does not hold"
 
 SHOWN = 3  # nameless signals in words; the JSON file has more
-SMALLEST = 1e-300  # keeps what is zero from dividing
+SMALLEST = 1e-300  # in place of zero in a divisor
 RATE, ANGLE, FLOW = (2.0, "deg/s"), (2.0, "deg"), (1.0, "deg")
 TOLERANCES = {"p": RATE, "r": RATE, "beta": FLOW, "phi": ANGLE, "q": RATE, "alpha": FLOW, "theta": ANGLE}
 """Tolerances of flight-simulator qualification as published (docs/gap.md): larger changes of an output matter."""

@@ -24,7 +24,7 @@ TYPICAL = {
     "CL_alpha": 3.0, "CL_q": 3.3, "CL_de": 1.0, "Cm_alpha": 0.17, "Cm_q": 0.9, "Cm_de": 0.36,
 }  # fmt: skip
 UNLISTED = 0.1  # usual size of a derivative that is not in TYPICAL
-LARGEST = 12  # usual sizes to either side: wider than any aircraft, so that a limit decides nothing
+LARGEST = 12  # usual sizes to either side of its number: far outside any aircraft
 SUBSCRIPT = {"beta": "β", "p": "p", "r": "r", "da": "δa", "dr": "δr", "alpha": "α", "q": "q", "de": "δe", "0": "0"}
 
 

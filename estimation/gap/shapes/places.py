@@ -240,7 +240,7 @@ def ranked(places: Sequence[Candidate], gains: Array, criteria: Criteria) -> Ran
     """Candidates ranked by gains (places, 1 + nulls); the threshold has the margin of that of a name."""
     if not places:
         return Ranked((), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
-    medians = np.maximum(np.median(gains[:, 1:], axis=1), NOTHING)  # the few nulls that run away would make a mean
+    medians = np.maximum(np.median(gains[:, 1:], axis=1), NOTHING)  # nulls that run away would dominate a mean
     scores = np.sqrt(gains / medians[:, None])
     limit = significant_above(scores[:, 1:].max(axis=0), criteria)
     return Ranked(tuple(places), gains[:, 0], scores[:, 0], medians, limit)
