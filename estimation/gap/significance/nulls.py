@@ -110,6 +110,7 @@ class NullFlyer:
     def build(
         cls, problem: LikelihoodProblem, fit: ModelFit, noise: NoiseModel, errors: Sequence[InputErrors]
     ) -> "NullFlyer":
+        """For the nulls of a fit. errors: possible errors of the inputs, per record."""
         names = problem.model.input_names
         disturbed = {part.of for part in noise.process if part.source in ON_FORCES}
         states = {s: names.index(DISTURBANCE.format(s)) for s in sorted(disturbed) if DISTURBANCE.format(s) in names}
