@@ -17,6 +17,7 @@ class Stream(IntEnum):
     KINEMATIC_INPUT_ERRORS = 49979687
     CLOSURE_NULLS = 86028121
     MEASURED_AGAIN = 122949823
+    CLOSED_LOOP = 141650939
 
     def generator(self, seed: int, *which: int) -> np.random.Generator:
         """The generator of draw `which` (record, number) of this stream."""

@@ -34,10 +34,10 @@ def accept(
     for candidate in choice.candidates:
         if candidate.score < round_.threshold:
             break
-        centred = candidate.score * math.sqrt(remeasured.share(candidate.gain, candidate.fit))
+        centred = candidate.score * math.sqrt(remeasured.share(candidate.gain, candidate.fit, candidate.score))
         if centred < round_.threshold:
             remainder = f"{centred:.1f} of {round_.threshold:.1f} is left"
-            reason = f"gains nearly as much where only the controls are measured again ({remainder})"
+            reason = f"gains nearly as much without it, where controls are measured again or answer gusts ({remainder})"
             refused_keys.add(candidate.hypothesis.key)
             rejected.append(Rejected(candidate.hypothesis.label, reason))
             continue

@@ -10,9 +10,12 @@ without a fit. With a correct likelihood the hypothesis loses there what it gain
 the same quadratic form, seen from either end); a gain by preparation is a gain on both. Half the difference is the gain of the
 effect itself: the centred likelihood ratio of D. R. Cox, "Further results on tests of separate families of hypotheses", Journal
 of the Royal Statistical Society B 24 (1962), 406-424, eq. 8.
+
+Controls with feedback also follow gusts (`closed_loop`). For these, flights are simulated in which they do, and the score that a
+hypothesis has on the average on them, with the base projected out of each, is subtracted from its score on the real flights.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,15 +24,21 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, freed_by
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, freed_by
+from estimation.gap.fit.spectra import linear_motion
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.flight_records import FlightRecord
+from estimation.gap.significance.closed_loop import answer, feedback_of
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
+from estimation.gap.significance.screen import Projected, gram_of
+from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model
 from estimation.signals.controls import with_raw_steps
 from estimation.signals.denoise import denoise_many
 
 RAN_AWAY = 3.0  # energies of the flights: with more the base did not follow its own flight, whose motion grows
+NOTHING = 1e-12  # smallest score
+FEWEST = 4  # simulated sets, for the scatter of a score
 REPEATS = 16  # simulated sets: their mean gain is known to a quarter of its scatter, some 4 of a gain of 40
 
 
@@ -54,20 +63,72 @@ class MeasuredAgain:
     def sets(self) -> tuple[tuple[SimulatedRecord, ...], ...]:
         """The records of every repeat, without repeats whose motion runs away or leaves the base by many times the noise: gains
         on such flights do not come from controls."""
+        indices = range(len(self.baseline.problem.records))
+        streams = (Stream.MEASURED_AGAIN.generator(self.seed, number) for number in range(REPEATS))
+        flown = [[self._flown(self._flyer, index, rng) for index in indices] for rng in streams]
+        by_record = (self._simulated(index, [flights[index] for flights in flown]) for index in indices)
+        return self._near_the_base(list(zip(*by_record, strict=True)))
+
+    @cached_property
+    def _flyer(self) -> NullFlyer:
         problem = self.baseline.problem
         exact = [InputErrors({}) for _ in problem.records]
-        flyer = NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, exact)
-        pairs = zip(problem.whiteners, self.baseline.fit.residuals, strict=True)
-        limit = RAN_AWAY * sum(w.energy(residual) for w, residual in pairs)
-        indices = range(len(problem.records))
-        streams = (Stream.MEASURED_AGAIN.generator(self.seed, number) for number in range(REPEATS))
-        flown = [[self._flown(flyer, index, rng) for index in indices] for rng in streams]
-        by_record = (self._simulated(index, [flights[index] for flights in flown]) for index in indices)
-        finite = (tuple(r for r in records if r is not None) for records in zip(*by_record, strict=True))
-        return tuple(f for f in finite if len(f) == len(problem.records) and sum(r.energy for r in f) < limit)
+        return NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, exact)
 
-    def share(self, gain: float, model_fit: ModelFit) -> float:
-        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
+    def _near_the_base(
+        self, sets: Sequence[Sequence["SimulatedRecord | None"]]
+    ) -> tuple[tuple[SimulatedRecord, ...], ...]:
+        pairs = zip(self.baseline.problem.whiteners, self.baseline.fit.residuals, strict=True)
+        limit = RAN_AWAY * sum(w.energy(residual) for w, residual in pairs)
+        finite = (tuple(r for r in records if r is not None) for records in sets if None not in records)
+        return tuple(f for f in finite if sum(r.energy for r in f) < limit)
+
+    @cached_property
+    def closed_loop(self) -> tuple[tuple[SimulatedRecord, ...], ...]:
+        """The records of every repeat with controls that answer gusts; none where these answers are small beside the noise of the
+        controls."""
+        problem = self.baseline.problem
+        feedback = feedback_of(problem.records, problem.base)
+        sets = []
+        for number in range(REPEATS if feedback else 0):
+            rng = Stream.CLOSED_LOOP.generator(self.seed, number)
+            sets.append([self._answered(index, rng, feedback) for index in range(len(problem.records))])
+            if number == 0 and not any(self._is_felt(i, record) for i, record in enumerate(sets[0])):
+                return ()
+        return self._near_the_base(sets)
+
+    def _is_felt(self, index: int, answered: SimulatedRecord | None) -> bool:
+        """Whether a control moves by more than a share of its noise when it answers gusts."""
+        if answered is None:
+            return False
+        moved = np.std(answered.inputs - self.baseline.problem.coarse[index].u, axis=0)
+        controls, share = self._noisy_controls(index), self.baseline.criteria.own_motion
+        return any(moved[column] > share * noise for column, _, noise in controls)
+
+    def _answered(self, index: int, rng: np.random.Generator, feedback: Mapping[str, Array]) -> SimulatedRecord | None:
+        """One record flown in gusts with controls that answer them, and known exactly; None where the motion runs away."""
+        problem, fit, flyer = self.baseline.problem, self.baseline.fit, self._flyer
+        driven, inputs = flyer.driven[index], problem.coarse[index].u.copy()
+        shaken = flyer.disturbed(index, rng, driven)
+        motions = [flyer.motion(index, replace(driven, u=u)) for u in (driven.u, shaken)]
+        if not all(motion.finite for motion in motions):
+            return None
+        states = [problem.model.state_names.index(n) for n in problem.base.state_names]
+        disturbance = (motions[1].x - motions[0].x)[:, states]
+        linear = linear_motion(problem.model, problem.simulator, problem.coarse[index], fit.values)
+        columns = [problem.model.input_names.index(n) for n in linear.controls]
+        inputs[:, columns] += answer(disturbance, linear, feedback)
+        answered = problem.driven(problem.grids[index].with_inputs(inputs), fit.values)
+        motion = flyer.motion(index, replace(answered, u=answered.u + shaken - driven.u))
+        modelled = problem.modelled(index, fit.values, fit.locals[index], inputs=inputs)
+        if not motion.finite or modelled is None:
+            return None
+        outputs = flyer.measured(index, rng, motion)
+        return SimulatedRecord(outputs, inputs, problem.whiteners[index].energy(outputs - modelled))
+
+    def share(self, gain: float, model_fit: ModelFit, score: float) -> float:
+        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1. score: in
+        units of its scatter on the nulls.
 
         From its mean gain on simulated flights without the effect, as in `own_share`. Gains by priors, such as those of times
         that the base need not shift any more, are the hypothesis' own: simulated flights are compared by their residuals alone.
@@ -80,12 +141,28 @@ class MeasuredAgain:
         if not gains:
             return 1.0
         freed = freed_by(self.baseline.problem, self.baseline.fit, model_fit)
-        return own_share(gain, float(np.mean(gains)), freed, self.baseline.criteria)
+        share = own_share(gain, float(np.mean(gains)), freed, self.baseline.criteria)
+        return share * self._share_without_feedback(model_fit, max(gain / score**2, 1.0))
+
+    def _share_without_feedback(self, model_fit: ModelFit, inflation: float) -> float:
+        """The share of a gain that remains when the mean score on flights with feedback is subtracted, and their scatter counts
+        where it exceeds that of the nulls. inflation: variance of the score on these."""
+        scores = [score_of_size(problem, fit, model_fit) for problem, fit in self._problems(self.closed_loop)]
+        finite = np.array([s for s in scores if s is not None])
+        own = score_of_size(self.baseline.problem, self.baseline.fit, model_fit) if finite.size >= FEWEST else None
+        if own is None:
+            return 1.0
+        wider = max(float(finite.std()) / np.sqrt(inflation), 1.0)
+        return float(own_shares(np.array([own]), np.array([finite.mean()]))[0] / wider) ** 2
 
     def problems(self) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
-        """Every repeat as flights: the base with the values found on the real flights, and its residuals."""
+        """Every repeat as flights, with controls that answer gusts where any does: the base with the values found on the real
+        flights, and its residuals."""
+        return self._problems(self.closed_loop or self.sets)
+
+    def _problems(self, sets: Sequence[Sequence[SimulatedRecord]]) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
         problem, model_fit = self.baseline.problem, self.baseline.fit
-        for simulated in self.sets:
+        for simulated in sets:
             pairs = list(zip(problem.records, simulated, strict=True))
             again = replace(problem, records=tuple(_recorded(problem.model, record, r) for record, r in pairs))
             modelled = [again.modelled(i, model_fit.values, local) for i, local in enumerate(model_fit.locals)]
@@ -146,6 +223,29 @@ def _gain(problem: LikelihoodProblem, simulated: Sequence[SimulatedRecord], mode
             return None
         total += record.energy - problem.whiteners[index].energy(record.outputs - outputs)
     return total
+
+
+def score_of_size(problem: LikelihoodProblem, base_fit: ModelFit, model_fit: ModelFit) -> float | None:
+    """Signed score of the change that a fitted hypothesis of its size makes about a base, with the base projected out; None where
+    the motion runs away. problem, base_fit: the flights on which it is scored, with residuals; positive where the change is in
+    them as it is in those of `model_fit`."""
+    trial = replace(problem, model=model_fit.model)
+    values = {**model_fit.model.starts(), **model_fit.values, **{n: base_fit.values[n] for n in problem.free}}
+    changes = []
+    for i, local in enumerate(base_fit.locals):
+        modelled = trial.modelled(i, values, carried_local(local, base_fit.model, model_fit.model))
+        if modelled is None:
+            return None
+        changes.append(np.nan_to_num(modelled - problem.coarse[i].z + base_fit.residuals[i]))
+    tangent = Tangent(problem, base_fit, (base_fit.residuals,))
+    projected = Projected.of(gram_of(tangent, lambda i: [changes[i]]), len(problem.free), 1)
+    return float(projected.scores()[0, 1])
+
+
+def own_shares(signed: Array, mean: Array) -> Array:
+    """(terms,) shares, 0 to 1, of signed scores that remain without a mean; 1 where the mean has the other sign."""
+    same_sign = np.maximum(np.sign(signed) * mean, 0.0)
+    return np.asarray(np.maximum(1.0 - same_sign / np.maximum(np.abs(signed), NOTHING), 0.0))
 
 
 def own_share(gain: float, without: float, freed: float, criteria: Criteria) -> float:

@@ -10,15 +10,13 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.measured_again import MeasuredAgain
+from estimation.gap.significance.measured_again import FEWEST, MeasuredAgain, own_shares
 from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent, is_door, output_changes
 
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
 TENTH = 0.1  # of an output's scatter: size of an addition to it, which does not change its score
 MEASURED_AGAIN_SEED = 1  # seed of the flights whose controls are measured again
-FEWEST_REPEATS = 4  # of these flights, for the scatter of a score
-NOTHING = 1e-12  # smallest score
 
 
 @dataclass(frozen=True)
@@ -131,7 +129,7 @@ def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> lis
         _projected(Tangent(problem, model_fit, (model_fit.residuals,)), keys).scores()[:, 1]
         for problem, model_fit in MeasuredAgain(round_.baseline, MEASURED_AGAIN_SEED).problems()
     ]
-    if len(scores) < FEWEST_REPEATS:
+    if len(scores) < FEWEST:
         return list(signals)
     scattered = np.array(scores)
     shares = own_shares(np.array([s.sign * np.sqrt(s.gain) for s in signals]), scattered.mean(axis=0))
@@ -140,12 +138,6 @@ def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> lis
         replace(s, score=s.score * float(share / width), gain=s.gain * float(share) ** 2)
         for s, share, width in zip(signals, shares, wider, strict=True)
     ]
-
-
-def own_shares(signed: Array, mean: Array) -> Array:
-    """(terms,) shares, 0 to 1, of signed scores that remain without a mean; 1 where the mean has the other sign."""
-    same_sign = np.maximum(np.sign(signed) * mean, 0.0)
-    return np.asarray(np.maximum(1.0 - same_sign / np.maximum(np.abs(signed), NOTHING), 0.0))
 
 
 def standardised(projected: Projected, criteria: Criteria) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.kernel import Array
+from estimation.engine.kernel import Array, SegmentMotion
 from estimation.engine.simulate import Segment
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import ON_FORCES, NoiseModel, NoisePart, NoiseSource, linear_motion
@@ -142,16 +142,24 @@ class NullFlyer:
     def observed(self, index: int, rng: np.random.Generator, driven: Segment) -> Array | None:
         """(N, ny) measured outputs of one null of one record, NaN where the record has none; None where it diverges. driven: its
         inputs with the middles between samples."""
-        problem, local = self.problem, self.fit.locals[index]
-        coarse, interval = problem.coarse[index], self.intervals[index]
+        motion = self.motion(index, replace(driven, u=self.disturbed(index, rng, driven)))
+        return self.measured(index, rng, motion) if motion.finite else None
+
+    def disturbed(self, index: int, rng: np.random.Generator, driven: Segment) -> Array:
+        """(2N - 1, nu) inputs of one record with loose surfaces and gusts."""
         shaken = driven.u.copy()
         self._loosen_surfaces(shaken, rng)
-        self._disturb(shaken, 0.5 * interval, rng)
-        motion = problem.simulator.run_by_middles(
-            replace(driven, u=shaken), {**self.fit.values, **local.parameters}, local.x0
-        )
-        if not motion.finite:
-            return None
+        self._disturb(shaken, 0.5 * self.intervals[index], rng)
+        return shaken
+
+    def motion(self, index: int, driven: Segment) -> SegmentMotion:
+        """States and outputs of the fitted model on one record. driven: its inputs with the middles between samples."""
+        local = self.fit.locals[index]
+        return self.problem.simulator.run_by_middles(driven, {**self.fit.values, **local.parameters}, local.x0)
+
+    def measured(self, index: int, rng: np.random.Generator, motion: SegmentMotion) -> Array:
+        """(N, ny) outputs of a motion of one record with the noise of the instruments, NaN where the record has none."""
+        problem, coarse, interval = self.problem, self.problem.coarse[index], self.intervals[index]
         louder = problem.records[index].louder
         noise = np.sqrt(self.noise.measurement * (1.0 if louder is None else louder)) * rng.standard_normal(
             coarse.z.shape
