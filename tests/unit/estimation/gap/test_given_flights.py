@@ -268,7 +268,7 @@ def test_a_flight_whose_sensors_were_not_brought_to_one_time_says_so() -> None:
         given = Flight.build("f", TIME, {"p": noisy(1)}, provenance=Provenance(detail={"aligned": aligned}))
         told = doubts_of([given], model)
         assert len(told) == (0 if aligned else 1)
-    assert "at their own instants" in told[0]
+    assert "sampled some ms apart" in told[0]
 
 
 def test_flights_of_one_name_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -364,7 +364,7 @@ def test_rows_on_no_grid_and_whole_flights_are_left_as_they_are() -> None:
     uneven = Flight.build("uneven", np.sort(TIME + rng.uniform(-0.006, 0.006, COUNT)), {"p": noisy(1)})
     assert with_lost_rows(uneven) is uneven
     (told,) = doubts_of([uneven], load_model("lateral", "cdfp"))
-    assert told.startswith("uneven: its rows come 1")
+    assert told.startswith("uneven: its rows are 1")
     assert "give even times" in told
     assert doubts_of([late], load_model("lateral", "cdfp")) == []
     rounded = Flight.build("rounded", np.round(np.arange(COUNT) / 30.0, 2), {"p": noisy(1)})  # 30, 30, 40 ms

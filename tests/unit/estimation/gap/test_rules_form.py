@@ -58,10 +58,10 @@ def test_a_shape_gains_three_quarters_of_what_the_best_term_does(
         searching, "holdout_predictions", lambda baseline, fitted, flown: left.append(fitted.gain) or []
     )
     ranking = stub(order=[0], places=[PLACE], gains=[gain], scores=[9.0], threshold=4.0)
-    shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking)
+    shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking, 0.0)
     assert shape is None
     assert bool(left) is asked
-    assert (tried[0].why == "explains only 74% of what a nameless term or swing does") is not asked
+    assert tried[0].why.endswith("explains only 74% of what a nameless term or swing does") is not asked
 
 
 def test_a_shape_that_the_noise_of_the_controls_gives_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,9 +71,9 @@ def test_a_shape_that_the_noise_of_the_controls_gives_is_not_taken(monkeypatch: 
     monkeypatch.setattr(searching.Increment, "of", lambda place, flown: None)
     monkeypatch.setattr(searching.MeasuredAgain, "share", lambda self, gain, fit: 0.5)
     ranking = stub(order=[0], places=[PLACE], gains=[74.0], scores=[5.0], threshold=4.0)
-    shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking)
+    shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking, 0.0)
     assert shape is None
-    assert tried[0].why == "gains nearly as much where only the controls are measured again"
+    assert tried[0].why == "as a shape without a name: gains nearly as much where only the controls are measured again"
 
 
 def test_a_shape_gains_three_quarters_of_what_a_swing_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,7 +82,7 @@ def test_a_shape_gains_three_quarters_of_what_a_swing_does(monkeypatch: pytest.M
     monkeypatch.setattr(searching.Increment, "of", lambda place, flown: None)
     ranking = stub(order=[0], places=[PLACE], gains=[74.0], scores=[9.0], threshold=4.0)
     _, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking, 100.0)
-    assert tried[0].why == "explains only 74% of what a nameless term or swing does"
+    assert tried[0].why == "as a shape without a name: explains only 74% of what a nameless term or swing does"
 
 
 @pytest.mark.parametrize(("share", "good"), [(0.88, True), (0.86, False)])
