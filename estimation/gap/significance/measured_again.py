@@ -87,18 +87,27 @@ class MeasuredAgain:
     def closed_loop(self) -> tuple[tuple[SimulatedRecord, ...], ...]:
         """The records of every repeat with controls that answer gusts; none where these answers are small beside the noise of the
         controls."""
-        problem = self.baseline.problem
-        feedback = feedback_of(problem.records, problem.base)
-        sets = []
-        for number in range(REPEATS if feedback else 0):
-            rng = Stream.CLOSED_LOOP.generator(self.seed, number)
-            sets.append([self._answered(index, rng, feedback) for index in range(len(problem.records))])
-            if number == 0 and not any(self._is_felt(i, record) for i, record in enumerate(sets[0])):
-                return ()
-        return self._near_the_base(sets)
+        repeats = range(1, REPEATS) if self.answers_gusts else ()
+        return self._near_the_base([self._first_answered, *map(self._answered_set, repeats)]) if repeats else ()
+
+    @cached_property
+    def answers_gusts(self) -> bool:
+        """Whether a control moves by more than a share of its noise when it answers gusts."""
+        return any(self._is_felt(i, record) for i, record in enumerate(self._first_answered))
+
+    @cached_property
+    def _first_answered(self) -> list[SimulatedRecord | None]:
+        return self._answered_set(0)
+
+    @cached_property
+    def _feedback(self) -> dict[str, Array]:
+        return feedback_of(self.baseline.problem.records, self.baseline.problem.base)
+
+    def _answered_set(self, number: int) -> list[SimulatedRecord | None]:
+        rng, indices = Stream.CLOSED_LOOP.generator(self.seed, number), range(len(self.baseline.problem.records))
+        return [self._answered(index, rng, self._feedback) for index in indices] if self._feedback else []
 
     def _is_felt(self, index: int, answered: SimulatedRecord | None) -> bool:
-        """Whether a control moves by more than a share of its noise when it answers gusts."""
         if answered is None:
             return False
         moved = np.std(answered.inputs - self.baseline.problem.coarse[index].u, axis=0)
@@ -127,8 +136,8 @@ class MeasuredAgain:
         return SimulatedRecord(outputs, inputs, problem.whiteners[index].energy(outputs - modelled))
 
     def share(self, gain: float, model_fit: ModelFit, score: float) -> float:
-        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1. score: in
-        units of its scatter on the nulls.
+        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1. score: of
+        that gain, in units of its scatter on the nulls.
 
         From its mean gain on simulated flights without the effect, as in `own_share`. Gains by priors, such as those of times
         that the base need not shift any more, are the hypothesis' own: simulated flights are compared by their residuals alone.
@@ -152,8 +161,10 @@ class MeasuredAgain:
         own = score_of_size(self.baseline.problem, self.baseline.fit, model_fit) if finite.size >= FEWEST else None
         if own is None:
             return 1.0
-        wider = max(float(finite.std()) / np.sqrt(inflation), 1.0)
-        return float(own_shares(np.array([own]), np.array([finite.mean()]))[0] / wider) ** 2
+        mean, std, count = finite.mean(), float(finite.std()), finite.size
+        mean += np.sign(own) * std / np.sqrt(count)  # both as large as they may be by one standard error
+        wider = max(std * (1.0 + 1.0 / np.sqrt(2.0 * count)) / np.sqrt(inflation), 1.0)
+        return float(own_shares(np.array([own]), np.array([mean]))[0] / wider) ** 2
 
     def problems(self) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
         """Every repeat as flights, with controls that answer gusts where any does: the base with the values found on the real
