@@ -191,7 +191,7 @@ SMALL = {"states": "['p']", "outputs": "['p']", "inputs": "['delta_a']", "parame
     [
         ({"states": "'p'"}, "L_p*p", "must be a list"),
         ({"constants": "3"}, "L_p*p", "must be a table"),
-        ({"outputs": "['p', 'p']"}, "L_p*p", "stands there twice"),
+        ({"outputs": "['p', 'p']"}, "L_p*p", "listed twice"),
         ({"parameters": "[{name=3}]"}, "L_p*p", "must be text"),
         ({"parameters": "[{name='L_p', unit=2020-01-01}]"}, "L_p*p", "unit = .* must be text"),
         ({"inputs": "[{name='delta_a', control='yes'}]"}, "L_p*p", "must be true or false"),
