@@ -278,7 +278,9 @@ def test_a_segment_without_altitude_has_no_density_and_the_others_have() -> None
     segment = np.repeat([0, 1], 40)
     altitude = np.where(segment == 0, 300.0, np.nan)
     speed = np.where(segment == 0, 15.0 + np.sin(time), np.nan)
-    flight = with_derived(Flight.build("f", time, {"altitude": altitude, "V": speed}, segment=segment), ["rho", "V_dot"])
+    flight = with_derived(
+        Flight.build("f", time, {"altitude": altitude, "V": speed}, segment=segment), ["rho", "V_dot"]
+    )
     for column in ("rho", "V_dot"):
         assert np.isfinite(flight[column][segment == 0]).all()
         assert np.isnan(flight[column][segment == 1]).all()
