@@ -115,7 +115,8 @@ def noise_spectrum(
     """Spectrum (size/2 + 1, ny, ny) of the noise of one flight, in units of R: that of the residuals, raised by what the fit
     absorbed. size: even, at least twice the longest piece.
 
-    known_lags: (lags, ny, ny) autocovariance of the residuals by a cause accounted for elsewhere, which is subtracted."""
+    known_lags: (lags, ny, ny) autocovariance that a cause accounted for elsewhere gives the residuals; it is subtracted.
+    """
     size = _fast_length(2 * max(p.residual.shape[0] for p in pieces))
     lags = autocovariance([p.residual for p in pieces], [p.known for p in pieces])
     order = order_for(lags, sum(p.residual.shape[0] for p in pieces))
