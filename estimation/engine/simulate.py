@@ -93,7 +93,7 @@ class Simulator:
         parameter = np.array([position.get(n, -1) for n in names], np.int32)
         count = len(self.free) + nx
         state = np.arange(len(self.free), count, dtype=np.int32)
-        transform = np.array([position[n] for n in self._transform_names()], np.int32)
+        transform = np.array([position[n] for n in self.transform_names()], np.int32)
         gain = np.full((nx, ny), -1, np.int32)
         if gain_free is not None:
             entries = np.argwhere(gain_free)
@@ -102,7 +102,8 @@ class Simulator:
         transform = np.concatenate([transform, np.arange(count, count + moved, dtype=np.int32)])
         return SensitivityColumns(count + moved, parameter, state, transform, gain)
 
-    def _transform_names(self) -> tuple[str, ...]:
+    def transform_names(self) -> tuple[str, ...]:
+        """The free parameters of input transforms."""
         return tuple(dict.fromkeys(n for t in self.model.transforms for n in t.parameters if n in self.free))
 
     def drive(
@@ -145,7 +146,7 @@ class Simulator:
         if not du.shape[2] or not self._bent_inputs():
             return slopes
         middle = self._middle_slopes(u, du, step)
-        names = self._transform_names()
+        names = self.transform_names()
         for column, name in self._bent_inputs():
             line = 0.5 * (du[:-1, column] + du[1:, column])
             slopes[:-1, column] = line + values[name] * np.diff(du[:, column], axis=0) - middle[:-1, column]
@@ -159,7 +160,7 @@ class Simulator:
         """Transformed inputs (N, nu) and their derivatives (N, nu, nt): by the transforms' parameters if `sensitivities`, then
         along the changes `moved`."""
         model, u = self.model, segment.u
-        names = self._transform_names() if sensitivities else ()
+        names = self.transform_names() if sensitivities else ()
         du = np.zeros((*u.shape, 0))
         changes = moved
         if model.transforms:
