@@ -79,7 +79,7 @@ class Simulator:
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """(np,) parameters and constants in the order of the traced functions."""
-        constants = self.model.structure.constants_kept
+        constants = self.model.structure.remaining_constants
         return np.array(
             [values[n] for n in self.model.parameter_names] + [self.model.constants[n] for n in constants], float
         )
@@ -88,7 +88,7 @@ class Simulator:
         """Sensitivity columns: free parameters, initial states, entries of the gain that `gain_free` (nx, ny) marks, then `moved`
         changes of the inputs."""
         nx, ny = len(self.model.states), len(self.model.outputs)
-        names = (*self.model.parameter_names, *self.model.structure.constants_kept)
+        names = (*self.model.parameter_names, *self.model.structure.remaining_constants)
         position = {name: i for i, name in enumerate(self.free)}
         parameter = np.array([position.get(n, -1) for n in names], np.int32)
         count = len(self.free) + nx

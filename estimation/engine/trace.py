@@ -1,7 +1,7 @@
 """CasADi functions of (x, u, p) from the text of a model: rates and outputs with their exact Jacobians.
 
-p holds the model's parameters, then its constants (in the order of `ModelStructure.constants_kept`), so that a changed mass or a
-fixed parameter needs no new trace; only parameters have derivatives. Jacobians are sparse; `Traced` has their patterns.
+p holds the model's parameters, then its constants (in the order of `ModelStructure.remaining_constants`), so that a changed mass
+or a fixed parameter needs no new trace; only parameters have derivatives. Jacobians are sparse; `Traced` has their patterns.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -55,7 +55,7 @@ class Traced:
 @lru_cache(maxsize=256)
 def trace(structure: ModelStructure) -> Traced:
     """CasADi functions of a model; the same object for every model of equal structure."""
-    kinds = (structure.states, structure.inputs, structure.parameters, structure.constants_kept)
+    kinds = (structure.states, structure.inputs, structure.parameters, structure.remaining_constants)
     x, u, t, c = (ca.SX.sym(k, len(v)) for k, v in zip("xutc", kinds, strict=True))
     p = ca.vertcat(t, c)
     symbols: dict[str, Any] = {}

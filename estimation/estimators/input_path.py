@@ -150,12 +150,12 @@ def in_own_terms(result: Result, model: Model) -> Result:
     """The result in terms of the parameters of `model`, the surface paths in `extra["input_paths"]`."""
     e = result.parameters
     names = [n for n in model.input_names if PREFIX["lag"] + n in e]
-    if not names:
+    nuisance = set(e) - set(model.free_names)
+    if not names or not nuisance:  # nothing to translate
         return result
     paths = {n: _path(e[PREFIX["lag"] + n], e[PREFIX["bend"] + n]) for n in names}
     notes = tuple(Finding(FindingKind.OTHER, _sentence(n, path)) for n, path in paths.items() if np.isfinite(path.lag))
     noted = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
-    nuisance = set(e) - set(model.free_names)
     return without_nuisance_parameters(_widened(noted, nuisance), model, nuisance, {"input_paths": paths})
 
 

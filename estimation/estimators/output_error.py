@@ -238,9 +238,8 @@ def reopen_fit(
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
     if len(data) != len(result.flights):
         raise DataError(f"{len(data)} flights given for a fit of {len(result.flights)}: give those that were fitted")
-    data = in_pieces_of(data, result)
     loaded = with_paths(loaded, data).with_starts(path_values(result)) if options.paths else loaded
-    problem = build_problem(loaded, data, options)
+    problem = build_problem(loaded, in_pieces_of(data, result), options)
     start = problem.pack(loaded.starts(), [list(f.initial_states) for f in result.flights])
     return _with_fine_steps(problem, minimise(problem, start, options.loop), options)
 

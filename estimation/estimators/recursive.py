@@ -111,12 +111,12 @@ def _stated_std(p: Parameter) -> float | None:
 def samples_of(
     flight: Flight, part: slice, regressions: Sequence[PlaneRegression] = (LATERAL,), airframe: Airframe | None = None
 ) -> Iterator[Sample]:
-    """Scans of a stretch of a flight, in order. A missing column reads NaN; for the pitching plane alone, missing lateral motion
-    reads zero. airframe: its mass and CG limit the flight's measured ones; None: these are not used. Raises DataError as
-    `mass_history` and `cg_history`."""
+    """Scans of a stretch of a flight, in order. For the pitching plane alone, a lateral column that is not measured reads zero.
+    airframe: its mass and CG limit the flight's measured ones; None: these are not used. Raises DataError as `mass_history` and
+    `cg_history`."""
     names = [*SIGNALS, *(PITCH_SIGNALS if regressions != (LATERAL,) else ())]
     lateral = any(r.name == "lateral" for r in regressions)
-    absent = () if lateral else [n for n in (*OPTIONAL, "delta_a", "delta_r") if n not in flight.columns]
+    absent = () if lateral else [n for n in (*OPTIONAL, "delta_a", "delta_r") if not flight.measured(n)]
     size = flight.time[part].size
     columns = [flight.time[part], *(np.zeros(size) if n in absent else flight[n][part] for n in names)]
     loading = np.full((size, 2), math.nan)

@@ -68,7 +68,7 @@ def parametric_bootstrap(
         outcome = minimise(replicate, fit.unknowns, options.loop)
         if outcome.status.usable:
             rows.append(_mean_over_flights(problem, outcome.unknowns))
-    names = tuple(n for n in problem.free if np.isfinite(result.parameters[n].std))
+    names = tuple(n for n in problem.free if n in result.parameters and np.isfinite(result.parameters[n].std))
     if len(rows) < FEWEST_REPLICATES:
         return Bootstrap(
             names, np.zeros((0, len(names))), {}, replicates - len(rows), "hardly any replicate could be fitted"

@@ -37,7 +37,7 @@ def require_states(model: Model, method: str) -> Model:
     return model
 
 
-def asked_for(model: Model, zero: Set[str]) -> frozenset[str]:
+def names_used(model: Model, zero: Set[str]) -> frozenset[str]:
     """Names on which rates and outputs of `model` depend while the parameters `zero` are zero."""
     rates = [f"{s}_dot" for s in model.state_names]
     outputs = [n for o in model.output_names for n in (f"{o}_measured", o) if n in model.definitions or n == o]

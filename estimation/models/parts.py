@@ -111,7 +111,7 @@ class ModelStructure:
     equations: tuple[str, ...]
 
     @property
-    def constants_kept(self) -> tuple[str, ...]:
+    def remaining_constants(self) -> tuple[str, ...]:
         """Constants that no parameter has replaced, in the order in which they follow the parameters."""
         return tuple(sorted(set(self.constants) - set(self.parameters)))
 
@@ -123,7 +123,12 @@ class ModelStructure:
     @property
     def sizes(self) -> tuple[int, int, int, int]:
         """Numbers of states, inputs, parameters and constants together, outputs."""
-        return len(self.states), len(self.inputs), len(self.parameters) + len(self.constants_kept), len(self.outputs)
+        return (
+            len(self.states),
+            len(self.inputs),
+            len(self.parameters) + len(self.remaining_constants),
+            len(self.outputs),
+        )
 
     @cached_property
     def digest(self) -> str:

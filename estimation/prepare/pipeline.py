@@ -84,7 +84,7 @@ def gaps_cut(state: PreparationState) -> PreparationState:
     flight, notes = state.flight, list[Finding]()
     usable = np.ones(len(flight), bool)
     for signal in (s for s in state.model.inputs if not state.missing_optional(s)):
-        way = None if signal.source in flight.columns else way_to(flight, signal.source)
+        way = None if flight.measured(signal.source) else way_to(flight, signal.source)
         for source in (c for c in (way.needs if way else (signal.source,)) if c in flight.columns):
             holes = _long_holes(~np.isfinite(flight[source]), flight.segment)
             if holes.any():

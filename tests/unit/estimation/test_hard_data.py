@@ -272,6 +272,8 @@ def test_density_comes_from_pressure_and_temperature_before_the_standard_atmosph
     found, notes = density_found(flight, altitude=height)
     assert found == pytest.approx(0.81913, abs=3e-5)  # ICAO Doc 7488, geopotential height
     assert "rho derived from altitude" in notes
+    found, notes = density_found(flight, altitude=height, rho=np.full(len(flight), np.nan))
+    assert found == pytest.approx(0.81913, abs=3e-5)  # an empty column counts as absent
 
 
 def test_the_temperature_of_a_warm_board_is_not_taken_for_that_of_the_air(made_flights: list[Flight]) -> None:
