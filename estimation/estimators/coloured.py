@@ -45,32 +45,30 @@ def score_covariance(pieces: list[ResidualSegment], inverse: Array, nuisance_inv
 
     inverse: (n, n) covariance of the parameters; nuisance_inverse: inverse information of each piece's initial states.
     """
-    pieces, nuisance_inverse = with_something_known([without_empty_rows(p) for p in pieces], nuisance_inverse)
+    pieces, nuisance_inverse = non_empty_pieces([measured_part(p) for p in pieces], nuisance_inverse)
     projected = without_nuisance(pieces, nuisance_inverse)
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse)
     return filtered_covariance(pieces, projected, spectrum)
 
 
-Belonging = TypeVar("Belonging")
+Item = TypeVar("Item")
 
 
-def with_something_known(
-    pieces: list[ResidualSegment], belonging: list[Belonging]
-) -> tuple[list[ResidualSegment], list[Belonging]]:
-    """The pieces with at least one sample, and what belongs to each; in a short piece no output may be measured at all."""
-    pairs = [(p, b) for p, b in zip(pieces, belonging, strict=True) if p.residual.size]
-    return [p for p, _ in pairs], [b for _, b in pairs]
+def non_empty_pieces(pieces: list[ResidualSegment], items: list[Item]) -> tuple[list[ResidualSegment], list[Item]]:
+    """The pieces with at least one sample, and the item of each; in a short piece no output may be measured at all."""
+    pairs = [(p, i) for p, i in zip(pieces, items, strict=True) if p.residual.size]
+    return [p for p, _ in pairs], [i for _, i in pairs]
 
 
-def without_empty_rows(piece: ResidualSegment) -> ResidualSegment:
+def measured_part(piece: ResidualSegment) -> ResidualSegment:
     """The piece without samples at which no output is measured, so that on a grid finer than the log the orders of the
     autoregression span as much time as on the log's own samples."""
     rows = piece.known.any(axis=1)
-    jacobian, nuisance = without_empty(piece, piece.jacobian), without_empty(piece, piece.nuisance)
+    jacobian, nuisance = measured_rows_of(piece, piece.jacobian), measured_rows_of(piece, piece.nuisance)
     return ResidualSegment(piece.residual[rows], jacobian, nuisance, piece.known[rows])
 
 
-def without_empty(piece: ResidualSegment, columns: Array) -> Array:
+def measured_rows_of(piece: ResidualSegment, columns: Array) -> Array:
     """Columns (N ny, m) of a piece without samples at which no output is measured."""
     rows = piece.known.any(axis=1)
     count, ny = piece.residual.shape

@@ -17,10 +17,10 @@ from estimation.estimators.coloured import (
     Spectrum,
     autocovariance,
     filtered_covariance,
+    measured_part,
+    measured_rows_of,
     noise_spectrum,
-    with_something_known,
-    without_empty,
-    without_empty_rows,
+    non_empty_pieces,
     without_nuisance,
 )
 from estimation.estimators.input_error import (
@@ -172,10 +172,10 @@ def flight_score(
     responses = disturbed_outputs(problem, unknowns, index)
     noise, edges = responses[0].noise, responses[0].edges
     white = white_responses(pieces, nuisance_inverse, responses, point)
-    white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
-    measured_rows = [without_empty_rows(p) for p in pieces]
-    pieces, white = with_something_known(measured_rows, white)
-    nuisance_inverse = with_something_known(measured_rows, nuisance_inverse)[1]
+    white = [measured_rows_of(p, w) for p, w in zip(pieces, white, strict=True)]
+    measured_pieces = [measured_part(p) for p in pieces]
+    pieces, white = non_empty_pieces(measured_pieces, white)
+    nuisance_inverse = non_empty_pieces(measured_pieces, nuisance_inverse)[1]
     projected = without_nuisance(pieces, nuisance_inverse)
     columns = np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
     lags = input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])
