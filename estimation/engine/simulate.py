@@ -167,11 +167,11 @@ class Simulator:
             if names:
                 du = transform_derivatives(model.transforms, model.input_names, segment.time, u, values, names)
             if moved is not None:
-                changes = self._moved(segment, values, moved)
+                changes = self._transformed_changes(segment, values, moved)
             u = apply_transforms(model.transforms, model.input_names, segment.time, u, values)
         return u, du if changes is None else np.concatenate([du, changes], axis=2)
 
-    def _moved(self, segment: Segment, values: Mapping[str, float], moved: Array) -> Array:
+    def _transformed_changes(self, segment: Segment, values: Mapping[str, float], moved: Array) -> Array:
         """(N, nu, k) changes of the transformed inputs for small changes `moved` (N, nu, k) of the inputs."""
         model, changes = self.model, moved.copy()
         transformed = {t.input for t in model.transforms}

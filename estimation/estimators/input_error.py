@@ -49,12 +49,12 @@ class Disturbed:
 class InputErrorEvidence:
     """Inner products of the responses of one flight, from which the sizes of input errors follow.
 
-    rest: (columns, columns) of noise, edges, common errors and, last, the residual, weighted by the inverse spectrum of the
+    products: (columns, columns) of noise, edges, common errors and, last, the residual, weighted by the inverse spectrum of the
     noise, with parameters and initial states projected out: so it is also the covariance of the residual's products by chance.
     noise, edges: number of their columns.
     """
 
-    rest: Array
+    products: Array
     noise: int
     edges: int
 
@@ -63,20 +63,20 @@ class InputErrorEvidence:
         noise, edges = slice(0, self.noise), slice(self.noise, self.noise + self.edges)
         if self.edges < 2:
             return 0.0, 0.0
-        gram = self.rest[edges, edges]
-        chance = float(np.trace(gram)) + float(np.sum(self.rest[edges, noise] ** 2)) / max(self.noise, 1)
+        gram = self.products[edges, edges]
+        chance = float(np.trace(gram)) + float(np.sum(self.products[edges, noise] ** 2)) / max(self.noise, 1)
         scale = float(np.sum(gram**2) - np.sum(np.diag(gram) ** 2)) / (self.edges - 1)
-        return float(np.sum(self.rest[edges, -1] ** 2)) - chance, scale
+        return float(np.sum(self.products[edges, -1] ** 2)) - chance, scale
 
     def common(self, edges: float) -> tuple[Array, Array, Array]:
         """(information on the common errors, their products with the residual, covariance of these by chance). edges: factor on
         the variance of edges."""
         k, m = self.noise, self.edges
         rows = slice(k + m, -1)
-        information = self.rest[rows, rows]
-        by_noise, by_edges = self.rest[rows, :k], self.rest[rows, k : k + m]
+        information = self.products[rows, rows]
+        by_noise, by_edges = self.products[rows, :k], self.products[rows, k : k + m]
         chance = information + by_noise @ by_noise.T / max(k, 1) + edges / max(m, 1) * by_edges @ by_edges.T
-        return information, self.rest[rows, -1], chance
+        return information, self.products[rows, -1], chance
 
 
 def input_error_evidence(

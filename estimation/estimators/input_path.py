@@ -33,9 +33,7 @@ NOISY = 8.0  # times the noise: smaller edges do not count
 LONGEST = 8  # samples that one edge takes at most
 SERVO = 0.04  # s: lags of model servos lie between .02 and .06; a command is ahead of its surface by so much
 INTERVALS = 0.5  # of a sample interval, or of one of a command's record: uncertainty of an edge on the clock
-HALF_WAY = (
-    0.2  # of a step, std: .12 for a servo as slow as the interval, .38 for one four times as fast, of either sign
-)
+HALF_WAY = 0.2  # of a step, std: .12 for a servo as slow as the interval, .38 for one four times as fast, either sign
 MOST_BEND = 0.5  # half-way a surface is between its old and its new position
 MOST_LAG = 5.0  # times the std of the prior
 SURE_OF_WAY = 0.25
@@ -155,8 +153,8 @@ def in_own_terms(result: Result, model: Model) -> Result:
         return result
     paths = {n: _path(e[PREFIX["lag"] + n], e[PREFIX["bend"] + n]) for n in names}
     notes = tuple(Finding(FindingKind.OTHER, _sentence(n, path)) for n, path in paths.items() if np.isfinite(path.lag))
-    noted = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
-    return without_nuisance_parameters(_widened(noted, nuisance), model, nuisance, {"input_paths": paths})
+    with_notes = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
+    return without_nuisance_parameters(_widened(with_notes, nuisance), model, nuisance, {"input_paths": paths})
 
 
 def _widened(result: Result, nuisance: set[str]) -> Result:

@@ -49,12 +49,12 @@ def linear_terms(model: Model) -> LinearTerms:
     names: dict[str, str] = {}
     model = at_stated_cg(model)  # the regression itself takes account of a moved CG
     for p in model.parameters:
-        place = _column_of(model, p.name)
-        if place is None or place in names.values():
+        term = _term_of(model, p.name)
+        if term is None or term in names.values():
             raise EstimationError(
                 f"method live knows derivatives by {LINEAR}; in model {model.name}, {p.name} is none of them: take method ml"
             )
-        names[p.name] = place
+        names[p.name] = term
     if fixed_names := [p.name for p in model.parameters if p.fixed]:
         raise EstimationError(f"method live holds no parameter ({', '.join(fixed_names)}): free it, or take method ml")
     planes = [_with_terms(plane, set(names.values())) for plane in PLANES]
@@ -80,10 +80,10 @@ def _possible_terms(plane: PlaneRegression, equation: Equation) -> dict[str, str
 MOTIONS = 3  # random ones at which a term is recognised: one could agree by chance
 
 
-def _column_of(model: Model, name: str) -> str | None:
+def _term_of(model: Model, name: str) -> str | None:
     """Coefficient and column (`Cl_p`) of a parameter; None where it multiplies no column, or several."""
     rng = np.random.default_rng(1)
-    places: set[str] | None = None
+    candidates: set[str] | None = None
     for _ in range(MOTIONS):
         symbols = {
             **{s: rng.uniform(0.02, 0.2) for s in (*model.state_names, *model.input_names, *model.parameter_names)},
@@ -91,8 +91,8 @@ def _column_of(model: Model, name: str) -> str | None:
             "V": rng.uniform(10.0, 20.0),
         }
         terms = _matching_terms(model, name, symbols)
-        places = terms if places is None else places & terms
-    return next(iter(places)) if places and len(places) == 1 else None
+        candidates = terms if candidates is None else candidates & terms
+    return next(iter(candidates)) if candidates and len(candidates) == 1 else None
 
 
 def _matching_terms(model: Model, name: str, symbols: Mapping[str, float]) -> set[str]:

@@ -14,9 +14,7 @@ Array = NDArray[np.float64]
 LEAST_INDEPENDENT = 0.02
 """Share of a control's movement that a regression on other controls and the motion must leave unexplained. Less means a gearing,
 an interconnect or a damper; only the noise of its record would then determine its derivatives."""
-LEAST_OVER_NOISE = (
-    1.0  # times the noise of the control: the unexplained part must be larger; de-noising halves the noise
-)
+LEAST_OVER_NOISE = 1.0  # times the noise of the control, which de-noising halves: the unexplained part must be larger
 LEAST_PARTNER = 0.05  # of the largest regression weight: smaller ones are not named
 HARDLY_MOVES = 3.0  # times its noise: a control that moves less counts as not moved
 

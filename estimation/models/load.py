@@ -98,17 +98,17 @@ def model_text(model: Model) -> str:
     """The model as TOML text that `read_model` reads back."""
     import tomli_w
 
-    data = {key: _plain(value) for key, value in model.to_dict().items() if value}
+    data = {key: _for_toml(value) for key, value in model.to_dict().items() if value}
     order = ("name", "title", "description", "equations")  # what a person reads first
     return tomli_w.dumps({key: data[key] for key in (*(k for k in order if k in data), *data)}, indent=2)
 
 
-def _plain(value: Any) -> Any:
+def _for_toml(value: Any) -> Any:
     """A value as TOML can hold it: without None, which TOML lacks, and with integers as floats."""
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items() if v is not None}
+        return {k: _for_toml(v) for k, v in value.items() if v is not None}
     if isinstance(value, list):
-        return [_plain(v) for v in value]
+        return [_for_toml(v) for v in value]
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 

@@ -82,7 +82,7 @@ def derive_column(flight: Flight, name: str, pieces: Sequence[tuple[int, int]], 
     """
     way = way_to(flight, name)
     if way is None:
-        flight.require([name], f"this model (or {_ways(name)} to derive it from)")
+        flight.require([name], f"this model (or {_ways_text(name)} to derive it from)")
         raise DataError(f"{flight.name}: {name} is not measured")
     result = np.full(len(flight), np.nan)
     for a, b in pieces:
@@ -152,10 +152,10 @@ def _comes_with(column: str, flight: Flight, missing: list[str]) -> bool:
 
 
 def _with_ways(column: str) -> str:
-    return f"{column} (or {_ways(column)} to derive it from)"
+    return f"{column} (or {_ways_text(column)} to derive it from)"
 
 
-def _ways(column: str) -> str:
+def _ways_text(column: str) -> str:
     """The ways to derive a column, without those that only add columns to another way."""
     needs = [w.needs for w in DERIVED[column]]
     return " or ".join(" and ".join(n) for n in needs if not any(set(n) > set(other) for other in needs))

@@ -180,8 +180,8 @@ def feedback_restored(state: PreparationState) -> PreparationState:
 
     A piece in which a control was not measured at every sample stays unchanged.
     """
-    wanted = has_pitch_rate(state.model) or state.preparation.every_axis
-    if not (state.preparation.denoise and state.preparation.feedback and wanted):
+    applies = has_pitch_rate(state.model) or state.preparation.every_axis
+    if not (state.preparation.denoise and state.preparation.feedback and applies):
         return state
     state = replace(state, follows=np.zeros_like(state.u))
     for i, signal in enumerate(state.model.inputs):

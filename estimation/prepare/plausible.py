@@ -32,9 +32,7 @@ USUAL = 0.99  # quantile of a column's size that is compared with a limit: singl
 RELATED = 0.7  # correlation from which a rate and the slope of its angle show a difference in units
 UNIT_FACTOR = 2.0  # a ratio within this factor of 57 or 1000 is one of units
 ABSURD = 1e9  # rad/s: no unit or clock makes such a rate, but a damaged record may contain it
-WILD = (
-    2.0  # times the range of a channel: a spike within it may be real, and hardly affects a fit of hundreds of samples
-)
+WILD = 2.0  # times the range of a channel: a spike within it may be real, and hardly affects a fit
 MOST_WILD = 0.01  # of a column's values: more spikes are no accident
 SLOWEST = 5.0  # s between samples, a fifth of a phugoid: slower records show nothing that an estimate needs
 SAME_UNITS = {

@@ -136,14 +136,14 @@ def with_feedback(
     x = piece.regressors()
     x = x - x.mean(axis=0)
     follows = x @ fitted.gains
-    rest = denoise_many([piece.values - follows], noise=noise, draws=draws, rng=rng)[0]
+    remainder = denoise_many([piece.values - follows], noise=noise, draws=draws, rng=rng)[0]
     if not draws:
-        return rest.values + follows, rest.errors
-    # what a change of a gain adds to the feedback, and how it changes the de-noised rest
+        return remainder.values + follows, remainder.errors
+    # what a change of a gain adds to the feedback, and how it changes the de-noised remainder
     feedback_changes = (x @ fitted.roots).T
     denoised = denoise_many([piece.values - follows - change for change in feedback_changes], noise=noise)
-    by_gains = np.array([c + d.values - rest.values for c, d in zip(feedback_changes, denoised, strict=True)])
-    return rest.values + follows, rest.errors + rng.standard_normal((draws, len(by_gains))) @ by_gains
+    by_gains = np.array([c + d.values - remainder.values for c, d in zip(feedback_changes, denoised, strict=True)])
+    return remainder.values + follows, remainder.errors + rng.standard_normal((draws, len(by_gains))) @ by_gains
 
 
 def _stretches(piece: ControlStretch, noise: float) -> Iterator[tuple[Array, Array]]:

@@ -231,7 +231,7 @@ def _estimate(
 
 
 def _problem(axis: Axis, model: Model, flights: Sequence[Flight], options: NgnOptions) -> NeuralProblem:
-    unknowns = FlightUnknowns.of(model, axis, len(flights))
+    unknowns = FlightUnknowns.build(model, axis, len(flights))
     complete = [with_derived(f, axis.columns) for f in flights]
     rows = TrainingRows.build(axis, complete, "interval" if options.improved else "point")
     return NeuralProblem(rows, unknowns, options)

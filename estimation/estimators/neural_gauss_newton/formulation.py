@@ -29,9 +29,7 @@ from groundstation.flight.findings import Finding, FindingKind
 
 Index = NDArray[np.int64]
 
-BLOCK_S = (
-    1.0  # of the block bootstrap: longer than residuals are correlated (0.2 s); thirty in a flight of half a minute
-)
+BLOCK_S = 1.0  # of the block bootstrap: residuals are correlated over 0.2 s; half a minute has thirty blocks
 HELD_OUT_EVERY, HELD_OUT_FIRST = 8, 4  # blocks that validate a network: an eighth of them, spread over the flight
 
 
@@ -51,7 +49,7 @@ class FlightUnknowns:
     start: Array
 
     @classmethod
-    def of(cls, model: Model, axis: Axis, flights: int) -> "FlightUnknowns":
+    def build(cls, model: Model, axis: Axis, flights: int) -> "FlightUnknowns":
         """Raises EstimationError where the model's parameters are not those of the axis."""
         mismatch = set(model.parameter_names) ^ set(axis.parameters)
         if mismatch:
@@ -128,7 +126,7 @@ class TrainingRows:
             stretch_list += flight_stretches
             owner += [i] * len(flight_stretches)
             notes += _unused(flight, flight_stretches)
-        standard = Standard.of(stretch_list)
+        standard = Standard.build(stretch_list)
         u = torch.as_tensor(np.vstack([standard.u(s.u) for s in stretch_list]))
         z = torch.as_tensor(np.vstack([standard.z(s.z) for s in stretch_list]))
         step = float(np.median([f.sample_interval for f in flights]))

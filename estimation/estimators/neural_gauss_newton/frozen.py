@@ -32,7 +32,7 @@ class Standard:
     z_std: Array
 
     @classmethod
-    def of(cls, stretches: Sequence[SampleStretch]) -> "Standard":
+    def build(cls, stretches: Sequence[SampleStretch]) -> "Standard":
         """From all rows; a constant column keeps its unit."""
         u, z = np.vstack([s.u for s in stretches]), np.vstack([s.z for s in stretches])
         deviations = [np.where(v.std(axis=0) > 1e-12, v.std(axis=0), 1.0) for v in (u, z)]

@@ -66,10 +66,10 @@ class NetworkShape:
         if self.skip:
             sizes.append(self.outputs * self.inputs)
         parts = torch.split(w, sizes, dim=-1)
-        lead = w.shape[:-1]  # none, or the networks of an ensemble
-        linear = parts[4].reshape(*lead, self.outputs, self.inputs) if self.skip else None
-        first = parts[0].reshape(*lead, self.hidden, self.inputs)
-        return first, parts[1], parts[2].reshape(*lead, self.outputs, self.hidden), parts[3], linear
+        networks = w.shape[:-1]  # none, or the networks of an ensemble
+        linear = parts[4].reshape(*networks, self.outputs, self.inputs) if self.skip else None
+        first = parts[0].reshape(*networks, self.hidden, self.inputs)
+        return first, parts[1], parts[2].reshape(*networks, self.outputs, self.hidden), parts[3], linear
 
 
 def initial_weights(shape: NetworkShape, generator: torch.Generator, nets: int = 1) -> Tensor:
@@ -123,14 +123,18 @@ def weight_normal_equations(
     weighted = F * weight.unsqueeze(-1)
     outer = second.mT @ second  # (nets, hidden, hidden)
     across, wide = shape.inputs + 1, phi.shape[-1]
-    corner = (F.mT @ weighted).reshape(nets, shape.hidden, across, shape.hidden, across)
-    corner = (corner * outer[:, :, None, :, None]).reshape(nets, F.shape[-1], F.shape[-1])
-    side = (weighted.mT @ phi).reshape(nets, shape.hidden, across, 1, wide)
-    side = (side * second.mT[:, :, None, :, None]).reshape(nets, F.shape[-1], shape.outputs * wide)
+    first_block = (F.mT @ weighted).reshape(nets, shape.hidden, across, shape.hidden, across)
+    first_block = (first_block * outer[:, :, None, :, None]).reshape(nets, F.shape[-1], F.shape[-1])
+    cross_block = (weighted.mT @ phi).reshape(nets, shape.hidden, across, 1, wide)
+    cross_block = (cross_block * second.mT[:, :, None, :, None]).reshape(nets, F.shape[-1], shape.outputs * wide)
     gram = phi.mT @ (phi * weight.unsqueeze(-1))
     eye = torch.eye(shape.outputs, dtype=w.dtype, device=w.device)
-    foot = (eye[None, :, None, :, None] * gram[:, None, :, None, :]).reshape(nets, side.shape[-1], side.shape[-1])
-    matrix = torch.cat([torch.cat([corner, side], dim=-1), torch.cat([side.mT, foot], dim=-1)], dim=-2)
+    last_block = (eye[None, :, None, :, None] * gram[:, None, :, None, :]).reshape(
+        nets, cross_block.shape[-1], cross_block.shape[-1]
+    )
+    matrix = torch.cat(
+        [torch.cat([first_block, cross_block], dim=-1), torch.cat([cross_block.mT, last_block], dim=-1)], dim=-2
+    )
     backpropagated = (residual @ second).unsqueeze(-1)  # (nets, samples, hidden, 1)
     right_first = (F.reshape(*backpropagated.shape[:-1], across) * backpropagated).sum(dim=1).flatten(1)
     right = torch.cat([right_first, (residual.mT @ phi).flatten(1)], dim=-1)

@@ -120,7 +120,7 @@ def levenberg_marquardt(
     for _ in range(options.iterations):
         if not len(active):
             break
-        rows = _Batch.of(u, z, weights, active)
+        rows = _Batch.build(u, z, weights, active)
         matrix, right = weight_normal_equations(shape, w[active], rows.u, rows.z, rows.weights)
         matrix.diagonal(dim1=1, dim2=2).add_(options.decay)
         right -= options.decay * w[active]
@@ -155,7 +155,7 @@ class _Batch:
     weights: Tensor
 
     @classmethod
-    def of(cls, u: Tensor, z: Tensor, weights: Tensor, nets: Tensor) -> "_Batch":
+    def build(cls, u: Tensor, z: Tensor, weights: Tensor, nets: Tensor) -> "_Batch":
         return cls(u, z, weights).only(nets) if len(nets) < len(weights) else cls(u, z, weights)
 
     def only(self, nets: Tensor) -> "_Batch":
