@@ -190,6 +190,7 @@ class Chain:
         return self._step.mapaccum(CHUNK)
 
     def _accumulated(self, start: Array, rows: Array, fixed: Array) -> Array:
+        """As `run`, on the virtual machine, CHUNK rows at a time."""
         count = len(rows)
         # rows of zeros fill up the last chunk; they do not change earlier outputs
         table = np.vstack([rows, np.zeros((-count % CHUNK, rows.shape[1]))]).T

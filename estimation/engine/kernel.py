@@ -63,6 +63,7 @@ class SegmentMotion:
 
     @property
     def finite(self) -> bool:
+        """Whether the motion stayed finite throughout the segment."""
         return self.reached == self.y.shape[0]
 
 

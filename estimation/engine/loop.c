@@ -1,5 +1,5 @@
-/* Integration of one segment with variational sensitivities: see kernel.py. Included after the generated functions
-   rates, rates_jacobian, rates_by_all, and the same of outputs (CasADi signature) and the constants NX NU NP NY NZ_* row_* col_*. */
+/* Integration of one segment with variational sensitivities: see kernel.py. Included after the generated functions rates,
+   rates_jacobian, rates_by_all, and the same of outputs (CasADi signature), and the constants NX NU NP NY NZ_* row_* col_*. */
 
 #include <stdlib.h>
 #include <string.h>

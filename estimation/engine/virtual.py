@@ -163,6 +163,7 @@ class _Stepper:
 
 @lru_cache(maxsize=64)
 def _stepper(traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt: int, with_gain: bool) -> _Stepper:
+    """The step function of a model for blocks of samples. key: as of `_key`; nt: number of transform parameters."""
     nx, nu, np_, ny = traced.sizes
     n, parameter, transform, gain_columns = key or (0, (-1,) * np_, (), ())
     variation = _Variation(traced, n, parameter, transform, nt)
@@ -262,6 +263,7 @@ class _Variation:
         return ca.densify(ca.mtimes(ca.mtimes(self._matrix(f"{key}_u", by_input, rows, nu), d), self.selection))
 
     def rates(self, x: ca.MX, s: ca.MX, u: ca.MX, d: ca.MX, p: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """f (nx,) and its derivatives (nx, n) by the sensitivity columns."""
         if not self.n:
             return self.traced.rates(x, u, p), ca.MX(x.shape[0], 0)
         f, by_state, by_parameter = self.traced.rates_jacobian(x, u, p)
@@ -271,6 +273,7 @@ class _Variation:
         return f, total
 
     def outputs(self, x: ca.MX, s: ca.MX, u: ca.MX, d: ca.MX, p: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """y (ny,) and its derivatives (ny, n) by the sensitivity columns."""
         if not self.n:
             return self.traced.outputs(x, u, p), ca.MX(self.traced.sizes[3], 0)
         y, by_state, by_parameter = self.traced.outputs_jacobian(x, u, p)

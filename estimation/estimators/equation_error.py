@@ -247,6 +247,7 @@ def _apply(simulator: Simulator, values: dict[str, float], change: Array) -> Non
 
 
 def _describe(simulator: Simulator, data: list[FlightData], solution: EquationError, stepwise: bool) -> Result:
+    """The result of a solution: estimates with bounds and verdicts, simulated histories."""
     model = simulator.model
     vector = np.array([solution.values[n] for n in solution.names])
     parameters, pairs = judge_estimates(

@@ -104,6 +104,7 @@ class OutputErrorProblem:
         return {**self._fixed_values, **dict(zip(self.free, self.parameters(unknowns, flight).tolist(), strict=True))}
 
     def initial_state(self, unknowns: Array, flight: int, segment: int) -> Array:
+        """(nx,) initial state of one segment."""
         x0 = self.flights[flight].segments[segment].x0.copy()
         x0[self.free_states] = unknowns[self._state_slice(flight, segment)]
         return x0
@@ -117,6 +118,7 @@ class OutputErrorProblem:
         return slice(first, first + len(self.free_states))
 
     def clip(self, unknowns: Array) -> Array:
+        """The nearest unknowns within the limits of the parameters."""
         u = unknowns.copy()
         ns = len(self.shared)
         u[:ns] = np.clip(u[:ns], self.lower[self.shared], self.upper[self.shared])
@@ -127,6 +129,7 @@ class OutputErrorProblem:
 
     # -------------------------------------------------------------------------------------------- cost
     def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> SegmentMotion:
+        """Simulated motion of one segment; derivatives: with sensitivities."""
         return self.simulator.run(
             self.flights[flight].segments[segment],
             self.values(unknowns, flight),
@@ -145,6 +148,7 @@ class OutputErrorProblem:
         )
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> LikelihoodPoint:
+        """Cost, residuals and motions; the cost is inf where a motion diverges."""
         residuals: list[list[Array]] = []
         motions: list[list[SegmentMotion]] = []
         for i, flight in enumerate(self.flights):
@@ -170,6 +174,7 @@ class OutputErrorProblem:
         return (DEFINITELY_ZERO * span) ** 2
 
     def _covariance(self, residuals: list[list[Array]]) -> Array:
+        """R (ny, ny): given, or of the residuals; diagonal where few samples are complete."""
         if self.sigma is not None:
             return np.diag(self.sigma**2)
         stacked = np.concatenate([r for flight in residuals for r in flight])
@@ -186,6 +191,7 @@ class OutputErrorProblem:
         return R + np.diag(self._floor)
 
     def _cost(self, residuals: list[list[Array]], R: Array) -> float:
+        """Negative log likelihood of the residuals, but for a constant."""
         if self.sigma is not None or self.noise == "full":
             total = 0.0
             for flight in residuals:
@@ -250,6 +256,7 @@ class OutputErrorProblem:
         return information, gradient
 
     def step(self, unknowns: Array, point: LikelihoodPoint, damping: float) -> SolverStep:
+        """Gauss-Newton step with Marquardt's damping; shared parameters at their limits are held."""
         blocks = [self.flight_blocks(unknowns, point, i, damping) for i in range(len(self.flights))]
         information, gradient = self.shared_information(unknowns, blocks)
         information = information + damping * np.diag(np.diag(information))

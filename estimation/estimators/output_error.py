@@ -329,6 +329,7 @@ def _flight_fit(
     covariances: tuple[Array, Array],
     effects: Mapping[str, ParameterEffect],
 ) -> FlightFit:
+    """One flight at the optimum. covariances: of its local parameters, Cramer-Rao and corrected."""
     flight = problem.flights[index]
     time, measured = flight.histories(problem.ny)
     outputs = np.full_like(measured, np.nan)

@@ -127,6 +127,7 @@ def samples_of(
 
 
 def _run(airframe: Airframe, terms: LinearTerms, flights: Sequence[Flight]) -> _RecursiveRun:
+    """Feed all scans of the flights, one flight after the other, to one estimator."""
     estimator, ends, entries = JointEstimator(airframe, terms.regressions), [], list[LiveEstimates]()
     for flight in flights:
         due = -math.inf
@@ -165,6 +166,7 @@ def _history(entries: Sequence[LiveEstimates], names: Mapping[str, str]) -> Esti
 
 
 def _result(model: Model, data: list[FlightData], run: _RecursiveRun, terms: LinearTerms) -> Result:
+    """The result of a run, with flights simulated at its estimates."""
     final = run.estimator.estimates()
     names = tuple(n for n in model.parameter_names if not model.parameter(n).local)
     estimates = {n: _estimate(model.parameter(n), final.derivatives[terms.names[n]]) for n in names}

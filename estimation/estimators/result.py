@@ -174,6 +174,7 @@ class Result:
 
     @property
     def converged(self) -> bool:
+        """Whether the estimates can be used."""
         return self.status.usable
 
     @property
@@ -189,10 +190,12 @@ class Result:
 
     @property
     def std(self) -> dict[str, float]:
+        """Cramer-Rao bounds by name."""
         return {n: e.std for n, e in self.parameters.items()}
 
     @property
     def std_coloured(self) -> dict[str, float]:
+        """Corrected bounds by name."""
         return {n: e.std_coloured for n, e in self.parameters.items()}
 
     @property

@@ -81,6 +81,7 @@ def _check_circles(model: ModelParts, definitions: Mapping[str, str]) -> None:
 
 
 def _check_parameters(model: ModelParts) -> None:
+    """ModelError for start values outside their limits or not finite, and for incomplete priors."""
     for p in model.parameters:
         prefix = f"model {model.name}: parameter {p.name}"
         if not p.lower <= p.start <= p.upper:
@@ -92,6 +93,7 @@ def _check_parameters(model: ModelParts) -> None:
 
 
 def _check_transforms(model: ModelParts) -> None:
+    """ModelError for an unknown kind, input, output or parameter of transforms and delays."""
     for t in model.transforms:
         prefix = f"model {model.name}: transform {t.kind} of {t.input}"
         if t.kind not in TRANSFORM_KINDS:

@@ -117,6 +117,7 @@ def evaluate(expression: str, symbols: Mapping[str, Any], functions: Mapping[str
 
 
 def _check(node: ast.AST, text: str) -> None:
+    """ModelError for a node that is not on the whitelist."""
     match node:
         case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
             if not abs(value) <= LARGEST:
@@ -151,6 +152,7 @@ def _check_depth(tree: ast.AST, text: str) -> None:
 
 
 def _check_call(name: str, arguments: list[ast.expr], text: str) -> None:
+    """ModelError for a call with the wrong arguments; only `where` takes a comparison."""
     if len(arguments) != FUNCTIONS[name]:
         raise ModelError(f"expression {_short(text)}: {name} takes {FUNCTIONS[name]} arguments, not {len(arguments)}")
     values = arguments
@@ -167,6 +169,7 @@ def _check_call(name: str, arguments: list[ast.expr], text: str) -> None:
 
 
 def _value(node: ast.AST, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
+    """Value of a checked node."""
     match node:
         case ast.Constant(value=value):
             return float(value)  # type: ignore[arg-type]

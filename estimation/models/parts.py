@@ -44,6 +44,7 @@ class Signal:
 
     @property
     def source(self) -> str:
+        """Name of the flight column."""
         return self.column or self.name
 
 

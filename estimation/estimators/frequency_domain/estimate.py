@@ -252,6 +252,7 @@ def _require_enough_data(problem: FrequencyProblem) -> None:
 
 
 def _result(problem: FrequencyProblem, outcome: Fit) -> Result:
+    """The result of an optimisation: estimates with bounds and verdicts, simulated histories."""
     model, unknowns, point = problem.model, outcome.unknowns, outcome.point
     names = tuple(problem.free[i] for i in problem.shared)
     if outcome.status is Status.DIVERGED:

@@ -71,6 +71,7 @@ class FrequencyProblem(OutputErrorProblem):
         return self.pack(values, [[zero] * len(f.segments) for f in self.flights])
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> FrequencyPoint:
+        """Cost, residuals and responses; the cost is inf where a response is not finite."""
         v: list[list[Complex]] = []
         responses: list[list[SpectralResponse]] = []
         for i, flight in enumerate(self.stretches):

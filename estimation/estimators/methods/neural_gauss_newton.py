@@ -10,6 +10,8 @@ if TYPE_CHECKING:
 
 
 def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estimator:
+    """The estimator of one form of Neural Gauss-Newton."""
+
     def settings(task: Task) -> dict[str, Any]:
         extras = task.extras
         return {

@@ -210,6 +210,7 @@ def _estimate(
     bootstraps: int | None,
     seed: int | None,
 ) -> list[Result]:
+    """A result for each set of flights; arguments as of `estimate_ngn`."""
     ngn_model = load_model("lateral", aircraft) if model is None else model
     axis = axis_for(ngn_model.name, aircraft)
     if axis is None:
