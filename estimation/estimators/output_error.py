@@ -62,7 +62,7 @@ class OutputErrorOptions:
 
 STANDARD = OutputErrorOptions()
 Fit = SolverOutcome[LikelihoodPoint]
-NUMBERS_PER_UNKNOWN = 2  # measured values: with fewer, the unknowns cannot be determined
+NUMBERS_PER_UNKNOWN = 2  # that are compared: with fewer, the unknowns cannot be determined
 HOPELESS = 0.2  # median r2 below which a fit is repeated on short pieces
 GROWTH = 1e4  # of a disturbance over a segment: beyond it the end of the segment says nothing about its beginning
 NEARBY = 1.0  # predicted reduction of the log likelihood below which all integration steps are used
@@ -86,7 +86,8 @@ def output_error(
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
     full = with_paths(loaded, data) if options.paths else loaded
     problem = build_problem(full, data, options)
-    _require_enough_data(problem)
+    numbers = int(sum(np.isfinite(s.z).sum() for f in data for s in f.segments))
+    require_enough_data(problem, numbers, "measured values")
     outcome = find_optimum(problem, _starts(problem, options), options)
     if _hopeless(problem, outcome) or _unstable(problem, outcome):
         problem, outcome = _fit_by_pieces(full, data, options, problem, outcome)
@@ -108,13 +109,12 @@ def find_optimum(problem: OutputErrorProblem, start: Array, options: OutputError
     return replace(end, iterations=near.iterations + end.iterations, evaluations=near.evaluations + end.evaluations)
 
 
-def _require_enough_data(problem: OutputErrorProblem) -> None:
-    """DataError where there are too few measured values for the unknowns."""
-    numbers = int(sum(np.isfinite(s.z).sum() for f in problem.flights for s in f.segments))
+def require_enough_data(problem: OutputErrorProblem, numbers: int, kind: str) -> None:
+    """DataError where there are too few numbers of a kind for the unknowns."""
     if numbers < NUMBERS_PER_UNKNOWN * problem.size:
         names = ", ".join(f.name for f in problem.flights)
         raise DataError(
-            f"{names}: {numbers} measured values for {problem.size} unknowns of model {problem.model.name}; "
+            f"{names}: {numbers} {kind} for {problem.size} unknowns of model {problem.model.name}; "
             "that cannot be settled: fly longer, or fix parameters"
         )
 

@@ -22,7 +22,7 @@ from estimation.estimators.frequency_domain.transformed import NYQUIST, Band
 from estimation.estimators.gauss_newton import AS_USUAL_LOOP, SolverOutcome, Status, minimise
 from estimation.estimators.input_error import disturbed_outputs
 from estimation.estimators.normal_equations import FlightBlocks, pseudo_inverse
-from estimation.estimators.output_error import failed_result, mean_of_locals
+from estimation.estimators.output_error import failed_result, mean_of_locals, require_enough_data
 from estimation.estimators.result import FlightFit, Result, judge_status
 from estimation.estimators.uncertainty import TIED, free_covariance, judge_estimates, reduction, with_shared
 from estimation.models import load_model
@@ -38,7 +38,6 @@ LOW = 0.1  # Hz; below, gusts and drifts are larger than the effect of manoeuvre
 HIGH = 3.0  # Hz; above, noise is larger than motion, and 20 Hz samples do not show how a surface moved between them
 PER_PERIOD = 4.0  # samples in a period of the highest frequency
 FEWEST_BINS = 4  # frequencies of a stretch that is used
-NUMBERS_PER_UNKNOWN = 2  # real numbers compared: with fewer, the unknowns cannot be determined
 SMOOTHED = 4  # bins to either side over which the spectra of residuals are averaged
 LEAST_REMAINING = 0.25  # of the noise power after a fit: a spectrum is raised at most fourfold
 LEAST = 0.05  # of an output's mean noise, at every frequency
@@ -195,7 +194,7 @@ def frequency_output_error(model: Model | str, flights: FlightsToFit, options: F
     data = [_without_short_segments(d, band) for d in data]
     simulator = Simulator.build(loaded)
     problem = FrequencyProblem(data, simulator, band, drift=options.drift)
-    _require_enough_data(problem)
+    require_enough_data(problem, round(2.0 * float(problem.counts().sum())), "numbers in the band")
     starts = [loaded.starts(), start_values(simulator, data) or loaded.starts()]
     candidates = [problem.clip(problem.begin(s)) for s in starts]
     first = min(candidates, key=lambda u: problem.evaluate(u, False).cost)
@@ -235,17 +234,6 @@ def _without_short_segments(flight: FlightData, band: Band) -> FlightData:
         return flight
     text = f"{len(flight.segments) - len(long_segments)} stretches too short to be transformed: left out by {NAME}"
     return replace(flight, segments=long_segments, notes=(*flight.notes, Finding(FindingKind.LEFT_OUT, text)))
-
-
-def _require_enough_data(problem: FrequencyProblem) -> None:
-    """DataError where too few numbers are compared for the unknowns."""
-    numbers = round(2.0 * float(problem.counts().sum()))
-    if numbers < NUMBERS_PER_UNKNOWN * problem.size:
-        names = ", ".join(f.name for f in problem.flights)
-        raise DataError(
-            f"{names}: {numbers} numbers in the band for {problem.size} unknowns of model {problem.model.name}; "
-            "that cannot be settled: fly longer, or fix parameters"
-        )
 
 
 # ---------------------------------------------------------------------------------------------------------- result
