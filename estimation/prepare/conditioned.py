@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.prepare.plausible import refuse_other_time_unit, wild_values
+from estimation.prepare.plausible import TURNING_ANGLES, refuse_other_time_unit, wild_values
 from groundstation.flight import Array, Flight
 from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.quality.repeats import RepeatedValues, repeats
@@ -19,9 +19,6 @@ Mask = NDArray[np.bool_]
 KEEP = "--keep-held keeps them"
 INTEGRATED = ("ax", "ay", "az", "p", "q", "r")
 """Columns that a reconstruction integrates between fixes."""
-WHOLE_TURNS = ("phi", "psi")
-"""Angles that go through full turns: a continued roll through inverted flight is no jump from half a turn to minus half a
-turn."""
 NOT_SLOWER = 0.9
 """Of the flight's sample rate: a column logged faster than this is as fast as the samples."""
 
@@ -105,7 +102,7 @@ def condition_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool
         if wild.any():
             changed[name] = np.where(wild, np.nan, flight[name])
             notes.append(_wild_note(flight, name, np.flatnonzero(wild)))
-        if name in WHOLE_TURNS:
+        if name in TURNING_ANGLES:
             unwrapped = _unwrapped(changed.get(name, flight[name]), flight.segments)
             if unwrapped is not None:
                 changed[name] = unwrapped

@@ -17,11 +17,11 @@ from groundstation.flight.contradictions import no_airspeed
 from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.quality.repeats import STUCK_SAMPLES, span_of
 
-FOLDED = ("theta", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
+BOUNDED_ANGLES = ("theta", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 """Angles that never exceed a right angle."""
 
-TURNING = ("phi", "psi")
-"""Angles that may run through full turns."""
+TURNING_ANGLES = ("phi", "psi")
+"""Angles that may run through full turns: a continued roll through inverted flight is no jump."""
 
 RATES = {"p": "phi", "q": "theta"}
 """Rate -> the angle whose derivative it is while bank and pitch are moderate."""
@@ -90,12 +90,12 @@ def _plain_unit(unit: str) -> str:
 def _check_angle(flight: Flight, name: str, values: Array, notes: list[Finding]) -> None:
     """DataError for an angle in degrees; a note where it may be."""
     size = float(np.quantile(np.abs(values), USUAL))
-    if name in FOLDED:
+    if name in BOUNDED_ANGLES:
         _refuse_degrees(flight, name, size, 0.5 * np.pi, "rad")
         if name != "theta" and size > LARGE:
             text = f"{name} reaches {size:.2g} rad ({size * RADIAN:.0f} deg): make sure that it is in radians"
             notes.append(Finding(FindingKind.UNLIKELY, text))
-    elif name in TURNING and np.abs(np.diff(values)).max(initial=0.0) > 1.5 * 2.0 * np.pi:
+    elif name in TURNING_ANGLES and np.abs(np.diff(values)).max(initial=0.0) > 1.5 * 2.0 * np.pi:
         _refuse_degrees(flight, name, size, 0.0, "rad")  # a jump from 180 to -180 deg is 57 times a turn
 
 
