@@ -285,7 +285,7 @@ def _steady_filter(model: Model, data: list[FlightData], first: Result, options:
             extended, data, simulator, noise="full", free_states=free_states_of(extended, options)
         )
         problem.noises = names
-        problem.law = _law(simulator, data, values, noise, unit)
+        problem.law = _linearised_law(simulator, data, values, noise, unit)
         problem.law.gain(np.array([values[n] for n in names]))  # raises LinAlgError with the reason
         outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
         last = fit_result(problem, outcome, "fem-noise")
@@ -295,7 +295,7 @@ def _steady_filter(model: Model, data: list[FlightData], first: Result, options:
     assert last is not None
     if last.status is Status.DIVERGED:
         return without_nuisance_parameters(last, model, set(names), {})
-    dt = _step(data)
+    dt = _sample_interval(data)
     sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(noisy_states, names, strict=True)}
     K = problem.law.gain(np.array([last.values[n] for n in names]))
     gain = {
@@ -314,7 +314,7 @@ def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Arr
     return np.array(levels)
 
 
-def _step(data: Sequence[FlightData]) -> float:
+def _sample_interval(data: Sequence[FlightData]) -> float:
     """Median sample interval [s]."""
     return float(np.median(np.concatenate([np.diff(s.time) for flight in data for s in flight.segments])))
 
@@ -335,7 +335,7 @@ def mean_matrices(simulator: Simulator, data: Sequence[FlightData], values: Mapp
     )
 
 
-def _law(
+def _linearised_law(
     simulator: Simulator,
     data: Sequence[FlightData],
     values: Mapping[str, float],
@@ -347,7 +347,7 @@ def _law(
     delayed = [simulator.model.output_names.index(o) for o in simulator.model.output_delays]
     C[delayed] = 0.0  # delayed outputs correct no state
     states = tuple(simulator.model.state_names.index(s) for s in unit)
-    return gain_law(A, C, _step(data), noise, np.array(list(unit.values())), states)
+    return gain_law(A, C, _sample_interval(data), noise, np.array(list(unit.values())), states)
 
 
 def _without_gains(result: Result, model: Model, names: list[list[str]]) -> Result:

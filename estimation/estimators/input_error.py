@@ -102,8 +102,8 @@ def disturbed_outputs(problem: OutputErrorProblem, unknowns: Array, index: int) 
         noise = np.zeros((len(segment), segment.u.shape[1], 0))
         if flight.errors is not None:
             noise = flight.errors[segment.rows].astype(float)
-        edges = _edges(problem.model, segment, draws_for(flight.samples), rng)
-        common, common_mid = _common(problem.model, segment)
+        edges = _edge_displacements(problem.model, segment, draws_for(flight.samples), rng)
+        common, common_mid = _common_errors(problem.model, segment)
         du = np.concatenate([noise, np.zeros_like(edges), common], axis=2)
         du_mid = np.concatenate([_midway(noise), edges, common_mid], axis=2)
         values = problem.response(unknowns, index, j, du, du_mid)
@@ -123,31 +123,31 @@ def _controls(model: Model) -> list[int]:
     return [i for i, s in enumerate(model.inputs) if s.control]
 
 
-def _bends(u: Array) -> Array:
+def _second_differences(u: Array) -> Array:
     """(N,) second difference of a control at its samples."""
     result = np.zeros(u.size)
     result[1:-1] = np.diff(u, 2)
     return result
 
 
-def _edges(model: Model, segment: Segment, draws: int, rng: np.random.Generator) -> Array:
+def _edge_displacements(model: Model, segment: Segment, draws: int, rng: np.random.Generator) -> Array:
     """(N, nu, draws) displacements half-way through every interval; its area errs by half of that."""
     result = np.zeros((*segment.u.shape, draws))
     for i in _controls(model):
-        bend = np.append(np.abs(_bends(segment.u[:, i])), 0.0)
+        bend = np.append(np.abs(_second_differences(segment.u[:, i])), 0.0)
         size = 2.0 * EDGE * np.maximum(bend[:-1], bend[1:])
         result[:, i] = size[:, None] * rng.standard_normal((len(segment), draws))
     return result
 
 
-def _common(model: Model, segment: Segment) -> tuple[Array, Array]:
+def _common_errors(model: Model, segment: Segment) -> tuple[Array, Array]:
     """(N, nu, 2 controls) changes of the inputs, at the samples and half-way: each control SHIFT later, each bent by BEND."""
     controls = _controls(model)
     samples = np.zeros((*segment.u.shape, 2 * len(controls)))
     middle = np.zeros_like(samples)
     for k, i in enumerate(controls):
         step = np.append(np.diff(segment.u[:, i]), 0.0)
-        bend = np.append(_bends(segment.u[:, i]), 0.0)
+        bend = np.append(_second_differences(segment.u[:, i]), 0.0)
         samples[1:, i, 2 * k] = -0.5 * SHIFT * (step[1:] + step[:-1])
         middle[:, i, 2 * k] = -SHIFT * step
         middle[:, i, 2 * k + 1] = -2.0 * BEND * (bend[:-1] + bend[1:])

@@ -215,7 +215,7 @@ class _PieceFits:
             log_p = forward[: count - n + 1] + score[n:, :, n - 1] + backward[n:] - evidence
             p = np.exp(np.minimum(log_p, 0.0)).T
             centre = time[: count - n + 1] + 0.5 * (n - 1)
-            common = _common(self.local[n - 1], centre, 0.5 * (n - 1) if n > 1 else 1.0)
+            common = _in_common_time(self.local[n - 1], centre, 0.5 * (n - 1) if n > 1 else 1.0)
             for k, entry in enumerate([p, *(p * c for c in common)]):
                 change[k, :, : count - n + 1] += entry
                 change[k, :, n:] -= entry
@@ -251,7 +251,9 @@ class _PieceFits:
             white = rng.standard_normal((unfinished.size, terms))
             local = np.einsum("rij,rj->ri", inverses[n - 1], moments[n - 1, begin, s])
             local += np.einsum("rij,rj->ri", roots[n - 1], white)
-            entry = np.stack(_common(local.T, time[begin] + 0.5 * (n - 1), np.where(n > 1, 0.5 * (n - 1), 1.0)), axis=1)
+            entry = np.stack(
+                _in_common_time(local.T, time[begin] + 0.5 * (n - 1), np.where(n > 1, 0.5 * (n - 1), 1.0)), axis=1
+            )
             change[begin, unfinished] += entry
             change[e, unfinished] -= entry
             end[unfinished] = begin
@@ -261,7 +263,7 @@ class _PieceFits:
         return np.asarray(value).T.reshape(draws, signals, count) + self.offset
 
 
-def _common(local: Sequence[Array] | Array, centre: Array, half: float | Array) -> list[Array]:
+def _in_common_time(local: Sequence[Array] | Array, centre: Array, half: float | Array) -> list[Array]:
     """Coefficients in common time of polynomials in (t - centre) / half. local: (terms, stretches, ...)."""
     shift = centre / half
     if len(local) == 1:
