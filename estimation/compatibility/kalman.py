@@ -96,7 +96,7 @@ class KalmanFilter:
     def __init__(self, model: Model) -> None:
         self.model = model
         self.delayed = delayed_outputs(model)
-        self._constants = np.array([model.constants[n] for n in model.structure.constants_kept])
+        self._constants = np.array([model.constants[n] for n in model.structure.remaining_constants])
         self._chain = _filter_chain(model.structure, self.delayed)
 
     def run(self, record: FilterRecord, p: Array, noise: NoiseLevels, x0: Array, spread: Array) -> Run:

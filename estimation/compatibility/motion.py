@@ -40,7 +40,7 @@ class _Piece:
         self.model, self.time, self.z = model, record.time, record.z
         u = record.u
         self._inputs = np.hstack([u, np.vstack([u[1:], u[-1:]])])
-        self._fixed = np.concatenate([p, [model.constants[n] for n in model.structure.constants_kept], [step]])
+        self._fixed = np.concatenate([p, [model.constants[n] for n in model.structure.remaining_constants], [step]])
         self._late = [
             (model.output_names.index(o), float(p[model.parameter_names.index(d)]))
             for o, d in model.output_delays.items()

@@ -1,10 +1,10 @@
-"""The compiled back end: equations traced by CasADi to C, own integration loop, gcc, called through ctypes.
+"""The compiled back end: C of the traced equations by CasADi, an integration loop (`loop.c`), compiled by gcc, called by ctypes.
 
-Libraries are kept (`compiled_library`), so the second process needs neither gcc nor CasADi. Without gcc everything still works,
-on the virtual machine.
+Libraries are cached (`compiled_library`), so a later process neither traces nor compiles. Without gcc the virtual machine does
+the work.
 
-`Chain` applies a step function down the rows of a table, a filter over a record: CasADi's virtual machine takes some 30
-microseconds for a Kalman step of a flight-path reconstruction and as long again to hand arrays over; compiled C takes two. Both
+`Chain` applies a step function to the rows of a table, such as a filter to a record: CasADi's virtual machine takes some 30
+microseconds for a Kalman step of a flight-path reconstruction and as long again to pass arrays; compiled C takes two. Both
 give the same numbers to rounding.
 """
 
@@ -58,7 +58,7 @@ class CompiledKernel:
         dy = np.empty((count, ny, n)) if columns is not None else None
         nt = drive.du.shape[2] if columns is not None else 0
         empty: Array = np.zeros(0)
-        gain_rows = None if gain is None else np.ascontiguousarray(gain)  # a transposed array would be read by columns
+        gain_rows = None if gain is None else np.ascontiguousarray(gain)  # the C code reads it by rows
         finite_samples = self._library.integrate(
             count, substeps, n, nt,
             _pointer(drive.dt), _pointer(drive.u), _pointer(drive.u_mid), _pointer(drive.u_end),
@@ -86,34 +86,24 @@ def _pointer(array: np.ndarray) -> int:  # type: ignore[type-arg]
 
 
 def compile_kernel(structure: ModelStructure) -> CompiledKernel | None:
-    """The compiled back end, compiling now if needed; None where there is no working compiler."""
+    """The compiled back end, compiled now where it is not cached; None where there is no working compiler."""
     library = library_made(lambda: _kernel_source(trace(structure)), structure.digest, _generator_digest())
     return None if library is None else CompiledKernel(library, structure.sizes)
 
 
 @lru_cache(maxsize=1)
 def _generator_digest() -> str:
-    """Of everything that decides what stands in a library beside the equations themselves."""
+    """Digest of the code that, with the equations, determines a library."""
     parts = (LOOP, LOOP.with_name("trace.py"), Path(__file__), Path(expressions.__file__))
     return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()
 
 
 def _kernel_source(traced: Traced) -> str:
-    with TemporaryDirectory() as folder:
-        return _source(traced, Path(folder))
-
-
-def _source(traced: Traced, folder: Path) -> str:
-    import casadi as ca
-
-    generator = ca.CodeGenerator("generated.c", {"with_export": False, "casadi_int": "int"})
+    """C of the traced functions, their sizes and sparsity patterns, and the integration loop."""
     rates = [hoist_inputs(f, traced.sizes) for f in (traced.rates, traced.rates_jacobian, traced.rates_by_all)]
     functions = (*(f for pair in rates for f in pair), traced.outputs, traced.outputs_jacobian, traced.outputs_by_all)
-    for function in functions:
-        generator.add(function)
-    generator.generate(str(folder) + os.sep)
     nx, nu, np_, ny = traced.sizes
-    parts = [_unchecked((folder / "generated.c").read_text(encoding="utf-8"))]
+    parts = [_without_null_checks(_generated_c(*functions))]
     parts.append(f"enum {{ NX = {nx}, NU = {nu}, NP = {np_}, NY = {ny} }};")
     for key, (rows, columns) in traced.patterns.items():
         parts.append(f"enum {{ NZ_{key} = {len(rows)} }};")
@@ -121,13 +111,23 @@ def _source(traced: Traced, folder: Path) -> str:
             parts.append(f"static const int {name}_{key}[] = {{ {', '.join(map(str, values)) or '0'} }};")
     work = max(sum(max(getattr(f, size)(), 1) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")) for f in functions)
     hoisted_size = max(hoist.size1_out(0) for _, hoist in rates)
-    parts.append(f"enum {{ WORK = {work + 16}, HELD = {hoisted_size + 1} }};")
+    parts.append(f"enum {{ WORK = {work + 16}, HOISTED = {hoisted_size + 1} }};")
     parts.append(LOOP.read_text(encoding="utf-8"))
     return "\n".join(parts)
 
 
-def _unchecked(source: str) -> str:
-    """CasADi's C without its questions whether an argument or result is there: `loop.c` gives them all. A tenth of the time."""
+def _generated_c(*functions: ca.Function) -> str:
+    """C of CasADi functions."""
+    with TemporaryDirectory() as folder:
+        generator = ca.CodeGenerator("generated.c", {"with_export": False, "casadi_int": "int"})
+        for function in functions:
+            generator.add(function)
+        generator.generate(folder + os.sep)
+        return (Path(folder) / "generated.c").read_text(encoding="utf-8")
+
+
+def _without_null_checks(source: str) -> str:
+    """CasADi's C without its checks for null arguments and results: `loop.c` passes all of them. Saves a tenth of the time."""
     source = re.sub(r"arg\[(\d+)\] ?\? ?(arg\[\1\]\[\d+\]) : 0", r"\2", source)
     return re.sub(r"if \(res\[\d+\] ?!= ?0\) ", "", source)
 
@@ -154,14 +154,14 @@ int chain(int rows, int nx, int nd, int ny, const double *start, const double *d
 
 
 class Chain:
-    """step: a dense function (state (nx,), row (nd,), fixed (nf,)) -> (state of the next row, shown (ny,))."""
+    """step: a dense function (state (nx,), row (nd,), fixed (nf,)) -> (state of the next row (nx,), outputs (ny,))."""
 
     def __init__(self, step: ca.Function) -> None:
         self._step = step
         self._sizes = step.numel_in(0), step.numel_in(1), step.numel_out(1)
 
     def run(self, start: Array, rows: Array, fixed: Array) -> Array:
-        """What is shown at each row, (N, ny); fewer rows where a row showed a number that is not finite, that row the last.
+        """(N, ny) outputs at each row, or those up to the first row with one that is not finite.
 
         start: (nx,); rows: (N, nd); fixed: (nf,), the same at every row.
         """
@@ -190,8 +190,9 @@ class Chain:
         return self._step.mapaccum(CHUNK)
 
     def _accumulated(self, start: Array, rows: Array, fixed: Array) -> Array:
+        """As `run`, on the virtual machine, CHUNK rows at a time."""
         count = len(rows)
-        # rows of zeros behind the last: they change nothing that is shown before them
+        # rows of zeros fill up the last chunk; they do not change earlier outputs
         table = np.vstack([rows, np.zeros((-count % CHUNK, rows.shape[1]))]).T
         parameters = np.tile(fixed[:, None], (1, CHUNK))
         state, parts = start, []
@@ -207,11 +208,6 @@ class Chain:
 
 
 def _chain_source(step: ca.Function) -> str:
-    with TemporaryDirectory() as folder:
-        generator = ca.CodeGenerator("step.c", {"with_export": False, "casadi_int": "int"})
-        generator.add(step)
-        generator.generate(f"{folder}/")
-        text = (Path(folder) / "step.c").read_text(encoding="utf-8")
     sizes = {"arg": step.sz_arg(), "res": step.sz_res(), "iw": step.sz_iw(), "w": step.sz_w()}
-    lengths = {key: value + 1 for key, value in sizes.items()}  # an array of none is no C
-    return text + _LOOP % {**lengths, "nx": step.numel_in(0), "name": step.name()}
+    lengths = {key: value + 1 for key, value in sizes.items()}  # C has no arrays of length zero
+    return _generated_c(step) + _LOOP % {**lengths, "nx": step.numel_in(0), "name": step.name()}

@@ -1,7 +1,7 @@
-"""C compiled to shared libraries, kept in the user's cache folder under a digest of source, compiler flags and processor.
+"""C compiled to shared libraries, cached in the user's folder under a digest of source, compiler flags and processor.
 
-A library is kept with its checksum behind it: what a power cut or a full disk has made of one is no program to be started, and is
-made anew. Where there is no home, no room, no compiler, or the folder must hold no programs, there is simply none.
+A checksum follows each library in its file: one that a power cut or a full disk has damaged is not loaded but compiled anew.
+Where there is no home, no space, no compiler, or no right to run programs from that folder, there is no library.
 """
 
 import ctypes
@@ -18,19 +18,19 @@ from tempfile import TemporaryDirectory
 from daq.utilities.durable import make_directories, write_bytes
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared")
-_SEAL = hashlib.sha256().digest_size
+_CHECKSUM = hashlib.sha256().digest_size  # bytes
 
 
 def compiler() -> str | None:
-    """Path of gcc, or None; SIDESLIP_COMPILER names another one, or `none`."""
+    """Path of the compiler, or None; the variable SIDESLIP_COMPILER names another one than gcc, or `none`."""
     command = os.environ.get("SIDESLIP_COMPILER", "gcc")
     return None if command == "none" else shutil.which(command)
 
 
 def library_made(source: Callable[[], str], *content: str) -> ctypes.CDLL | None:
-    """The library of some content, from the cache or compiled now; None where that cannot be done.
+    """A library from the cache or compiled now; None where neither is possible.
 
-    source: makes its C text, only asked where it is not kept; content: what decides that text.
+    source: makes its C text, called only where it is not cached; content: what determines that text.
     """
     base = _cache_folder()
     if base is None:
@@ -38,17 +38,16 @@ def library_made(source: Callable[[], str], *content: str) -> ctypes.CDLL | None
     seed = "\n".join((*content, *FLAGS, _processor()))
     path = base / f"{hashlib.sha256(seed.encode()).hexdigest()[:32]}.so"
     try:
-        if not _sound(path) and not _build(source(), path):
+        if not _intact(path) and not _build(source(), path):
             return None
         return _open(path)
-    except (
-        OSError
-    ):  # no room, no right to write or to run what lies there, no processes: the virtual machine does the work
+    except OSError:  # no space, no right to write or run there, no processes: the virtual machine does the work
         return None
 
 
 def _cache_folder() -> Path | None:
-    """None for a user without a home. A relative one would be of the working folder, where a stranger's files may lie."""
+    """Folder of the libraries; None without a home, or with a relative one, which would be in the working folder and hold
+    anybody's files."""
     try:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:
@@ -70,17 +69,17 @@ def _open(path: Path) -> ctypes.CDLL:
     return ctypes.CDLL(str(path))
 
 
-def _sound(path: Path) -> bool:
-    """Whether a library is there as it was made."""
+def _intact(path: Path) -> bool:
+    """Whether a library is cached and matches its checksum."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
         return False
-    return hashlib.sha256(data[:-_SEAL]).digest() == data[-_SEAL:]
+    return hashlib.sha256(data[:-_CHECKSUM]).digest() == data[-_CHECKSUM:]
 
 
 def _build(source: str, path: Path) -> bool:
-    """Compile C text to `path`; False where the compiler cannot."""
+    """Compile C text to `path`; False without a compiler or where it fails."""
     gcc = compiler()
     if gcc is None:
         return False

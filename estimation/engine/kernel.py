@@ -1,11 +1,11 @@
-"""What an integration back end takes and gives; the two back ends agree to 1e-9 relative.
+"""Arguments and results of an integration back end; the two back ends agree to 1e-9 relative.
 
-One call integrates one segment: from x[0] through samples 0..N-1, classical fourth-order Runge-Kutta with `substeps`
-equal steps per sample interval, inputs going straight from `u[k]` to `u_mid[k]` half-way and on to `u_end[k]` within
-interval k (all equal where an input is held). Sensitivities come from the variational equations
+One call integrates one segment from x[0] through samples 0..N-1, by classical fourth-order Runge-Kutta with `substeps`
+equal steps per sample interval. Within interval k an input runs straight from `u[k]` to `u_mid[k]` half-way and on to
+`u_end[k]` (all equal where an input is held). Sensitivities come from the variational equations
 S_dot = f_x S + f_p + f_u du/dpsi, integrated with the same stages (exact derivatives of the discrete solution).
 
-With a gain, every sample corrects the state by x += K (z - y), NaN samples of z left out (innovations form).
+With a gain, every sample corrects the state by x += K (z - y), without NaN samples of z (innovations form).
 """
 
 from dataclasses import dataclass, field
@@ -39,11 +39,10 @@ class SegmentInputs:
 
 @dataclass(frozen=True)
 class SensitivityColumns:
-    """What the sensitivity columns belong to.
+    """Which sensitivity column belongs to which unknown; -1 where none does.
 
-    count: number n of columns. parameter: (np,) column of each entry of p, -1 where it is held. state: (nx,) column of
-    each initial state, -1 where held. transform: (nt,) column of each transform parameter. gain: (nx, ny) column of
-    each entry of the gain, -1 where held.
+    count: number n of columns. parameter: (np,) column of each entry of p. state: (nx,) of each initial state. transform: (nt,)
+    of each transform parameter. gain: (nx, ny) of each entry of the gain.
     """
 
     count: int
@@ -55,7 +54,7 @@ class SensitivityColumns:
 
 @dataclass(frozen=True)
 class SegmentMotion:
-    """x: (N, nx), y: (N, ny), dy: (N, ny, n) or None. `reached` < N where the motion left the finite numbers."""
+    """x: (N, nx), y: (N, ny), dy: (N, ny, n) or None. reached: number of samples before the motion diverged, else N."""
 
     x: Array
     y: Array
@@ -64,6 +63,7 @@ class SegmentMotion:
 
     @property
     def finite(self) -> bool:
+        """Whether the motion stayed finite throughout the segment."""
         return self.reached == self.y.shape[0]
 
 

@@ -1,5 +1,5 @@
-/* Integration of one segment with variational sensitivities: see kernel.py. Included after the generated functions
-   rates, rates_jacobian, rates_by_all, and the same of outputs (CasADi signature) and the constants NX NU NP NY NZ_* row_* col_*. */
+/* Integration of one segment with variational sensitivities: see kernel.py. Included after the generated functions rates,
+   rates_jacobian, rates_by_all, and the same of outputs (CasADi signature), and the constants NX NU NP NY NZ_* row_* col_*. */
 
 #include <stdlib.h>
 #include <string.h>
@@ -21,7 +21,7 @@ static void call(Function function, const double *x, const double *u, const doub
     function(arg, res, iw, w, 0);
 }
 
-/* Non-zeros of a derivative that some column asks for: value[from] (times du[by], of input transforms) is added at `to`. */
+/* Non-zeros of a derivative that some column needs: value[from] (times du[by], of input transforms) is added at `to`. */
 typedef struct {
     int count;
     int *from, *to, *by;
@@ -35,16 +35,16 @@ static void add_driven(const Entries *e, const double *restrict value, const dou
     for (int i = 0; i < e->count; ++i) to[e->to[i]] += value[e->from[i]] * du[e->by[i]];
 }
 
-/* What rates make of inputs and parameters alone, which a step needs at three instants and not at every stage. */
+/* Terms of the rates that depend on inputs and parameters only: a step needs them at three instants, not at every stage. */
 typedef struct {
-    double start[HELD], middle[HELD], end[HELD];
-} Beforehand;
+    double start[HOISTED], middle[HOISTED], end[HOISTED];
+} Hoisted;
 
-static void beforehand(Function function, const double *u, const double *p, double *h) {
+static void hoist(Function function, const double *u, const double *p, double *h) {
     call(function, u, p, 0, 0, h, 0, 0, 0);
 }
 
-/* n sensitivity columns in rows of `stride` doubles, nt input transforms; what of the derivatives they take */
+/* n sensitivity columns in rows of `stride` doubles, nt input transforms, and the derivatives that these need */
 typedef struct {
     int n, stride, nt;
     Entries f_p, y_p, f_u, y_u;
@@ -137,13 +137,13 @@ static void correct(int n, int stride, const double *gain, const int *gain_colum
 
 /* One Runge-Kutta step of length h from inputs ua (start), um (middle), ub (end). */
 static void step(const Plan *plan, double h, const double *ua, const double *um, const double *ub, const double *da,
-                 const double *dm, const double *db, const double *p, const Beforehand *held, double *x, double *s,
+                 const double *dm, const double *db, const double *p, const Hoisted *hoisted, double *x, double *s,
                  double *buffer) {
     static const double part[4] = {0.0, 0.5, 0.5, 1.0};
     static const double weight[4] = {1.0 / 6, 1.0 / 3, 1.0 / 3, 1.0 / 6};
     const double *us[4], *ds[4], *hs[4];
     us[0] = ua; us[1] = um; us[2] = um; us[3] = ub;
-    hs[0] = held->start; hs[1] = held->middle; hs[2] = held->middle; hs[3] = held->end;
+    hs[0] = hoisted->start; hs[1] = hoisted->middle; hs[2] = hoisted->middle; hs[3] = hoisted->end;
     ds[0] = da; ds[1] = dm; ds[2] = dm; ds[3] = db;
     const int size = NX * plan->stride;
     double f[NX], xs[NX], xn[NX], fx[NZ_f_x + 1], fu[NZ_f_u + 1], fp[NZ_f_p + 1];
@@ -170,13 +170,13 @@ static void step(const Plan *plan, double h, const double *ua, const double *um,
     if (size > 0) memcpy(s, sn, sizeof(double) * size);
 }
 
-/* Returns the number of samples reached before the motion left the finite numbers (N where it never did). */
+/* Returns the number of samples before the motion diverged (N where it did not). */
 int integrate(int count, int substeps, int n, int nt, const double *dt, const double *u, const double *u_mid,
               const double *u_end, const double *du, const double *du_mid, const double *du_end, const double *p,
               const double *x0, const int *parameter, const int *state, const int *transform, const int *gain_column,
               const double *gain, const double *z, double *x_out, double *y_out, double *dy_out) {
     double x[NX], ua[NU + 1], um[NU + 1], ub[NU + 1];
-    Beforehand held;
+    Hoisted hoisted;
     const Function before = n == 0 ? rates_before : nt > 0 ? rates_by_all_before : rates_jacobian_before;
     const int stride = (n + LANES - 1) / LANES * LANES, size = NX * stride, width = n > 0 ? NU * nt : 0;
     const int most = n > 0 ? NZ_f_p + NZ_y_p + nt * (NZ_f_u + NZ_y_u) : 0;
@@ -231,20 +231,20 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
         for (int j = 0; j < substeps; ++j) {
             const double at = (double)j / substeps;
             blend(NU, at, ua0, um0, ub0, ua);
-            if ((k > 0 || j > 0) && memcmp(ua, ub, sizeof(double) * NU) == 0) /* begins where the last step ended */
-                memcpy(held.start, held.end, sizeof held.start);
+            if ((k > 0 || j > 0) && memcmp(ua, ub, sizeof(double) * NU) == 0) /* the last step ended with these inputs */
+                memcpy(hoisted.start, hoisted.end, sizeof hoisted.start);
             else
-                beforehand(before, ua, p, held.start);
+                hoist(before, ua, p, hoisted.start);
             blend(NU, at + 0.5 / substeps, ua0, um0, ub0, um);
             blend(NU, at + 1.0 / substeps, ua0, um0, ub0, ub);
-            beforehand(before, um, p, held.middle);
-            beforehand(before, ub, p, held.end);
+            hoist(before, um, p, hoisted.middle);
+            hoist(before, ub, p, hoisted.end);
             if (width > 0) {
                 blend(width, at, da0, dm0, db0, da);
                 blend(width, at + 0.5 / substeps, da0, dm0, db0, dm);
                 blend(width, at + 1.0 / substeps, da0, dm0, db0, db);
             }
-            step(&plan, h, ua, um, ub, da, dm, db, p, &held, x, s, buffer);
+            step(&plan, h, ua, um, ub, da, dm, db, p, &hoisted, x, s, buffer);
         }
     }
     for (int k = reached; k < count; ++k) {
@@ -261,12 +261,12 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
 /* Rates, outputs and their parameter derivatives at given states: the regressors of equation error. */
 void pointwise(int count, const double *x, const double *u, const double *p, double *f, double *fp, double *y,
                double *yp) {
-    double fx[NZ_f_x + 1], fpz[NZ_f_p + 1], yx[NZ_y_x + 1], ypz[NZ_y_p + 1], h[HELD];
+    double fx[NZ_f_x + 1], fpz[NZ_f_p + 1], yx[NZ_y_x + 1], ypz[NZ_y_p + 1], h[HOISTED];
     memset(fp, 0, sizeof(double) * (size_t)count * NX * NP);
     memset(yp, 0, sizeof(double) * (size_t)count * NY * NP);
     for (int k = 0; k < count; ++k) {
         const double *xk = x + (size_t)k * NX, *uk = u + (size_t)k * NU;
-        beforehand(rates_jacobian_before, uk, p, h);
+        hoist(rates_jacobian_before, uk, p, h);
         call(rates_jacobian, xk, uk, p, h, f + (size_t)k * NX, fx, fpz, 0);
         call(outputs_jacobian, xk, uk, p, 0, y + (size_t)k * NY, yx, ypz, 0);
         for (int z = 0; z < NZ_f_p; ++z) fp[((size_t)k * NX + row_f_p[z]) * NP + col_f_p[z]] = fpz[z];

@@ -1,6 +1,6 @@
-"""Simulates a model over a prepared segment, with exact sensitivities, on one of two back ends (compiled or virtual machine).
+"""Simulation of a model over a prepared segment, with exact sensitivities, on one of two back ends (compiled, virtual machine).
 
-Input transforms and output delays are applied here, so that a back end integrates nothing but the equations.
+Input transforms and output delays are applied here; a back end only integrates the equations.
 """
 
 from collections.abc import Mapping
@@ -21,18 +21,17 @@ from estimation.signals.curves import half_way, inner_slopes
 from groundstation.flight import Flight
 
 Compile = Literal["auto", "never"]
-"""auto: compiled by gcc wherever there is one, even where a first run must wait for it, so that a fit always gives the same
-bits."""
-CHANGE_FRACTION = 1e-3  # of a change of the inputs: step of the central difference through their transforms
-SLOPE_STEP = 1e-5  # of a derivative of the inputs: step of the central difference through the monotone cubic
+"""auto: compiled wherever there is gcc, although a first run waits for it, so that a fit always gives the same bits."""
+CHANGE_FRACTION = 1e-3  # of a change of the inputs: step of central differences of the input transforms
+SLOPE_STEP = 1e-5  # of a derivative of the inputs: step of central differences of the monotone cubic
 Hold = Literal["smooth", "linear", "hold"]
 """Inputs between samples: on a monotone cubic, on straight lines, or held. See `usual_hold`."""
 
 
 def usual_hold(model: Model) -> Hold:
-    """The way of the inputs between samples: a monotone cubic where servos drive the model, straight lines otherwise.
+    """The inputs between samples: on a monotone cubic where servos drive the model, on straight lines otherwise.
 
-    A servo's edge is a curve; straight lines through its samples make roll derivatives up to 2 % large at 20 Hz.
+    A servo's edge is a curve; straight lines through its samples make roll derivatives up to 2 % too large at 20 Hz.
     """
     return "smooth" if any(s.servo for s in model.inputs) else "linear"
 
@@ -48,7 +47,7 @@ def _kernel(structure: ModelStructure, compile_: Compile) -> Kernel:
 
 
 def kernel_for(model: Model, compile_: Compile = "auto") -> Kernel:
-    """The back end for a model: compiled (0.6 s once on each computer, then cached), or the virtual machine where there is no
+    """The back end for a model: compiled (0.6 s once on each computer, then cached), or the virtual machine without a
     compiler."""
     return _kernel(model.structure, compile_)
 
@@ -74,27 +73,27 @@ class Simulator:
         substeps: int = 2,
         hold: Hold | None = None,
     ) -> "Simulator":
-        """free: by default the free parameters of the model; hold: by default of `usual_hold`."""
-        hold_used = hold or usual_hold(model)
-        return cls(model, model.free_names if free is None else free, kernel_for(model, compile_), substeps, hold_used)
+        """free: by default the free parameters of the model; hold: by default `usual_hold`."""
+        names = model.free_names if free is None else free
+        return cls(model, names, kernel_for(model, compile_), substeps, hold or usual_hold(model))
 
     def vector(self, values: Mapping[str, float]) -> Array:
-        """Parameters and constants in the order of the traced functions."""
-        constants = self.model.structure.constants_kept
+        """(np,) parameters and constants in the order of the traced functions."""
+        constants = self.model.structure.remaining_constants
         return np.array(
             [values[n] for n in self.model.parameter_names] + [self.model.constants[n] for n in constants], float
         )
 
     def columns(self, gain_free: Array | None = None, moved: int = 0) -> SensitivityColumns:
-        """Sensitivity columns: free parameters, then the initial states, then free entries of the gain, then `moved` changes of
-        the inputs."""
+        """Sensitivity columns: free parameters, initial states, entries of the gain that `gain_free` (nx, ny) marks, then `moved`
+        changes of the inputs."""
         nx, ny = len(self.model.states), len(self.model.outputs)
-        names = (*self.model.parameter_names, *self.model.structure.constants_kept)
+        names = (*self.model.parameter_names, *self.model.structure.remaining_constants)
         position = {name: i for i, name in enumerate(self.free)}
         parameter = np.array([position.get(n, -1) for n in names], np.int32)
         count = len(self.free) + nx
         state = np.arange(len(self.free), count, dtype=np.int32)
-        transform = np.array([position[n] for n in self._transform_names()], np.int32)
+        transform = np.array([position[n] for n in self.transform_names()], np.int32)
         gain = np.full((nx, ny), -1, np.int32)
         if gain_free is not None:
             entries = np.argwhere(gain_free)
@@ -103,13 +102,14 @@ class Simulator:
         transform = np.concatenate([transform, np.arange(count, count + moved, dtype=np.int32)])
         return SensitivityColumns(count + moved, parameter, state, transform, gain)
 
-    def _transform_names(self) -> tuple[str, ...]:
+    def transform_names(self) -> tuple[str, ...]:
+        """The free parameters of input transforms."""
         return tuple(dict.fromkeys(n for t in self.model.transforms for n in t.parameters if n in self.free))
 
     def drive(
         self, segment: Segment, values: Mapping[str, float], sensitivities: bool, moved: Array | None = None
     ) -> SegmentInputs:
-        """Inputs of one segment as the integrator sees them, transforms applied. moved: as of `run_by_middles`."""
+        """Inputs of one segment for the integrator, transforms applied. moved: as of `run_by_middles`."""
         u, du = self._transformed(segment, values, sensitivities, moved)
         step = np.diff(segment.time)
         return SegmentInputs(
@@ -129,8 +129,8 @@ class Simulator:
         return [(names.index(t.input), t.parameters[0]) for t in self.model.transforms if t.kind == "bend"]
 
     def _bends(self, u: Array, step: Array, values: Mapping[str, float]) -> Array:
-        """(N, nu) change of the inputs half-way between samples by transforms `bend`: the straight line plus the parameter times
-        the step replaces the usual value."""
+        """(N, nu) change of the inputs half-way between samples by transforms `bend`, which put them on the straight line plus
+        the parameter times the change between the samples."""
         bends = np.zeros_like(u)
         if not self._bent_inputs():
             return bends
@@ -146,7 +146,7 @@ class Simulator:
         if not du.shape[2] or not self._bent_inputs():
             return slopes
         middle = self._middle_slopes(u, du, step)
-        names = self._transform_names()
+        names = self.transform_names()
         for column, name in self._bent_inputs():
             line = 0.5 * (du[:-1, column] + du[1:, column])
             slopes[:-1, column] = line + values[name] * np.diff(du[:, column], axis=0) - middle[:-1, column]
@@ -157,21 +157,22 @@ class Simulator:
     def _transformed(
         self, segment: Segment, values: Mapping[str, float], sensitivities: bool, moved: Array | None = None
     ) -> tuple[Array, Array]:
-        """Transformed inputs (N, nu), and their derivatives (N, nu, nt) by the transforms' parameters if `sensitivities`."""
+        """Transformed inputs (N, nu) and their derivatives (N, nu, nt): by the transforms' parameters if `sensitivities`, then
+        along the changes `moved`."""
         model, u = self.model, segment.u
-        names = self._transform_names() if sensitivities else ()
+        names = self.transform_names() if sensitivities else ()
         du = np.zeros((*u.shape, 0))
         changes = moved
         if model.transforms:
             if names:
                 du = transform_derivatives(model.transforms, model.input_names, segment.time, u, values, names)
             if moved is not None:
-                changes = self._moved(segment, values, moved)
+                changes = self._transformed_changes(segment, values, moved)
             u = apply_transforms(model.transforms, model.input_names, segment.time, u, values)
         return u, du if changes is None else np.concatenate([du, changes], axis=2)
 
-    def _moved(self, segment: Segment, values: Mapping[str, float], moved: Array) -> Array:
-        """Changes (N, nu, k) of the transformed inputs for small changes `moved` (N, nu, k) of the inputs."""
+    def _transformed_changes(self, segment: Segment, values: Mapping[str, float], moved: Array) -> Array:
+        """(N, nu, k) changes of the transformed inputs for small changes `moved` (N, nu, k) of the inputs."""
         model, changes = self.model, moved.copy()
         transformed = {t.input for t in model.transforms}
         for k in range(moved.shape[2]):
@@ -203,7 +204,7 @@ class Simulator:
         return middle
 
     def _middle_slopes(self, u: Array, du: Array, step: Array) -> Array:
-        """Derivatives (N, nu, nt) of `_middle`: by central differences where it is the monotone cubic, which is not linear."""
+        """Derivatives (N, nu, nt) of `_middle`, by central differences of the monotone cubic, which is not linear."""
         if not du.shape[2]:
             return du
         if self.hold != "smooth":
@@ -225,7 +226,10 @@ class Simulator:
         gain_free: Array | None = None,
         moved: Array | None = None,
     ) -> SegmentMotion:
-        """Motion of one segment from x0 (nx,), with `sensitivities` also dy, whose columns are those of `columns`."""
+        """Motion of one segment from x0 (nx,); with `sensitivities` also dy, with the columns of `columns`.
+
+        gain: (nx, ny) of the innovations form; gain_free: (nx, ny) its entries that get a column; moved: as of `run_by_middles`.
+        """
         drive = self.drive(segment, values, sensitivities, moved)
         columns = self.columns(gain_free, 0 if moved is None else moved.shape[2]) if sensitivities else None
         x0 = np.ascontiguousarray(x0, float)
@@ -243,12 +247,12 @@ class Simulator:
         sensitivities: bool = False,
         moved: Array | None = None,
     ) -> SegmentMotion:
-        """Motion x, y, dy at the even samples of a segment whose odd samples are the middles of the intervals between them.
-        Steps and inputs are those of `run` with inputs on straight lines.
+        """Motion x, y, dy at the even samples of a segment whose odd samples lie half-way between them. Steps and inputs are
+        those of `run` with inputs on straight lines.
 
         moved: (samples, nu, k) changes of the inputs; the last k columns of dy are derivatives along them.
         """
-        if self.model.output_delays:  # interpolated between all samples
+        if self.model.output_delays:  # their interpolation needs all samples
             motion = self.run(segment, values, x0, sensitivities=sensitivities, moved=moved)
             dy = None if motion.dy is None else motion.dy[::2]
             return SegmentMotion(motion.x[::2], motion.y[::2], dy, (motion.reached + 1) // 2)
@@ -292,7 +296,7 @@ class Simulator:
         return dy
 
     def _delayed(self, motion: SegmentMotion, time: Array, values: Mapping[str, float]) -> SegmentMotion:
-        """Delayed outputs: cubic interpolation between samples, the first value before the record."""
+        """The motion with its outputs delayed: cubic interpolation between samples, the first value before the record."""
         y = motion.y.copy()
         dy = None if motion.dy is None else motion.dy.copy()
         for output, name in self.model.output_delays.items():
@@ -307,10 +311,10 @@ class Simulator:
 
 
 def _by_middles(values: Array) -> tuple[Array, Array, Array]:
-    """Values at the samples, half-way to the next sample and at the next sample, from values (2N - 1, ...) at samples and
-    middles."""
-    end = np.ascontiguousarray(np.concatenate([values[2::2], values[-1:]]))
-    return np.ascontiguousarray(values[::2]), np.ascontiguousarray(np.concatenate([values[1::2], values[-1:]])), end
+    """(N, ...) values at the samples, half-way to the next sample and at the next sample, from values (2N - 1, ...) at samples
+    and middles."""
+    middle, end = (np.concatenate([values[first::2], values[-1:]]) for first in (1, 2))
+    return np.ascontiguousarray(values[::2]), middle, end
 
 
 def _midpoints(u: Array, step: Array) -> Array:
@@ -324,7 +328,8 @@ def _midpoints(u: Array, step: Array) -> Array:
 
 
 def _cubic(time: Array, times: Array) -> tuple[Array, np.ndarray, Array]:  # type: ignore[type-arg]
-    """Lagrange weights (N, 4), sample indices (N, 4) and weights of the derivative for values at `times`."""
+    """Cubic interpolation at `times` (N,): Lagrange weights (N, 4), sample indices (N, 4) and weights of the derivative (N,
+    4)."""
     outside = (times < time[0]) | (times > time[-1])
     inside = np.clip(times, time[0], time[-1])
     first = np.clip(np.searchsorted(time, inside, side="right") - 2, 0, time.size - 4)
@@ -332,16 +337,16 @@ def _cubic(time: Array, times: Array) -> tuple[Array, np.ndarray, Array]:  # typ
     knots = time[rows]
     weights, slope = np.ones(rows.shape), np.zeros(rows.shape)
     for j in range(4):
-        rest = [m for m in range(4) if m != j]
-        gaps = [knots[:, j] - knots[:, m] for m in rest]
-        terms = [(inside - knots[:, m]) / gap for m, gap in zip(rest, gaps, strict=True)]
+        others = [m for m in range(4) if m != j]
+        gaps = [knots[:, j] - knots[:, m] for m in others]
+        terms = [(inside - knots[:, m]) / gap for m, gap in zip(others, gaps, strict=True)]
         weights[:, j] = terms[0] * terms[1] * terms[2]
         slope[:, j] = terms[1] * terms[2] / gaps[0] + terms[0] * terms[2] / gaps[1] + terms[0] * terms[1] / gaps[2]
     slope[outside] = 0.0
     return weights, rows, slope
 
 
-# ----------------------------------------------------------------------------------------------- plain functions
+# ----------------------------------------------------------------------------------------------- whole flights
 
 
 def simulate(
@@ -378,18 +383,19 @@ def simulate_with_sensitivities(
     substeps: int = 2,
     preparation: Preparation = AS_USUAL,
 ) -> tuple[Array, Array, Array]:
-    """(y (samples, ny), dy/dparameters (samples, ny, n), dy/dx0 of each sample's segment (samples, ny, nx)).
+    """y (samples, ny), dy/dparameters (samples, ny, n), and dy/dx0 (samples, ny, nx) by the initial state of each sample's
+    segment.
 
-    free: the parameters of the columns, in that order (default: those the model estimates).
+    free: the parameters of the columns, in that order (default: the free ones of the model).
     """
     data = flight if isinstance(flight, FlightData) else prepare(model, flight, preparation)
     simulator = Simulator.build(model, free, compile_=compile_, substeps=substeps)
     n, nx = len(simulator.free), len(model.states)
     y = np.full((data.samples, len(model.outputs)), np.nan)
     dy = np.full((data.samples, len(model.outputs), n + nx), np.nan)
+    all_values = {**model.starts(), **(values or {})}
     for segment in data.segments:
-        values_now = {**model.starts(), **(values or {})}
-        motion = simulator.run(segment, values_now, segment.x0 if x0 is None else x0, sensitivities=True)
+        motion = simulator.run(segment, all_values, segment.x0 if x0 is None else x0, sensitivities=True)
         s = slice(segment.first, segment.first + motion.reached)
         y[s] = motion.y[: motion.reached]
         assert motion.dy is not None

@@ -1,8 +1,7 @@
-"""Model text -> CasADi functions of (x, u, p): rates and outputs with their exact Jacobians.
+"""CasADi functions of (x, u, p) from the text of a model: rates and outputs with their exact Jacobians.
 
-p holds the model's parameters followed by its constants (in the order of `Structure.constants_kept`), so that a changed mass or a
-fixed parameter needs no new tracing; only parameters have derivatives. Jacobians are sparse; their patterns travel with
-the functions.
+p holds the model's parameters, then its constants (in the order of `ModelStructure.remaining_constants`), so that a changed mass
+or a fixed parameter needs no new trace; only parameters have derivatives. Jacobians are sparse; `Traced` has their patterns.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +19,7 @@ Pattern = tuple[tuple[int, ...], tuple[int, ...]]  # rows, columns of the non-ze
 
 
 def _tan(angle: Any) -> Any:
-    """By sine and cosine, which the equations of motion mostly ask for anyway: the two together cost what a tangent does."""
+    """By sine and cosine, which the equations of motion mostly contain anyway and which together cost as much as a tangent."""
     return ca.sin(angle) / ca.cos(angle)
 
 
@@ -36,8 +35,8 @@ class Traced:
     """Functions of one model structure; see the module head for (x, u, p).
 
     rates: -> f. rates_jacobian: -> f, non-zeros of df/dx, df/dp. rates_by_input: -> non-zeros of df/du, which only input
-    transforms ask for. rates_by_all: -> f, non-zeros of df/dx, df/dp, df/du, what they share worked out once. outputs,
-    outputs_jacobian, outputs_by_input, outputs_by_all: alike for y. patterns: the six sparsity patterns, keyed "f_x" "f_u" "f_p"
+    transforms need. rates_by_all: -> f, non-zeros of df/dx, df/dp, df/du, with common terms computed once. outputs,
+    outputs_jacobian, outputs_by_input, outputs_by_all: the same of y. patterns: the six sparsity patterns, "f_x" "f_u" "f_p"
     "y_x" "y_u" "y_p".
     """
 
@@ -56,7 +55,7 @@ class Traced:
 @lru_cache(maxsize=256)
 def trace(structure: ModelStructure) -> Traced:
     """CasADi functions of a model; the same object for every model of equal structure."""
-    kinds = (structure.states, structure.inputs, structure.parameters, structure.constants_kept)
+    kinds = (structure.states, structure.inputs, structure.parameters, structure.remaining_constants)
     x, u, t, c = (ca.SX.sym(k, len(v)) for k, v in zip("xutc", kinds, strict=True))
     p = ca.vertcat(t, c)
     symbols: dict[str, Any] = {}
@@ -106,7 +105,7 @@ def trace(structure: ModelStructure) -> Traced:
 def rk4(
     rates: Callable[..., tuple[Any, ...]], states: tuple[Any, ...], inputs: Sequence[Any], h: Any
 ) -> tuple[Any, ...]:
-    """The states one classical Runge-Kutta step of `h` later. rates: of (states, inputs); inputs: at the begin, middle, end."""
+    """The states after one classical Runge-Kutta step `h`. rates: of (states, inputs); inputs: at its begin, middle and end."""
 
     def ahead(slopes: tuple[Any, ...], step: Any) -> tuple[Any, ...]:
         return tuple(x + step * k for x, k in zip(states, slopes, strict=True))
@@ -124,8 +123,8 @@ def _nonzeros(matrix: ca.SX) -> ca.SX:
 
 
 def hoist_inputs(function: ca.Function, sizes: tuple[int, int, int, int]) -> tuple[ca.Function, ca.Function]:
-    """A function of (x, u, p) as one of (x, u, p, h), and h of (u, p): sines of measured angles, dynamic pressure, all that does
-    not change from stage to stage with the state."""
+    """A function of (x, u, p) as one of (x, u, p, h), and h as a function of (u, p): terms that do not change with the state from
+    stage to stage, such as sines of measured angles and dynamic pressure."""
     x, u, p = (ca.SX.sym(name, size) for name, size in zip("xup", sizes[:3], strict=True))
     parameters: Any = ca.vertcat(u, p)
     results, names, values = ca.extract_parametric(function.call([x, u, p]), parameters, {"extract_trivial": False})

@@ -1,7 +1,7 @@
-"""Input transforms: functions between a measured control and the input of the equations, such as a delay or backlash, by name.
+"""Input transforms by name: functions from a measured control to the input of the equations, such as a delay or backlash.
 
-Each takes time (N,) s, the input (N,) and its parameter, and returns the input of the equations (N,), which is linear between
-samples. Derivatives by the parameters are central differences.
+Each takes time (N,) s, the input (N,) and its parameter, and returns the input of the equations (N,) at the samples. Derivatives
+by the parameters are central differences.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -12,12 +12,14 @@ from estimation.engine.kernel import Array
 from estimation.models.base import InputTransform
 from estimation.signals.first_order import decaying_sum
 
+SHORTEST_LAG = 1e-6  # s: a shorter lag is none
+
 
 def _delay(time: Array, value: Array, seconds: float) -> Array:
     """u(t - T): transport delay [s], the first value before the record and the last after it.
 
-    Cubic between samples, with the slope of its neighbours at each (Keys, IEEE Trans. ASSP 29, 1981): smooth in T. Straight lines
-    have a kink at every whole interval, none among them, where a fit of a delay that is nearly none does not settle.
+    Cubic between samples (Keys, IEEE Trans. ASSP 29, 1981), so smooth in T. Straight lines would have a kink in T at zero and at
+    every multiple of the interval, and a fit of a delay near zero would not settle.
     """
     if time.size < 2:
         return value.copy()
@@ -26,15 +28,15 @@ def _delay(time: Array, value: Array, seconds: float) -> Array:
     share = step[1:] / (step[:-1] + step[1:])
     slope[1:-1] = share * rise[:-1] / step[:-1] + (1.0 - share) * rise[1:] / step[1:]
     first, last = step * slope[:-1] - rise, rise - step * slope[1:]
-    at = np.minimum(np.maximum(time - seconds, time[0]), time[-1])
-    i = np.minimum(np.searchsorted(time, at, "right") - 1, time.size - 2)
-    s = (at - time[i]) / step[i]
+    source = np.minimum(np.maximum(time - seconds, time[0]), time[-1])  # when the delayed value was measured
+    i = np.minimum(np.searchsorted(time, source, "right") - 1, time.size - 2)
+    s = (source - time[i]) / step[i]
     return np.asarray(value[i] + s * (rise[i] + (1.0 - s) * ((1.0 - s) * first[i] + s * last[i])))
 
 
 def _lag(time: Array, value: Array, seconds: float) -> Array:
-    """T du'/dt + u' = u: first-order lag [s], exact for an input straight between samples, in equilibrium at first."""
-    if seconds <= 1e-6:
+    """T du'/dt + u' = u: first-order lag [s], exact for an input straight between samples, from equilibrium."""
+    if seconds <= SHORTEST_LAG:
         return value.copy()
     h = np.diff(time)
     a = np.exp(-h / seconds)
@@ -45,18 +47,18 @@ def _lag(time: Array, value: Array, seconds: float) -> Array:
 
 
 def _deadzone(time: Array, value: Array, half_width: float) -> Array:
-    """Dead zone: zero within +-half_width, shifted towards zero by as much outside."""
+    """Dead zone: zero within +-half_width, shifted towards zero by half_width outside."""
     return np.sign(value) * np.maximum(np.abs(value) - abs(half_width), 0.0)
 
 
 def _backlash(time: Array, value: Array, width: float) -> Array:
-    """Play operator: the output follows only after the input has crossed the total play `width`; it starts centred."""
+    """Play: the output follows only after the input has crossed the total play `width`; it starts centred."""
     half = 0.5 * abs(width)
     return _clamped(value - half, value + half, float(value[0]))
 
 
 def _rate_limit(time: Array, value: Array, slowness: float) -> Array:
-    """Follows the input no faster than one unit in `slowness` seconds; 0 and below: without limit."""
+    """Rate limit: at most one unit in `slowness` seconds; no limit for 0 and below."""
     if slowness <= 0.0:
         return value.copy()
     result = np.empty_like(value)
@@ -69,10 +71,9 @@ def _rate_limit(time: Array, value: Array, slowness: float) -> Array:
 
 
 def _clamped(lower: Array, upper: Array, first: float) -> Array:
-    """(N,) x[k] = x[k-1] limited to lower[k] .. upper[k], with x[-1] = `first`; all k at once, by doubling.
+    """(N,) x[k] = x[k-1] limited to lower[k] .. upper[k], with `first` before x[0]; all k at once, by doubling.
 
-    Limiting to two intervals one after the other equals limiting to one interval, whose ends are those of the first limited to
-    the second.
+    Limiting to two intervals in turn equals limiting to one interval: the first with its ends limited to the second.
     """
     low, high = lower.copy(), upper.copy()
     reach = 1
@@ -84,8 +85,8 @@ def _clamped(lower: Array, upper: Array, first: float) -> Array:
 
 
 def _bend(time: Array, value: Array, share: float) -> Array:
-    """The samples unchanged. Half-way between two samples the input differs from the straight line by `share` times the step
-    (`engine.simulate` applies it): a servo that lags behind an edge on the sampling clock has a share above zero."""
+    """The samples unchanged. Half-way between two samples the input lies beyond their straight line by `share` times their
+    difference (`engine.simulate` applies it). A servo that lags after an edge on the sampling clock has a share above zero."""
     return value
 
 
@@ -119,7 +120,7 @@ def apply_transforms(
 ) -> Array:
     """The transformed inputs (N, nu).
 
-    Several delays of one input are applied as one, their sum: applied one after the other, two opposite ones would blur edges.
+    Several delays of one input are applied as one, their sum: two opposite ones applied in turn would blur edges.
     """
     u = u.copy()
     delays: dict[str, float] = {}
@@ -159,5 +160,5 @@ def transform_derivatives(
 def acting_on(
     inputs: Collection[str], transforms: tuple[InputTransform, ...], input_names: tuple[str, ...]
 ) -> tuple[tuple[InputTransform, ...], list[int]]:
-    """The transforms of some inputs, and the columns of these inputs (no transform acts from one input on another)."""
+    """The transforms of some inputs, and the columns of these inputs (a transform acts on its own input only)."""
     return tuple(t for t in transforms if t.input in inputs), [i for i, n in enumerate(input_names) if n in inputs]

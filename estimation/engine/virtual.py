@@ -1,8 +1,9 @@
-"""The back end that needs no compiler: the same scheme as `loop.c`, on CasADi's virtual machine.
+"""The back end without a compiler: the same scheme as `loop.c`, on CasADi's virtual machine.
 
 Variational Runge-Kutta written in MX around SX rates and Jacobians, mapped over samples by mapaccum, called through
-`Function.buffer()` (the ordinary call triples the cost). A built function serves segments of any length: they are processed in
-blocks, the last padded with steps of zero length. Blocks are short because the time to build one is proportional to its length.
+`Function.buffer()` (the ordinary call takes three times as long). A built function serves segments of any length: they are cut
+into blocks, the last padded with steps of zero length. Blocks are short because the time to build one is proportional to its
+length.
 """
 
 from collections.abc import Iterator
@@ -16,8 +17,8 @@ from estimation.engine.kernel import Array, SegmentInputs, SegmentMotion, Sensit
 from estimation.engine.trace import Pattern, Traced, rk4, trace
 from estimation.models.parts import ModelStructure
 
-BLOCKS = (128, 16)  # samples: long ones for speed, short ones to pad little
-LIMIT = 1e12  # of a state, beyond which the motion has diverged
+BLOCKS = (128, 16)  # samples: long blocks for speed, short ones for little padding
+LIMIT = 1e12  # of a state: beyond it the motion has diverged
 
 
 class VirtualKernel:
@@ -71,6 +72,7 @@ class VirtualKernel:
 
 
 def _spread(nonzeros: Array, pattern: Pattern, shape: tuple[int, int, int]) -> Array:
+    """Dense matrices (N, rows, columns) from their non-zeros (nonzeros, N)."""
     full = np.zeros(shape)
     rows, columns = pattern
     full[:, list(rows), list(columns)] = nonzeros.T
@@ -78,7 +80,7 @@ def _spread(nonzeros: Array, pattern: Pattern, shape: tuple[int, int, int]) -> A
 
 
 def _key(columns: SensitivityColumns | None) -> tuple[Any, ...]:
-    """The sensitivity columns as a key of built functions."""
+    """The sensitivity columns as a key to built functions."""
     if columns is None:
         return ()
     return (
@@ -90,7 +92,7 @@ def _key(columns: SensitivityColumns | None) -> tuple[Any, ...]:
 
 
 def _samples(drive: SegmentInputs, p: Array, transforms: int, gain: Array | None) -> list[Array]:
-    """Arguments of the step function sample by sample, (N, width) or (width,), in its order after the state."""
+    """Arguments of the step function after the state, in its order: (N, width) by sample, or (width,) the same at all."""
     samples = [drive.u, drive.u_mid, drive.u_end]
     if transforms:
         width = transforms * drive.u.shape[1]
@@ -142,7 +144,7 @@ class _Stepper:
             self._buffer.set_res(i, memoryview(array))  # type: ignore[call-arg,arg-type]
 
     def advance(self, samples: list[Array], part: slice, state: Array, x: Array, y: Array, dy: Array) -> Array:
-        """Fill x, y, dy of one part; returns the state with which the next part begins."""
+        """Fill x, y, dy of one part; return the state at the begin of the next."""
         size = part.stop - part.start
         self.state[:] = state
         for array, values in zip(self.inputs, samples, strict=True):
@@ -161,6 +163,7 @@ class _Stepper:
 
 @lru_cache(maxsize=64)
 def _stepper(traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt: int, with_gain: bool) -> _Stepper:
+    """The step function of a model for blocks of samples. key: as of `_key`; nt: number of transform parameters."""
     nx, nu, np_, ny = traced.sizes
     n, parameter, transform, gain_columns = key or (0, (-1,) * np_, (), ())
     variation = _Variation(traced, n, parameter, transform, nt)
@@ -168,12 +171,12 @@ def _stepper(traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt
     u, um, ub = (ca.MX.sym(k, nu) for k in ("u", "um", "ub"))
     d, dm, db = (ca.MX.sym(k, nu * nt) for k in ("d", "dm", "db"))
     dt, p = ca.MX.sym("dt"), ca.MX.sym("p", np_)
-    z, measured, gain = ca.MX.sym("z", ny), ca.MX.sym("known", ny), ca.MX.sym("gain", nx * ny)
+    z, measured, gain = ca.MX.sym("z", ny), ca.MX.sym("measured", ny), ca.MX.sym("gain", nx * ny)
     x, s = state[:nx], ca.reshape(state[nx:], nx, n)
     y, dy = variation.outputs(x, s, u, ca.reshape(d, nu, nt), p)
     if with_gain:
         x, s = _corrected(x, s, y, dy, measured * (z - y), measured, ca.reshape(gain, nx, ny), gain_columns, n)
-    x_here = x
+    x_sample = x
     h = dt / substeps
     for j in range(substeps):
         a, m, b = (j / substeps, (j + 0.5) / substeps, (j + 1) / substeps)
@@ -181,13 +184,13 @@ def _stepper(traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt
         x, s = rk4(
             lambda motion, driven: variation.rates(motion[0], motion[1], driven[0], driven[1], p), (x, s), inputs, h
         )
-    results = [ca.vertcat(x, ca.vec(s)), x_here, y, ca.vec(dy)]
+    results = [ca.vertcat(x, ca.vec(s)), x_sample, y, ca.vec(dy)]
     arguments = [state, u, um, ub, *([d, dm, db] if nt else []), dt, p, *([z, measured, gain] if with_gain else [])]
     return _Stepper(ca.Function("step", arguments, results), block, n, 6 if nt else 3)
 
 
 def _path(fraction: float, begin: ca.MX, middle: ca.MX, end: ca.MX) -> ca.MX:
-    """Input at a fraction of the interval: straight to the middle, straight on to the end."""
+    """Input at a fraction of the interval: straight to its middle, straight on to its end."""
     if fraction in (0.0, 0.5, 1.0):
         return {0.0: begin, 0.5: middle, 1.0: end}[fraction]
     if fraction < 0.5:
@@ -225,11 +228,11 @@ class _Variation:
 
     def __init__(self, traced: Traced, n: int, parameter: tuple[int, ...], transform: tuple[int, ...], nt: int) -> None:
         self.traced, self.n, self.nt, self.parameter = traced, n, nt, parameter
-        place = ca.DM.zeros(nt, n)
+        selection = ca.DM.zeros(nt, n)  # 1 where a transform's parameter has its column
         for t, column in enumerate(transform):
             if column >= 0:
-                place[t, column] = 1
-        self.place = ca.sparsify(place)
+                selection[t, column] = 1
+        self.selection = ca.sparsify(selection)
 
     def _matrix(self, key: str, nonzeros: ca.MX, rows: int, columns: int) -> ca.MX:
         r, c = self.traced.patterns[key]
@@ -237,7 +240,7 @@ class _Variation:
         return ca.MX(sparsity, nonzeros) if r else ca.MX(rows, columns)
 
     def _by_column(self, key: str, nonzeros: ca.MX, rows: int) -> ca.MX:
-        """Derivatives with respect to p, each entry in the sensitivity column of its parameter; (rows, n) dense."""
+        """(rows, n) dense derivatives by p, each in the sensitivity column of its parameter."""
         r, c = self.traced.patterns[key]
         entries = sorted(
             (self.parameter[col], row, i)
@@ -250,16 +253,17 @@ class _Variation:
         return ca.densify(ca.MX(sparsity, nonzeros[[i for _, _, i in entries]]))
 
     def _total(self, key: str, by_state: ca.MX, by_parameter: ca.MX, rows: int, s: ca.MX) -> ca.MX:
-        """Derivatives through the state and by the parameters themselves, (rows, n)."""
+        """(rows, n) derivatives through the state and directly by the parameters."""
         nx = self.traced.sizes[0]
         return ca.mac(self._matrix(f"{key}_x", by_state, rows, nx), s, self._by_column(f"{key}_p", by_parameter, rows))
 
     def _through_inputs(self, key: str, by_input: ca.MX, rows: int, d: ca.MX) -> ca.MX:
-        """Derivatives by the parameters of input transforms through the inputs, (rows, n) dense."""
+        """(rows, n) dense derivatives by the parameters of input transforms, through the inputs."""
         nu = self.traced.sizes[1]
-        return ca.densify(ca.mtimes(ca.mtimes(self._matrix(f"{key}_u", by_input, rows, nu), d), self.place))
+        return ca.densify(ca.mtimes(ca.mtimes(self._matrix(f"{key}_u", by_input, rows, nu), d), self.selection))
 
     def rates(self, x: ca.MX, s: ca.MX, u: ca.MX, d: ca.MX, p: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """f (nx,) and its derivatives (nx, n) by the sensitivity columns."""
         if not self.n:
             return self.traced.rates(x, u, p), ca.MX(x.shape[0], 0)
         f, by_state, by_parameter = self.traced.rates_jacobian(x, u, p)
@@ -269,6 +273,7 @@ class _Variation:
         return f, total
 
     def outputs(self, x: ca.MX, s: ca.MX, u: ca.MX, d: ca.MX, p: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """y (ny,) and its derivatives (ny, n) by the sensitivity columns."""
         if not self.n:
             return self.traced.outputs(x, u, p), ca.MX(self.traced.sizes[3], 0)
         y, by_state, by_parameter = self.traced.outputs_jacobian(x, u, p)

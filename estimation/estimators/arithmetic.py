@@ -1,7 +1,7 @@
-"""The edge of all estimators: what a method's own arithmetic ends in becomes one sentence, whichever library it ended in.
+"""Numerical failures of estimators as one sentence, from whichever library they come.
 
-Every fit of a session runs within `numerical_failures`, and its result passes `believable`; a method need not guard itself
-against a record that it cannot settle, and a mistake in a program (a shape, a name, a type) stays the error that it is.
+Every fit of a session runs within `numerical_failures`, and its result passes `mark_not_finite`; so a method need not guard
+itself against records that it cannot fit. A programming error (a shape, a name, a type) stays the error that it is.
 """
 
 from collections.abc import Iterator
@@ -14,10 +14,10 @@ from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import Result
 
 LINEAR_ALGEBRA = frozenset({"LinAlgError", "_LinAlgError"})
-"""Names of the errors of numpy, scipy and torch for a matrix that cannot be inverted, factored or decomposed."""
+"""Names of the errors that numpy, scipy and torch raise for a matrix that cannot be inverted, factored or decomposed."""
 
-OF_NUMBERS = ("infs or nans", "nan", "infinit", "inf ", "finite", "singular", "converge", "overflow")
-"""What a ValueError of numpy or scipy says where numbers are its cause; one on shapes and types says none of these."""
+NUMERICAL_WORDS = ("infs or nans", "nan", "infinit", "inf ", "finite", "singular", "converge", "overflow")
+"""Words in a ValueError of numpy or scipy that numbers caused; one caused by shapes or types has none of them."""
 
 LIBRARIES = ("numpy", "scipy")
 
@@ -28,30 +28,30 @@ CURE = (
 
 
 class NumericalFailure(ArithmeticError):
-    """A sentence on a fit that ended in its arithmetic: no fault of the program, and the results of other methods stand."""
+    """A sentence on a fit whose arithmetic failed: no programming error, and the results of other methods stay valid."""
 
 
 @contextmanager
 def numerical_failures() -> Iterator[None]:
-    """Raise NumericalFailure for whatever the arithmetic within ends in; all other errors pass."""
+    """Raise NumericalFailure for numerical errors of the code within; other errors pass."""
     try:
         yield
     except NumericalFailure:
         raise
     except Exception as error:
-        if not of_arithmetic(error):
+        if not is_numerical(error):
             raise
         raise NumericalFailure(f"failed in its arithmetic ({_one_line(error)}): {CURE}") from error
 
 
-def of_arithmetic(error: Exception) -> bool:
-    """Whether numbers are the cause: overflow, division, a singular matrix, an infinity that a library refuses."""
+def is_numerical(error: Exception) -> bool:
+    """Whether numbers caused an error: overflow, division, a singular matrix, an infinity that a library refuses."""
     if isinstance(error, ArithmeticError) or LINEAR_ALGEBRA & {c.__name__ for c in type(error).__mro__}:
         return True
-    return type(error) is ValueError and _of_library(error) and any(w in str(error).lower() for w in OF_NUMBERS)
+    return type(error) is ValueError and _from_library(error) and any(w in str(error).lower() for w in NUMERICAL_WORDS)
 
 
-def _of_library(error: Exception) -> bool:
+def _from_library(error: Exception) -> bool:
     """Whether the error was raised within numpy or scipy."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
@@ -61,12 +61,12 @@ def _of_library(error: Exception) -> bool:
 
 
 def _one_line(error: Exception) -> str:
-    """The library's words as one line without a full stop."""
+    """The library's message on one line, without a full stop."""
     return " ".join(str(error).split()).rstrip(".") or type(error).__name__
 
 
 def mark_not_finite(result: Result) -> Result:
-    """The result; diverged where it calls itself converged on estimates that are no numbers."""
+    """The result; with status DIVERGED where it claims to have converged on estimates that are not finite."""
     not_finite = [n for n, e in result.parameters.items() if e.identifiable and not np.isfinite(e.estimate)]
     if not result.converged or not not_finite:
         return result

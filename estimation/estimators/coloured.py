@@ -4,10 +4,10 @@ V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 6.4
 34(1), 1997): with M the information matrix and S_i the sensitivities, Cov = M^-1 B M^-1 with
 B = sum_i sum_j S_i' R^-1 Rvv(i-j) R^-1 S_j. Two refinements, both needed for nominal coverage on 30 s flights:
 
-- Rvv comes from an autoregression of all outputs: a lag window with enough averaging flattens the Dutch-roll peak, where most of
-  the information lies;
-- the residuals of a fit are smaller than the noise, above all in the directions of the parameters. The ratio is found by
-  simulation: noise with the spectrum of the residuals is projected in the same way, and the spectrum is raised by the ratio.
+- Rvv is from an autoregression of all outputs: a lag window with enough averaging would flatten the Dutch-roll peak, where most
+  of the information lies;
+- the residuals of a fit are smaller than the noise, above all in the directions of the parameters. Simulation gives the ratio:
+  noise with the spectrum of the residuals is projected in the same way, and the spectrum is raised by the ratio.
 
 Spectra are of residuals in units of their standard deviation; time series are (N, ny).
 """
@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
 LONGEST_ORDER = 10  # of the autoregression
-DRAWS = 10  # of noise for the ratio: each has the length of the record
+SAMPLES_PER_COEFFICIENT = 6  # of the autoregression and output: fewer would not determine it
+DRAWS = 10  # of noise for the ratio, each as long as the record
 ROUNDS = 2  # of raising the spectrum
 LARGEST_RAISE = 4.0  # of the spectrum in one round, so that a direction that the fit absorbs entirely does not diverge
 NOISE_SEED = 20  # fixed, so that a fit always gives the same bounds
@@ -30,8 +31,8 @@ NOISE_SEED = 20  # fixed, so that a fit always gives the same bounds
 
 @dataclass(frozen=True)
 class ResidualSegment:
-    """One segment. residual: (N, ny) and jacobian: (N ny, n) in units of the noise, unknown samples zero;
-    nuisance: (N ny, k) columns of initial states; known: (N, ny)."""
+    """One segment. residual: (N, ny) and jacobian: (N ny, n) in units of the noise, zero where not measured; nuisance: (N ny, k)
+    columns of initial states; known: (N, ny) what was measured."""
 
     residual: Array
     jacobian: Array
@@ -44,57 +45,51 @@ def score_covariance(pieces: list[ResidualSegment], inverse: Array, nuisance_inv
 
     inverse: (n, n) covariance of the parameters; nuisance_inverse: inverse information of each piece's initial states.
     """
-    pieces, nuisance_inverse = with_something_known([without_empty_rows(p) for p in pieces], nuisance_inverse)
+    pieces, nuisance_inverse = non_empty_pieces([measured_part(p) for p in pieces], nuisance_inverse)
     projected = without_nuisance(pieces, nuisance_inverse)
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse)
     return filtered_covariance(pieces, projected, spectrum)
 
 
-Belonging = TypeVar("Belonging")
+Item = TypeVar("Item")
 
 
-def with_something_known(
-    pieces: list[ResidualSegment], belonging: list[Belonging]
-) -> tuple[list[ResidualSegment], list[Belonging]]:
-    """The pieces with at least one sample (of a short one no output may be measured at all), and what belongs to each of them."""
-    pairs = [(p, b) for p, b in zip(pieces, belonging, strict=True) if p.residual.size]
-    return [p for p, _ in pairs], [b for _, b in pairs]
+def non_empty_pieces(pieces: list[ResidualSegment], items: list[Item]) -> tuple[list[ResidualSegment], list[Item]]:
+    """The pieces with at least one sample, and the item of each; in a short piece no output may be measured at all."""
+    pairs = [(p, i) for p, i in zip(pieces, items, strict=True) if p.residual.size]
+    return [p for p, _ in pairs], [i for _, i in pairs]
 
 
-def without_empty_rows(piece: ResidualSegment) -> ResidualSegment:
-    """The piece without samples at which no output is known, as on a grid that is finer than the log's samples: the orders of the
-    autoregression then span as much time as on the log's own samples."""
-    return ResidualSegment(
-        piece.residual[piece.known.any(axis=1)],
-        without_empty(piece, piece.jacobian),
-        without_empty(piece, piece.nuisance),
-        piece.known[piece.known.any(axis=1)],
-    )
+def measured_part(piece: ResidualSegment) -> ResidualSegment:
+    """The piece without samples at which no output is measured, so that on a grid finer than the log the orders of the
+    autoregression span as much time as on the log's own samples."""
+    rows = piece.known.any(axis=1)
+    jacobian, nuisance = measured_rows_of(piece, piece.jacobian), measured_rows_of(piece, piece.nuisance)
+    return ResidualSegment(piece.residual[rows], jacobian, nuisance, piece.known[rows])
 
 
-def without_empty(piece: ResidualSegment, columns: Array) -> Array:
-    """Columns (N ny, m) of a piece without those samples."""
+def measured_rows_of(piece: ResidualSegment, columns: Array) -> Array:
+    """Columns (N ny, m) of a piece without samples at which no output is measured."""
     rows = piece.known.any(axis=1)
     count, ny = piece.residual.shape
     return columns.reshape(count, ny, columns.shape[1])[rows].reshape(int(rows.sum()) * ny, columns.shape[1])
 
 
 def filtered_covariance(pieces: list[ResidualSegment], projected: list[Array], spectrum: Spectrum) -> Array:
-    """(n, n) covariance of the products of columns (N ny, n) with noise of a spectrum."""
+    """(n, n) covariance of the inner products of columns (N ny, n) with noise of a spectrum."""
     n = projected[0].shape[1]
     total = np.zeros((n, n))
     for piece, J in zip(pieces, projected, strict=True):
-        if n == 0:  # everything frozen: nothing to correct
-            continue
-        total += _quadratic(J.reshape(piece.residual.shape[0], -1, n), spectrum)
+        if n:  # none where all parameters are fixed
+            total += _quadratic(J.reshape(piece.residual.shape[0], -1, n), spectrum)
     return total
 
 
 def white_products(piece: ResidualSegment, columns: Array, inverse_spectrum: Spectrum) -> Array:
-    """(m, m) inner products of nuisance, jacobian, columns (N ny, m) and residual, in that order, in the metric in which noise of
-    the spectrum is white."""
-    columns_of_all = np.concatenate([piece.nuisance, piece.jacobian, columns, piece.residual.reshape(-1, 1)], axis=1)
-    return _quadratic(columns_of_all.reshape(piece.residual.shape[0], -1, columns_of_all.shape[1]), inverse_spectrum)
+    """Inner products of nuisance, jacobian, columns (N ny, m) and residual, in that order, weighted by the inverse spectrum of
+    the noise."""
+    stacked = np.concatenate([piece.nuisance, piece.jacobian, columns, piece.residual.reshape(-1, 1)], axis=1)
+    return _quadratic(stacked.reshape(piece.residual.shape[0], -1, stacked.shape[1]), inverse_spectrum)
 
 
 def without_nuisance(pieces: list[ResidualSegment], nuisance_inverse: list[Array]) -> list[Array]:
@@ -118,7 +113,8 @@ def noise_spectrum(
     """Spectrum (size/2 + 1, ny, ny) of the noise of one flight, in units of R: that of the residuals, raised by what the fit
     absorbed. size: even, at least twice the longest piece.
 
-    known_lags: (lags, ny, ny) autocovariance of the residuals by a cause accounted for elsewhere, which is subtracted."""
+    known_lags: (lags, ny, ny) autocovariance that a cause accounted for elsewhere gives the residuals; it is subtracted.
+    """
     size = _fast_length(2 * max(p.residual.shape[0] for p in pieces))
     lags = autocovariance([p.residual for p in pieces], [p.known for p in pieces])
     order = order_for(lags, sum(p.residual.shape[0] for p in pieces))
@@ -135,15 +131,15 @@ def noise_spectrum(
 
 
 def _fast_length(shortest: int) -> int:
-    """The smallest of 2^k, 3 2^k and 5 2^k from `shortest` on: lengths with a fast Fourier transform."""
+    """The smallest of 2^k, 3 2^k and 5 2^k that is at least `shortest`: lengths with a fast Fourier transform."""
     return min(a << max(1, int(np.ceil(np.log2(shortest / a)))) for a in (1, 3, 5))
 
 
 def autocovariance(series: list[Array], known: list[NDArray[np.bool_]], lags: int | None = None) -> Array:
     """C_k = E v_t v_{t-k}' for k = 0 .. lags, (lags + 1, ny, ny), biased (so a stable autoregression follows).
 
-    series: one (N, ny) per piece, or (N, ny, draws) for the mean over draws. lags: by default the longest order that is used. The
-    autocorrelation of one channel over all lags of a long record is that of `signals.goodness_of_fit`, by Fourier transform.
+    series: one (N, ny) per piece, or (N, ny, draws) for the mean over draws. lags: by default LONGEST_ORDER, or fewer in a short
+    record. For one channel and all lags, `signals.goodness_of_fit.autocorrelation` is faster.
     """
     if lags is None:
         lags = min(LONGEST_ORDER, max(v.shape[0] for v in series) // 8)
@@ -159,23 +155,23 @@ def autocovariance(series: list[Array], known: list[NDArray[np.bool_]], lags: in
 
 
 def _without(lags: Array, known_lags: Array, order: int) -> Array:
-    """`lags` minus those of a known cause, scaled down where the difference would not be positive definite: every direction
-    retains at least half the smallest eigenvalue. The known part is an expectation, of which a record can have less."""
-    total, part = _toeplitz(lags, order), _toeplitz(known_lags, order)
+    """`lags` minus those of a known cause, the latter scaled down where the difference would not be positive definite: every
+    direction retains at least half the smallest eigenvalue. They are an expectation, and a single record may have less."""
+    total, known_part = _toeplitz(lags, order), _toeplitz(known_lags, order)
     smallest = float(np.linalg.eigvalsh(total)[0])
     if smallest <= 0.0:
         return lags
     L = np.linalg.cholesky(total - 0.5 * smallest * np.eye(len(total)))
-    half = np.linalg.solve(L, part)
+    half = np.linalg.solve(L, known_part)
     largest = float(np.linalg.eigvalsh(np.linalg.solve(L, half.T))[-1])
     return lags - min(1.0, 1.0 / max(largest, 1e-12)) * known_lags
 
 
 def order_for(lags: Array, samples: int) -> int:
-    """The longest order that the data supports. Information criteria choose one far too short: colour below the level of white
-    noise still dominates the estimates. The ratio of `_after_fit` corrects for an order that is too long."""
+    """The longest order that the data supports. Information criteria choose far too short a one, because colour below the level
+    of white noise still dominates the estimates. `_after_fit` corrects for too long an order."""
     ny = lags.shape[1]
-    return int(min(lags.shape[0] - 1, samples // (6 * ny)))
+    return int(min(lags.shape[0] - 1, samples // (SAMPLES_PER_COEFFICIENT * ny)))
 
 
 def _autoregression(lags: Array, order: int) -> tuple[Array, Array]:
@@ -228,15 +224,15 @@ def _after_fit(
         count = piece.residual.shape[0]
         noise = coloured_noise(root, count, DRAWS, rng) * piece.known[:, :, None]
         e = noise.reshape(count * ny, DRAWS)
-        rest = e - J @ (inverse @ (J.T @ e))
+        residual = e - J @ (inverse @ (J.T @ e))
         if piece.nuisance.shape[1]:
-            rest -= piece.nuisance @ (state_covariance @ (piece.nuisance.T @ e))
-        residuals.append(rest.reshape(count, ny, DRAWS))
+            residual -= piece.nuisance @ (state_covariance @ (piece.nuisance.T @ e))
+        residuals.append(residual.reshape(count, ny, DRAWS))
     return autoregressive_spectrum(autocovariance(residuals, [p.known for p in pieces]), order, size)
 
 
 def square_root(spectrum: Spectrum) -> Spectrum:
-    """A factor L of each frequency's matrix, L L^H = spectrum."""
+    """A factor L of the matrix at each frequency, L L^H = spectrum."""
     ny = spectrum.shape[1]
     ridge = 1e-12 * np.real(np.trace(spectrum, axis1=1, axis2=2)) + 1e-300
     return np.asarray(np.linalg.cholesky(spectrum + ridge[:, None, None] * np.eye(ny)))

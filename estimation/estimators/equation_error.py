@@ -2,11 +2,11 @@
 
 The increments of the measured (smoothed) states over each interval are compared with the mean of the model's rates at
 both ends, and the measured outputs with the model's at each sample. Where the parameters enter linearly this is one least-squares
-solution. It works for any model whose states are all measured. `stepwise` chooses among the parameters by partial F ratios
+solution. All states of the model must be measured. `stepwise` selects parameters by partial F ratios
 (V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 5.4).
 
-Known error: at 20 Hz a roll mode of 20 rad/s is near the sampling rate, and smoothing flattens the increments of measured rates;
-the roll derivatives are some 10 % off. The estimates serve as start values and for comparison.
+Known error: at 20 Hz a roll mode of 20 rad/s is near the sampling rate, and de-noising flattens the increments of measured rates;
+roll derivatives are some 10 % off. The estimates serve as start values and for comparison.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,14 +32,15 @@ from estimation.signals.goodness_of_fit import channel_fits
 Index = NDArray[np.intp]
 
 ROUNDS = 2  # of relinearisation (for parameters that enter nonlinearly) and reweighting
-F_IN = 25.0  # partial F ratio above which a term enters (residuals at 20 Hz are coloured: the nominal 4 is too low)
-F_OUT = 20.0  # below which it leaves; less than F_IN, so that no term enters and leaves in turn
+F_IN = 25.0  # partial F ratio above which a term enters: the nominal 4 is too low for coloured residuals at 20 Hz
+F_OUT = 20.0  # partial F ratio below which a term leaves: less than F_IN, so that none enters and leaves in turn
 WEIGHT_ROUNDS = 3  # of weighting each equation by its misfit
+LEAST_MISFIT = 1e-9  # of the largest: an equation that fits exactly must not get infinite weight
 
 
 @dataclass
 class Regression:
-    """The m equations of one segment: e (N, m) misfit at the present parameters, A (N, m, n) derivatives by free parameter."""
+    """The m equations of one segment: e (N, m) misfit at the present values, A (N, m, n) derivatives by the free parameters."""
 
     e: Array
     A: Array
@@ -47,7 +48,8 @@ class Regression:
 
 @dataclass(frozen=True)
 class EquationError:
-    """Solution of a regression over flights: values by name, covariances in the order of `names`."""
+    """Solution of a regression over flights. values: of all parameters; covariance (Cramer-Rao), coloured (corrected),
+    undetermined: in the order of `names`, the free parameters; weights: (m,) of the equations."""
 
     names: tuple[str, ...]
     values: dict[str, float]
@@ -79,7 +81,7 @@ def start_values(simulator: Simulator, flights: Sequence[FlightData]) -> dict[st
 def equation_error(model: Model | str, flights: FlightsToFit, *, stepwise: bool = False) -> Result:
     """Estimates by equation error with bounds, over one flight or several together.
 
-    stepwise: choose the parameters by partial F; the others stay at zero. Raises DataError where a state of the model is not
+    stepwise: select parameters by partial F; the others are zero. Raises DataError where a state of the model is not
     measured.
     """
     loaded = load_model(model)
@@ -104,13 +106,9 @@ def solve_regression(simulator: Simulator, flights: Sequence[FlightData], *, ste
         _apply(simulator, values, change)
     regressions = _regressions(simulator, flights, values)
     n = len(simulator.free)
-    parts: list[list[ResidualSegment]] = []
-    index = 0
-    for flight in flights:
-        of_flight = regressions[index : index + len(flight.segments)]
-        index += len(flight.segments)
-        parts.append([_piece(r, weights) for r in of_flight])
-    stacked = np.concatenate([p.jacobian for flight_parts in parts for p in flight_parts])
+    remaining = iter(regressions)
+    flight_pieces = [[_piece(next(remaining), weights) for _ in flight.segments] for flight in flights]
+    stacked = np.concatenate([p.jacobian for pieces in flight_pieces for p in pieces])
     information = stacked.T @ stacked
     covariance, coloured = np.zeros((n, n)), np.zeros((n, n))
     pick = np.ix_(active, active)
@@ -118,16 +116,16 @@ def solve_regression(simulator: Simulator, flights: Sequence[FlightData], *, ste
     repeated = np.sqrt(np.tile(_repeats(simulator.model, flights), len(stacked) // len(weights)))[:, None] * stacked
     covariance[pick] = inverse @ (repeated.T @ repeated)[pick] @ inverse
     middle = np.zeros((n, n))
-    for p in parts:
-        middle += score_covariance(p, covariance, [np.zeros((0, 0))] * len(p))
+    for pieces in flight_pieces:
+        middle += score_covariance(pieces, covariance, [np.zeros((0, 0))] * len(pieces))
     coloured[pick] = inverse @ middle[pick] @ inverse
     undetermined = np.zeros(n, bool)
-    if blind.size:
-        undetermined[active] = np.any(np.abs(blind) > TIED, axis=1)
+    undetermined[active] = np.any(np.abs(blind) > TIED, axis=1)
     return EquationError(simulator.free, values, covariance, coloured, undetermined, weights)
 
 
 def _piece(regression: Regression, weights: Array) -> ResidualSegment:
+    """A regression in units of its noise."""
     measured = np.isfinite(regression.e)
     count, equations, n = regression.A.shape
     J = np.where(measured[:, :, None], regression.A, 0.0) * weights[None, :, None]
@@ -138,8 +136,8 @@ def _piece(regression: Regression, weights: Array) -> ResidualSegment:
 def stepwise_choice(regressions: list[Regression]) -> Index:
     """Indices of the parameters that a backward-forward selection by partial F chooses.
 
-    It begins with all of them: a forward selection would never find terms that explain the motion only together (roll damping
-    and dihedral).
+    It starts with all of them: a forward selection would miss terms that only together explain the motion (roll damping and
+    dihedral).
     """
     A, e = _stacked(regressions)
     _, weight = _solve(regressions, np.arange(A.shape[2]))
@@ -172,18 +170,20 @@ def stepwise_choice(regressions: list[Regression]) -> Index:
 
 
 def _residual_energy(gram: Array, moment: Array, energy: float, columns: Sequence[int]) -> float:
-    """Sum of squares that a regression on some columns leaves of `energy`."""
+    """Sum of squared residuals of a regression on some columns; energy: the sum without any."""
     if not len(columns):
         return energy
     pick = np.array(columns, int)
     return max(energy - float(moment[pick] @ pseudo_inverse(gram[np.ix_(pick, pick)])[0] @ moment[pick]), 1e-300)
 
 
-def _partial_f(rest_without: float, rest_with: float, freedom: int) -> float:
-    return (rest_without - rest_with) / (rest_with / max(freedom, 1))
+def _partial_f(energy_without: float, energy_with: float, freedom: int) -> float:
+    """Partial F ratio of a term, from the sums of squared residuals without and with it."""
+    return (energy_without - energy_with) / (energy_with / max(freedom, 1))
 
 
 def _regressions(simulator: Simulator, flights: Sequence[FlightData], values: Mapping[str, float]) -> list[Regression]:
+    """The equations of every segment at parameter `values`: increments of the states, then outputs."""
     names = simulator.model.parameter_names
     free = [names.index(n) for n in simulator.free]
     result = []
@@ -200,8 +200,8 @@ def _regressions(simulator: Simulator, flights: Sequence[FlightData], values: Ma
 
 
 def _repeats(model: Model, flights: Sequence[FlightData]) -> Array:
-    """(m,) samples of the flight per measured sample of each equation's state: of a state that is logged more slowly, several
-    increments in a row repeat the same information. 1 for outputs, which are compared at their own samples only."""
+    """(m,) samples of the flight per measured sample of each equation's state: increments of a state that is logged more slowly
+    repeat the same information. 1 for outputs, which are compared at their own samples only."""
     z = np.concatenate([s.z for f in flights for s in f.segments])
     measured_share = np.isfinite(z).mean(axis=0)
     outputs = {s.source: measured_share[j] for j, s in enumerate(model.outputs)}
@@ -217,6 +217,7 @@ def _means(values: Array) -> Array:
 
 
 def _stacked(regressions: list[Regression]) -> tuple[Array, Array]:
+    """A (N, m, n) and e (N, m) of all segments, zero where not measured."""
     e = np.concatenate([r.e for r in regressions])
     A = np.concatenate([r.A for r in regressions])
     measured = np.isfinite(e)
@@ -224,7 +225,8 @@ def _stacked(regressions: list[Regression]) -> tuple[Array, Array]:
 
 
 def _solve(regressions: list[Regression], active: Index) -> tuple[Array, Array]:
-    """(change of every free parameter, weights of the equations): each equation weighted by its own misfit."""
+    """Least-squares change (n,) of the free parameters, zero but for the `active` ones, and weights (m,) of the equations: the
+    inverse of their rms misfit."""
     A, e = _stacked(regressions)
     weight = np.ones(e.shape[1])
     change = np.zeros(A.shape[2])
@@ -233,17 +235,19 @@ def _solve(regressions: list[Regression], active: Index) -> tuple[Array, Array]:
         change[active] = pseudo_inverse(flat.T @ flat)[0] @ (flat.T @ (e * weight).ravel())
         misfit = e - A @ change
         size = np.sqrt(np.mean(misfit**2, axis=0))
-        weight = 1.0 / np.maximum(size, 1e-9 * max(float(size.max()), 1e-300))
+        weight = 1.0 / np.maximum(size, LEAST_MISFIT * max(float(size.max()), 1e-300))
     return change, weight
 
 
 def _apply(simulator: Simulator, values: dict[str, float], change: Array) -> None:
+    """Add a change (n,) of the free parameters to `values`, in place, within their limits."""
     for name, step in zip(simulator.free, change.tolist(), strict=True):
         p = simulator.model.parameter(name)
         values[name] = float(np.clip(values[name] + step, p.lower, p.upper))
 
 
 def _describe(simulator: Simulator, data: list[FlightData], solution: EquationError, stepwise: bool) -> Result:
+    """The result of a solution: estimates with bounds and verdicts, simulated histories."""
     model = simulator.model
     vector = np.array([solution.values[n] for n in solution.names])
     parameters, pairs = judge_estimates(
@@ -263,7 +267,7 @@ def _describe(simulator: Simulator, data: list[FlightData], solution: EquationEr
 def simulated_fits(
     model: Model, data: Sequence[FlightData], values: Sequence[Mapping[str, float]]
 ) -> tuple[list[FlightFit], Array]:
-    """How each flight compares with the model simulated at its `values`, and the (ny, ny) variances of the residuals."""
+    """The comparison of each flight with the model simulated at its `values`, and R (ny, ny) of the residuals, diagonal."""
     flights, residuals = [], []
     for flight, parameters in zip(data, values, strict=True):
         predicted = simulate(model, flight, parameters)

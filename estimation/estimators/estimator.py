@@ -1,4 +1,4 @@
-"""What an estimator is: a record with a name, a title, a fit, and the extras that it heeds; and the task it is given."""
+"""The record that describes an estimator, the task that its fit gets, and the extras that it may support."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Extra(Enum):
-    """What may be asked of an estimator beyond its estimates; the value is the option that asks for it."""
+    """A request beyond the estimates; the value is its option on the command line."""
 
     PROFILE = "--profile"
     BOOTSTRAP = "--bootstrap"
@@ -27,9 +27,9 @@ class Extra(Enum):
 
 @dataclass(frozen=True)
 class Extras:
-    """Extras as they were asked for. profile: parameters; bootstrap: replicates (0: as usual for the estimator); seed: of its
-    noise, and of networks. raw_inputs: take measured inputs with their noise. stepwise: choose terms by partial F.
-    keep_held: take repeated values of slow and stuck sensors for measurements."""
+    """The requested extras. profile: parameters; bootstrap: replicates (0: the estimator's default); seed: of its random numbers
+    and networks; raw_inputs: measured inputs are not de-noised; stepwise: terms are selected by partial F; keep_held: repeated
+    values of slow and stuck sensors count as measurements."""
 
     profile: tuple[str, ...] = ()
     bootstrap: int = 0
@@ -51,9 +51,9 @@ NO_EXTRAS = Extras()
 class Task:
     """One fit: `model` to one flight, or to several together. device: where networks are trained (cpu, cuda or auto).
 
-    number: of the fit in its session, so that each draws noise of its own. tell: told each long piece of work as it begins.
-    plain: the same model without terms that were added to it, for estimators that have no way for those. memory: flights that
-    have been prepared already, each of a name of its own.
+    number: of the fit in its session, so that each has its own random numbers. tell: called with the name of each long piece of
+    work when it begins. plain: the model without added terms, for estimators that cannot use these. memory: prepared flights of
+    the session, whose flights have unique names.
     """
 
     model: Model
@@ -67,38 +67,40 @@ class Task:
     memory: "dict[object, FlightData]" = field(default_factory=dict, compare=False, repr=False)
 
     def for_estimator(self, estimator: "Estimator") -> "Task":
-        """The task with its plain model where the estimator has no way for the whole one; itself otherwise."""
+        """The task, with its plain model where the estimator refuses the full model but not the plain one."""
         if self.plain is None or not estimator.refuses(self.model) or estimator.refuses(self.plain):
             return self
         return replace(self, model=self.plain)
 
     @property
     def data(self) -> "list[FlightData]":
-        """The flights prepared for the model, in the usual way or another that was asked for."""
+        """The flights prepared for the model, as the extras say."""
         return self._prepared(feedback=True)
 
     @property
     def smooth(self) -> "list[FlightData]":
-        """The same for a regression, which takes controls without any noise."""
+        """The flights prepared for a regression, whose controls are de-noised throughout."""
         return self._prepared(feedback=False)
 
     def _prepared(self, feedback: bool) -> "list[FlightData]":
-        """Each flight, once for all methods and fits of a session that see the same signals in it."""
+        """The prepared flights; methods and fits of a session that use the same signals share them."""
         from estimation.prepare.flight_data import Preparation
         from estimation.prepare.pipeline import prepare
 
-        way = Preparation(denoise=not self.extras.raw_inputs, keep_held=self.extras.keep_held, feedback=feedback)
+        preparation = Preparation(
+            denoise=not self.extras.raw_inputs, keep_held=self.extras.keep_held, feedback=feedback
+        )
         flights = []
         for flight in self.flights:
-            key = (flight.name, self.model.states, self.model.inputs, self.model.outputs, way)
+            key = (flight.name, self.model.states, self.model.inputs, self.model.outputs, preparation)
             if key not in self.memory:
-                self.memory[key] = prepare(self.model, flight, way)
+                self.memory[key] = prepare(self.model, flight, preparation)
             flights.append(self.memory[key])
         return flights
 
     @property
     def repaired(self) -> "Sequence[Flight]":
-        """The flights for a method that reads their columns itself, without wild values and repeats."""
+        """The flights, without wild values and repeats, for a method that reads their columns itself."""
         from estimation.prepare.conditioned import repair_columns
 
         columns = [s.source for s in (*self.model.inputs, *self.model.outputs, *self.model.states)]
@@ -107,7 +109,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Look:
-    """How figures draw an estimator: a colour and a marker as matplotlib names them."""
+    """Colour and marker of an estimator in figures, as matplotlib names them."""
 
     colour: str
     marker: str
@@ -117,11 +119,11 @@ class Look:
 class Estimator:
     """A way to find the parameters of a model.
 
-    name: as `--method` and the JSON have it; title: in progress and reports. fit: raises EstimationError where model or
-    flights cannot be used; a fit that fails is a Result whose status says so. supports: the extras that `fit` heeds.
-    fit_each: each flight of the task by itself, given only where that is cheaper than one after the other. rank: place in
-    lists. look: in figures; one is chosen where none is given. needs_aircraft: takes geometry and mass from the aircraft itself.
-    refuses: a sentence on a model that it has no way for, empty for others: what can be said before any flight is there.
+    name: in `--method` and JSON; title: in progress and reports. fit: raises EstimationError where model or flights cannot be
+    used; a fit that fails is a Result whose status says so. supports: the extras that `fit` uses. fit_each: fits each flight of
+    the task by itself; only where that is cheaper than one call of `fit` for each. rank: place in lists. look: in figures, by
+    default chosen for it. needs_aircraft: takes geometry and mass from the aircraft, not from the model. refuses: why it cannot
+    use a model, as far as that is known without a flight; empty where it can.
     """
 
     name: str

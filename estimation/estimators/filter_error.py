@@ -1,16 +1,16 @@
-"""Maximum likelihood by filter error (`fem`, `fem-noise`): for flights in turbulence, where output error converges slowly, to
+"""Maximum likelihood by filter error (`fem`, `fem-noise`): for flights in turbulence, where output error converges slowly and to
 wrong estimates.
 
-The model is driven by its own one-step prediction errors: x <- x + K (z - y) at every sample (steady-state Kalman
-filter in innovations form; Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5). Innovations of the right
-model are white, so both bounds agree. The fit that a result reports is that of one-step predictions. A delayed output is compared
-but corrects no state, since it shows a past one. Two forms:
+The model is corrected by its own one-step prediction errors: x <- x + K (z - y) at every sample (steady-state Kalman filter in
+innovations form; Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5). Innovations of the right model are
+white, so both bounds agree. A result reports the fit of one-step predictions. A delayed output is compared but corrects no
+state, because it shows a past one. Two forms:
 
 - `filter_error`: the gain is estimated together with the parameters, with exact sensitivities, instead of being derived from a
   process-noise model: asymptotically the same estimate without a Riccati equation.
-- `process_noise_error`: the published form. Unknown is the process noise of each state that forces drive; the gain follows
-  from it by the Riccati equation of the model linearised about the flown mean (`GainLaw`), once more at the estimates. It has few
-  unknowns and is always stable: in calm air a free gain can lead to an unstable filter, and this form becomes output error.
+- `process_noise_error`: the published form. The process noise of each state that forces drive is estimated; the gain follows from
+  it by the Riccati equation of the model, linearised about the mean of the flight (`GainLaw`) and again at the estimates. It has
+  few unknowns and is always stable: in calm air a free gain can make the filter unstable, while this form becomes output error.
 
 Small motion about a point of flight, dx = (A x + w) dt, y = C x + v, sampled every `dt`: Phi = exp(A dt), P the covariance of
 the prediction from the discrete Riccati equation, K = P C' (C P C' + R)^-1 (Maine and Iliff, NASA RP-1168, section 6).
@@ -39,13 +39,20 @@ from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.prepare.pipeline import FlightsToFit, prepare_all
 from groundstation.flight.quality.noise import noise as noise_of
 
-SLOPE_STEP = 1e-4  # of a relative process noise, for the central difference of the gain
+SLOPE_STEP = 1e-4  # of a relative process noise: step of the central difference of the gain
+TINY = 1e-12  # of the largest process noise, or of the smallest measurement noise: added to process noise
+FIRST_GAIN = 0.2  # of each measured state on itself: the filter follows the measurement from the first step
+LOOP = LoopOptions(iterations=150, tolerance=1e-3)  # relaxation of the full covariance converges slowly
+FIRST_NOISE = 0.3  # start of a state's process noise in a sample interval, over its measurement noise
+NOISE_PRIOR = 3.0  # standard deviation of its prior about zero
+LINEARISATIONS = 2  # at the estimates of output error, and at those of the first fit
+GAIN_PRIOR = 1.0  # standard deviation of a gain, in units of the noise of state over the noise of output
 
 
 @dataclass(frozen=True)
 class GainLaw:
     """The gain as a function of process noise. transition: Phi (nx, nx); C: (ny, nx); noise: (ny,) std of the measurements;
-    states: (n,) index of the state of each unknown; unit: (n,) std of that state's change in a sample interval at an unknown of
+    states: (n,) index of each state with process noise; unit: (n,) std of its change in a sample interval at a relative noise of
     1."""
 
     transition: Array
@@ -55,8 +62,8 @@ class GainLaw:
     states: tuple[int, ...]
 
     def gain(self, relative: Array) -> Array:
-        """K (nx, ny) at process noise `relative` (n,), in units of `unit`. LinAlgError where no steady state of the filter can be
-        calculated, for instance because the model overflows within a sample interval."""
+        """K (nx, ny) at process noise `relative` (n,), in units of `unit`. LinAlgError where the filter has no steady state that
+        can be calculated, for instance because the model overflows within a sample interval."""
         Q = np.zeros(self.transition.shape)
         for state, unit, size in zip(self.states, self.unit, relative, strict=True):
             Q[state, state] = (unit * size) ** 2
@@ -65,7 +72,7 @@ class GainLaw:
         return np.asarray(np.linalg.solve(S, self.C @ P).T)
 
     def slopes(self, relative: Array) -> Array:
-        """dK/d relative (n, nx, ny); one-sided at zero, the lower limit. LinAlgError as of `gain`."""
+        """dK/d relative (n, nx, ny); one-sided at zero, the lower limit. LinAlgError as in `gain`."""
         slopes = []
         for i in range(relative.size):
             plus, minus = relative.copy(), relative.copy()
@@ -75,33 +82,22 @@ class GainLaw:
         return np.array(slopes).reshape(relative.size, *self.transition.shape[:1], self.C.shape[0])
 
     def _prediction(self, Q: Array) -> Array:
-        """Covariance of the one-step prediction. LinAlgError where the linearised motion has no steady filter."""
+        """(nx, nx) covariance of the one-step prediction. LinAlgError where the linearised motion has no steady filter."""
         if not (np.isfinite(self.transition).all() and np.isfinite(self.C).all() and np.isfinite(Q).all()):
             raise np.linalg.LinAlgError("the linearised motion grows beyond all numbers within one sample interval")
         R = np.diag(self.noise**2)
-        # a state without noise or decay becomes known exactly; the Riccati equation then has no steady state but a gain of zero
+        # without it, a state without noise or decay becomes known exactly, and its only steady gain is zero
         floor = TINY * max(float(Q.max()), float(R.min())) * np.eye(len(Q))
         try:
             return np.asarray(solve_discrete_are(self.transition.T, self.C.T, Q + floor, R))
-        except ValueError as error:  # what scipy raises for infinite intermediate results
+        except ValueError as error:  # scipy raises it for infinite intermediate results
             raise np.linalg.LinAlgError("the Riccati equation of its filter has no finite solution") from error
 
 
-TINY = 1e-12  # of the largest process noise, or of the smallest noise of measurement
-
-
 def gain_law(A: Array, C: Array, dt: float, noise: Array, unit: Array, states: tuple[int, ...]) -> GainLaw:
-    """The law at a point of flight; A (nx, nx), C (ny, nx), dt [s] between samples."""
+    """The law at one flight condition; A (nx, nx), C (ny, nx), dt [s] between samples."""
     with np.errstate(over="ignore", invalid="ignore"):  # `gain` raises where the transition has overflowed
         return GainLaw(np.asarray(expm(A * dt)), C, noise, unit, states)
-
-
-FIRST_GAIN = 0.2  # of each measured state on itself: the filter follows the measurement from the first step
-LOOP = LoopOptions(iterations=150, tolerance=1e-3)  # relaxation of the full covariance converges slowly
-FIRST_NOISE = 0.3  # start of a state's process noise in a sample interval, over the noise of its measurement
-NOISE_PRIOR = 3.0  # standard deviation of its prior about zero
-LINEARISATIONS = 2  # at the estimates of output error, and at those of the first fit
-GAIN_PRIOR = 1.0  # standard deviation of a gain, in units of the noise of state over the noise of output
 
 
 class _Filtered(OutputErrorProblem, ABC):
@@ -139,7 +135,7 @@ class _Filtered(OutputErrorProblem, ABC):
             count = len(self.free) + self.nx
             dy = motion.dy[:, :, :count].copy()
             self._by_unknowns(values, motion.dy[:, :, count:], dy)
-        except np.linalg.LinAlgError:  # no such filter: the cost is infinite, and the search halves its step
+        except np.linalg.LinAlgError:  # no such filter: an infinite cost makes the search halve its step
             return self._no_motion(flight, segment)
         return replace(motion, dy=dy) if np.isfinite(dy).all() else replace(motion, dy=None, reached=0)
 
@@ -150,7 +146,7 @@ class _Filtered(OutputErrorProblem, ABC):
 
     @abstractmethod
     def _free_entries(self) -> Array:
-        """(nx, ny) which entries of the gain get a sensitivity."""
+        """(nx, ny) entries of the gain that get a sensitivity column."""
 
     @abstractmethod
     def _by_unknowns(self, values: Mapping[str, float], by_gain: Array, dy: Array) -> None:
@@ -158,7 +154,7 @@ class _Filtered(OutputErrorProblem, ABC):
 
 
 class FilterErrorProblem(_Filtered):
-    """The entries of the gain are unknowns: `gains` (nx, ny) names of these parameters, '' where the gain is zero."""
+    """The entries of the gain are unknowns. gains: (nx, ny) names of these parameters, '' where the gain is zero."""
 
     gains: Sequence[Sequence[str]] = ()
 
@@ -174,7 +170,7 @@ class FilterErrorProblem(_Filtered):
 
 
 class ProcessNoiseProblem(_Filtered):
-    """The gain follows from process noise. noises: names of its parameters, in the order of the law's unknowns."""
+    """The gain follows from process noise. noises: names of its parameters, in the order of the states of the law."""
 
     law: GainLaw
     noises: Sequence[str] = ()
@@ -202,8 +198,8 @@ def filter_error(
 ) -> Result:
     """Fit `model` with state corrections to one flight or several together; arguments as `output_error`.
 
-    The gain is in `extra["gain"]`: state -> output -> number. Where the fit of a free gain fails, or gives no information because
-    its filter is unstable, the gain is that of process noise, and `extra["process_noise"]` is there too.
+    `extra["gain"]`: state -> output -> number. Where the fit of a free gain fails, or gives no information because its filter is
+    unstable, the gain is that of process noise, and `extra["process_noise"]` is there too.
     """
     loaded = require_states(load_model(model), "fem").with_starts(start or {})
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
@@ -211,15 +207,12 @@ def filter_error(
 
 
 def _by_free_gain(model: Model, data: list[FlightData], options: OutputErrorOptions) -> Result:
-    """The fit with a free gain, of a model that already has the nuisance parameters of its inputs."""
+    """The fit with a free gain, of a model that has the nuisance parameters of its inputs."""
     first = output_error(model, data, options=options)
     if first.status is Status.DIVERGED:
         return first.with_method("fem")
-    corrects = [o in model.state_names and o not in model.output_delays for o in model.output_names]
-    names = [
-        [f"gain_{s}_{o}" if c else "" for o, c in zip(model.output_names, corrects, strict=True)]
-        for s in model.state_names
-    ]
+    correcting = {o for o in model.output_names if o in model.state_names and o not in model.output_delays}
+    names = [[f"gain_{s}_{o}" if o in correcting else "" for o in model.output_names] for s in model.state_names]
     noise = first.noise
     fallback = float(np.median(list(noise.values())))
     parameters = [
@@ -264,9 +257,9 @@ def process_noise_error(
 
 
 def _by_process_noise(model: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
-    """The fit, started at the result of output error; a diverged result with the reason where no filter can be calculated."""
+    """The fit from the result of output error; a diverged result with the reason where no filter can be calculated."""
     try:
-        with np.errstate(all="ignore"):  # results that are not finite are tested for
+        with np.errstate(all="ignore"):  # code below tests for results that are not finite
             return _steady_filter(model, data, first, options)
     except (np.linalg.LinAlgError, ArithmeticError) as error:
         text = (
@@ -278,10 +271,10 @@ def _by_process_noise(model: Model, data: list[FlightData], first: Result, optio
 def _steady_filter(model: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
     """The fit with the filter of its process noise. LinAlgError where there is no gain at the start values."""
     noise = _white_noise(model, data, first)
-    disturbed = force_states(model)
+    noisy_states = force_states(model)
     fallback = float(np.median(noise))
-    unit = {s: float(noise[model.output_names.index(s)]) if s in model.output_names else fallback for s in disturbed}
-    names = [f"noise_{s}" for s in disturbed]
+    unit = {s: float(noise[model.output_names.index(s)]) if s in model.output_names else fallback for s in noisy_states}
+    names = [f"noise_{s}" for s in noisy_states]
     values, last = {**first.values, **dict.fromkeys(names, FIRST_NOISE)}, None
     for _ in range(LINEARISATIONS):
         extended = model.with_starts({n: values[n] for n in first.values}).plus(
@@ -292,7 +285,7 @@ def _steady_filter(model: Model, data: list[FlightData], first: Result, options:
             extended, data, simulator, noise="full", free_states=free_states_of(extended, options)
         )
         problem.noises = names
-        problem.law = _law(simulator, data, values, noise, unit)
+        problem.law = _linearised_law(simulator, data, values, noise, unit)
         problem.law.gain(np.array([values[n] for n in names]))  # raises LinAlgError with the reason
         outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
         last = fit_result(problem, outcome, "fem-noise")
@@ -302,8 +295,8 @@ def _steady_filter(model: Model, data: list[FlightData], first: Result, options:
     assert last is not None
     if last.status is Status.DIVERGED:
         return without_nuisance_parameters(last, model, set(names), {})
-    dt = _step(data)
-    sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(disturbed, names, strict=True)}
+    dt = _sample_interval(data)
+    sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(noisy_states, names, strict=True)}
     K = problem.law.gain(np.array([last.values[n] for n in names]))
     gain = {
         s: dict(zip(model.output_names, row.tolist(), strict=True)) for s, row in zip(model.state_names, K, strict=True)
@@ -312,22 +305,22 @@ def _steady_filter(model: Model, data: list[FlightData], first: Result, options:
 
 
 def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Array:
-    """(ny,) white noise of the outputs; of a channel without any, the rms residual of output error."""
+    """(ny,) standard deviation of the outputs' white noise; of a channel without any, the rms residual of output error."""
     levels = []
     for i, name in enumerate(model.output_names):
         segment_levels = [noise_of(s.z[:, i]) for flight in data for s in flight.segments]
-        nonzero = [t for t in segment_levels if t]
+        nonzero = [level for level in segment_levels if level]
         levels.append(float(np.median(nonzero)) if nonzero else first.noise[name])
     return np.array(levels)
 
 
-def _step(data: Sequence[FlightData]) -> float:
+def _sample_interval(data: Sequence[FlightData]) -> float:
     """Median sample interval [s]."""
     return float(np.median(np.concatenate([np.diff(s.time) for flight in data for s in flight.segments])))
 
 
 def mean_matrices(simulator: Simulator, data: Sequence[FlightData], values: Mapping[str, float]) -> tuple[Array, Array]:
-    """A (nx, nx) and C (ny, nx) of the motion linearised about the flown mean."""
+    """A (nx, nx) and C (ny, nx) of the motion, linearised about the mean of the flights."""
     model = simulator.model
     inputs = np.concatenate([s.u for flight in data for s in flight.segments])
     starts = np.mean([s.x0 for flight in data for s in flight.segments], axis=0)
@@ -342,23 +335,23 @@ def mean_matrices(simulator: Simulator, data: Sequence[FlightData], values: Mapp
     )
 
 
-def _law(
+def _linearised_law(
     simulator: Simulator,
     data: Sequence[FlightData],
     values: Mapping[str, float],
     noise: Array,
     unit: Mapping[str, float],
 ) -> GainLaw:
-    """The gain as a function of process noise, about the flown mean. unit: state -> std as of `GainLaw`."""
+    """The gain as a function of process noise, about the mean of the flights. unit: state -> std as in `GainLaw`."""
     A, C = mean_matrices(simulator, data, values)
     delayed = [simulator.model.output_names.index(o) for o in simulator.model.output_delays]
-    C[delayed] = 0.0  # they correct no state
+    C[delayed] = 0.0  # delayed outputs correct no state
     states = tuple(simulator.model.state_names.index(s) for s in unit)
-    return gain_law(A, C, _step(data), noise, np.array(list(unit.values())), states)
+    return gain_law(A, C, _sample_interval(data), noise, np.array(list(unit.values())), states)
 
 
 def _without_gains(result: Result, model: Model, names: list[list[str]]) -> Result:
-    """The result with the model's own parameters; the gain in `extra`."""
+    """The result in terms of the parameters of `model`, the gain in `extra`."""
     gain = {
         state: {o: result.parameters[n].estimate for o, n in zip(model.output_names, row, strict=True) if n}
         for state, row in zip(model.state_names, names, strict=True)

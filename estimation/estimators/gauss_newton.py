@@ -1,10 +1,10 @@
 """The optimisation loop of all likelihood fits: Gauss-Newton with step halving, Levenberg-Marquardt where that stalls.
 
-Near the optimum, where steps shrink by a constant factor because the model is not exact or R relaxes, several steps are
-combined into one (Anderson mixing; Walker and Ni, SIAM J. Numer. Anal. 49, 2011). The fixed point is the same.
+Near the optimum steps shrink by a constant factor, because the model is not exact or R relaxes. There several steps are combined
+into one (Anderson mixing; Walker and Ni, SIAM J. Numer. Anal. 49, 2011). The fixed point is the same.
 
 A problem evaluates its cost (a negative log likelihood) and proposes steps; the loop limits, accepts and damps them, and
-handles costs that are not finite. The outcome is a status with a sentence, never an exception.
+handles costs that are not finite. Failure is a status, not an exception.
 """
 
 import math
@@ -35,14 +35,14 @@ class Status(Enum):
 
 
 class EvaluatedPoint(Protocol):
-    """The unknowns at which a problem has been evaluated; `cost` is inf where the simulation is not finite."""
+    """The evaluation of a problem at some unknowns; `cost` is inf where the simulation is not finite."""
 
     @property
     def cost(self) -> float: ...
 
 
 P = TypeVar("P", bound=EvaluatedPoint)
-Place = TypeVar("Place")
+Trial = TypeVar("Trial")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class LoopOptions:
     kept: also end after a step that predicted a reduction below this and achieved it to within half the tolerance, if the next
     predicted reduction, extrapolated from the last two, is below the tolerance. beyond: end as LIMIT if not even PREDICTED_LEFT
     times the predicted reduction would reach this cost. flat: predicted reduction, in tolerances, that counts as rounding where
-    no step lowers the cost."""
+    no step lowers the cost. iterations, halvings (of one step), first_damping, most_damping (Marquardt): limits."""
 
     iterations: int = 60
     tolerance: float = 1e-7
@@ -104,6 +104,7 @@ class LoopOptions:
 
 
 PREDICTED_LEFT = 3.0  # times the predicted reduction of a step: the most that it and all later steps may achieve
+DAMPING_FACTOR = 10.0  # by which damping rises after a step that fails, and falls after one that succeeds
 AS_USUAL_LOOP = LoopOptions()
 
 
@@ -125,39 +126,43 @@ def minimise(problem: SolverProblem[P], start: Array, options: LoopOptions = AS_
     point = problem.evaluate(unknowns, True)
     count = 1
     history = [point.cost]
+
+    def outcome(status: Status, iterations: int) -> SolverOutcome[P]:
+        return SolverOutcome(status, unknowns, point, iterations, count, tuple(history))
+
     if not math.isfinite(point.cost):
-        return SolverOutcome(Status.DIVERGED, unknowns, point, 0, count, tuple(history))
+        return outcome(Status.DIVERGED, 0)
     damping = 0.0
     previous_predicted = math.inf
     memory = _StepMemory(options.memory)
     for iteration in range(1, options.iterations + 1):
         step = problem.step(unknowns, point, damping)
         if step.decrement < options.settled(point.cost):
-            return SolverOutcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
+            return outcome(Status.CONVERGED, iteration - 1)
         if point.cost - PREDICTED_LEFT * step.decrement > options.beyond:
-            return SolverOutcome(Status.LIMIT, unknowns, point, iteration - 1, count, tuple(history))
+            return outcome(Status.LIMIT, iteration - 1)
         combined = memory.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
         next_unknowns, moved_point, evaluations = _search(problem, unknowns, point, step, combined, options)
         count += evaluations
         if next_unknowns is None or moved_point is None:
             if step.decrement < options.flat * options.tolerance:  # the cost is flat to rounding here
-                return SolverOutcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
-            damping = max(10.0 * damping, options.first_damping)
+                return outcome(Status.CONVERGED, iteration - 1)
+            damping = max(DAMPING_FACTOR * damping, options.first_damping)
             if damping > options.most_damping:
-                return SolverOutcome(Status.STALLED, unknowns, point, iteration, count, tuple(history))
+                return outcome(Status.STALLED, iteration)
             continue
-        damping = damping / 10.0 if damping > options.first_damping else 0.0
+        damping = damping / DAMPING_FACTOR if damping > options.first_damping else 0.0
         achieved, predicted = point.cost - moved_point.cost, step.decrement
         unknowns, point = next_unknowns, moved_point
         history.append(point.cost)
         negligible = options.settled(point.cost)
         if options.gain and achieved < negligible:
-            return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
+            return outcome(Status.CONVERGED, iteration)
         as_predicted = predicted < options.kept and abs(achieved - predicted) < 0.5 * negligible
         if as_predicted and predicted * predicted < negligible * previous_predicted:
-            return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
+            return outcome(Status.CONVERGED, iteration)
         previous_predicted = predicted
-    return SolverOutcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
+    return outcome(Status.LIMIT, options.iterations)
 
 
 class _StepMemory:
@@ -169,7 +174,7 @@ class _StepMemory:
         self.directions: list[Array] = []
 
     def combined(self, unknowns: Array, step: SolverStep) -> Array | None:
-        """The step to the point at which the steps, linear in the unknowns, would vanish; None at the first step."""
+        """The step to where the proposed steps, taken as linear in the unknowns, vanish; None at the first step."""
         if step.weight is None:
             return None
         self.points = [*self.points[-self.memory :], unknowns]
@@ -183,13 +188,14 @@ class _StepMemory:
 
 
 def halve_until(
-    evaluate: Callable[[float], Place], acceptable: Callable[[Place], bool], halvings: int
-) -> tuple[float, Place] | None:
-    """The largest of a whole step, its half, its quarter ... that leads to an acceptable point, and that point."""
+    evaluate: Callable[[float], Trial], acceptable: Callable[[Trial], bool], halvings: int
+) -> tuple[float, Trial] | None:
+    """The largest of the fractions 1, 1/2, 1/4 ... of a step that leads to an acceptable point, and that point; None without
+    one."""
     for fraction in (0.5**k for k in range(halvings)):
-        place = evaluate(fraction)
-        if acceptable(place):
-            return fraction, place
+        point = evaluate(fraction)
+        if acceptable(point):
+            return fraction, point
     return None
 
 
@@ -200,26 +206,26 @@ def _search(
     number of evaluations; None and None where no step does."""
     count = 0
 
-    def lower(place: P) -> bool:
-        return math.isfinite(place.cost) and place.cost < point.cost
+    def lowers_cost(trial: P) -> bool:
+        return math.isfinite(trial.cost) and trial.cost < point.cost
 
     def evaluate(fraction: float) -> P:
         nonlocal count
-        trial = problem.clip(unknowns + fraction * step.direction)
-        place = problem.evaluate(trial, fraction == 1.0)
+        trial_unknowns = problem.clip(unknowns + fraction * step.direction)
+        trial = problem.evaluate(trial_unknowns, fraction == 1.0)
         count += 1
-        if fraction < 1.0 and lower(place):  # the loop continues from a point with derivatives only
-            place = problem.evaluate(trial, True)
+        if fraction < 1.0 and lowers_cost(trial):  # the loop needs derivatives where it continues
+            trial = problem.evaluate(trial_unknowns, True)
             count += 1
-        return place
+        return trial
 
     if combined is not None and np.all(np.isfinite(combined)):
-        trial = problem.clip(unknowns + combined)
-        place = problem.evaluate(trial, True)
+        trial_unknowns = problem.clip(unknowns + combined)
+        trial = problem.evaluate(trial_unknowns, True)
         count += 1
-        if lower(place):
-            return trial, place, count
-    lowered = halve_until(evaluate, lower, options.halvings)
-    if lowered is None:
+        if lowers_cost(trial):
+            return trial_unknowns, trial, count
+    accepted = halve_until(evaluate, lowers_cost, options.halvings)
+    if accepted is None:
         return None, None, count
-    return problem.clip(unknowns + lowered[0] * step.direction), lowered[1], count
+    return problem.clip(unknowns + accepted[0] * step.direction), accepted[1], count

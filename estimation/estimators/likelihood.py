@@ -1,8 +1,9 @@
 """The output-error likelihood of any number of flights, as a problem for the optimisation loop.
 
-J = sum over outputs of n/2 log R + priors, with R the residual variance (relaxation: the noise level that fits best at
-every point, so its gradient is that of 1/2 sum r' R^-1 r with R from the residuals; REFERENCE, maximum likelihood).
-Unknowns: shared parameters, local ones flight by flight, then the initial states segment by segment.
+J = sum over outputs of n/2 log R + priors, with R the residual variance (relaxation: the noise level that fits best at every
+point, so that the gradient of J is that of 1/2 sum r' R^-1 r with R from the residuals; Jategaonkar, Flight Vehicle System
+Identification, 2nd ed., chapter 4). Unknowns: shared parameters, local ones flight by flight, then the initial states segment by
+segment.
 """
 
 from collections.abc import Iterator, Mapping
@@ -21,13 +22,15 @@ from estimation.prepare.flight_data import FlightData
 
 BoolArray = NDArray[np.bool_]
 Noise = Literal["diagonal", "full"]
-LARGEST_SLOPE = 1e60  # of an output with respect to an unknown
+LARGEST_SLOPE = 1e60  # of an output by an unknown: normal equations cannot hold larger ones
 DEFINITELY_ZERO = 1e-9  # of the range of an output: smaller residuals are exact fits, and R must not vanish
+LEAST_RANGE = 1e-6  # of an output, for the same reason
+ROWS_PER_OUTPUT = 5  # complete samples for each output from which a full R is estimated
 
 
 @dataclass
 class LikelihoodPoint:
-    """residuals and motions per flight and segment; R: (ny, ny) noise covariance; blocks appear on demand."""
+    """residuals and motions by flight and segment; R: (ny, ny) noise covariance; blocks: filled by `segment_blocks`."""
 
     cost: float
     residuals: list[list[Array]]
@@ -37,8 +40,8 @@ class LikelihoodPoint:
 
 
 class OutputErrorProblem:
-    """See the module head. free_states: (nx,) which initial states are estimated (by
-    default those that the model does not hold); sigma: (ny,) given noise, or None."""
+    """See the module head. free_states: (nx,) which initial states are estimated (by default those that the model does not hold);
+    sigma: (ny,) given noise, or None; noise: whether R is diagonal or full."""
 
     def __init__(
         self,
@@ -57,8 +60,8 @@ class OutputErrorProblem:
         parameters = [model.parameter(n) for n in self.free]
         local = np.array([p.local and len(flights) > 1 for p in parameters], bool)
         self.shared, self.local = np.flatnonzero(~local), np.flatnonzero(local)
-        released = np.array([not s.held for s in model.states], bool)
-        self.free_states = np.flatnonzero(released if free_states is None else free_states)
+        not_held = np.array([not s.held for s in model.states], bool)
+        self.free_states = np.flatnonzero(not_held if free_states is None else free_states)
         self.lower = np.array([p.lower for p in parameters])
         self.upper = np.array([p.upper for p in parameters])
         self.prior_mean = np.array([np.nan if p.prior_mean is None else p.prior_mean for p in parameters])
@@ -91,7 +94,7 @@ class OutputErrorProblem:
         return t
 
     def set_local(self, unknowns: Array, flight: int, values: Mapping[str, float]) -> None:
-        """Give one flight's own parameters their values, in place; those that are not named stay."""
+        """Set the named local parameters of one flight, in place."""
         for k, name in enumerate(self.free[i] for i in self.local):
             if name in values:
                 unknowns[self._local_slice(flight).start + k] = values[name]
@@ -101,6 +104,7 @@ class OutputErrorProblem:
         return {**self._fixed_values, **dict(zip(self.free, self.parameters(unknowns, flight).tolist(), strict=True))}
 
     def initial_state(self, unknowns: Array, flight: int, segment: int) -> Array:
+        """(nx,) initial state of one segment."""
         x0 = self.flights[flight].segments[segment].x0.copy()
         x0[self.free_states] = unknowns[self._state_slice(flight, segment)]
         return x0
@@ -114,6 +118,7 @@ class OutputErrorProblem:
         return slice(first, first + len(self.free_states))
 
     def clip(self, unknowns: Array) -> Array:
+        """The nearest unknowns within the limits of the parameters."""
         u = unknowns.copy()
         ns = len(self.shared)
         u[:ns] = np.clip(u[:ns], self.lower[self.shared], self.upper[self.shared])
@@ -124,6 +129,7 @@ class OutputErrorProblem:
 
     # -------------------------------------------------------------------------------------------- cost
     def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> SegmentMotion:
+        """Simulated motion of one segment; derivatives: with sensitivities."""
         return self.simulator.run(
             self.flights[flight].segments[segment],
             self.values(unknowns, flight),
@@ -142,6 +148,7 @@ class OutputErrorProblem:
         )
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> LikelihoodPoint:
+        """Cost, residuals and motions; the cost is inf where a motion diverges."""
         residuals: list[list[Array]] = []
         motions: list[list[SegmentMotion]] = []
         for i, flight in enumerate(self.flights):
@@ -158,15 +165,16 @@ class OutputErrorProblem:
         return LikelihoodPoint(cost, residuals, motions, R)
 
     def _noise_floor(self) -> Array:
-        span = np.full(self.ny, 1.0)
-        for c in range(self.ny):
-            columns = [s.z[:, c] for f in self.flights for s in f.segments]
-            z = np.concatenate(columns)
-            z = z[np.isfinite(z)]
-            span[c] = max(float(np.ptp(z)), 1e-6) if z.size else 1.0
+        """(ny,) least variance of the residuals."""
+        span = np.ones(self.ny)
+        for c, column in enumerate(np.concatenate([s.z for f in self.flights for s in f.segments]).T):
+            z = column[np.isfinite(column)]
+            if z.size:
+                span[c] = max(float(np.ptp(z)), LEAST_RANGE)
         return (DEFINITELY_ZERO * span) ** 2
 
     def _covariance(self, residuals: list[list[Array]]) -> Array:
+        """R (ny, ny): given, or of the residuals; diagonal where few samples are complete."""
         if self.sigma is not None:
             return np.diag(self.sigma**2)
         stacked = np.concatenate([r for flight in residuals for r in flight])
@@ -177,12 +185,13 @@ class OutputErrorProblem:
         if self.noise == "diagonal":
             return np.diag(variance)
         complete = measured.all(axis=1)
-        if complete.sum() < 5 * self.ny:
+        if complete.sum() < ROWS_PER_OUTPUT * self.ny:
             return np.diag(variance)
         R = filled[complete].T @ filled[complete] / complete.sum()
         return R + np.diag(self._floor)
 
     def _cost(self, residuals: list[list[Array]], R: Array) -> float:
+        """Negative log likelihood of the residuals, but for a constant."""
         if self.sigma is not None or self.noise == "full":
             total = 0.0
             for flight in residuals:
@@ -205,7 +214,7 @@ class OutputErrorProblem:
 
     # -------------------------------------------------------------------------------------------- steps
     def segment_blocks(self, point: LikelihoodPoint) -> list[list[SegmentBlocks]]:
-        """Normal equations of every segment at a point evaluated with derivatives (made once, kept)."""
+        """Normal equations of every segment at a point evaluated with derivatives; computed once for a point."""
         if not point.blocks:
             n = len(self.free)
             keep = np.concatenate([np.arange(n), n + self.free_states])
@@ -219,7 +228,7 @@ class OutputErrorProblem:
         return point.blocks
 
     def flight_blocks(self, unknowns: Array, point: LikelihoodPoint, flight: int, damping: float = 0.0) -> FlightBlocks:
-        """Information of one flight with its initial states eliminated, priors of its local parameters included."""
+        """Information of one flight with its initial states eliminated and the priors of its local parameters included."""
         n = len(self.free)
         information, gradient = np.zeros((n, n)), np.zeros(n)
         for block in self.segment_blocks(point)[flight]:
@@ -236,7 +245,7 @@ class OutputErrorProblem:
         return blocks
 
     def shared_information(self, unknowns: Array, blocks: list[FlightBlocks]) -> tuple[Array, Array]:
-        """Information and gradient about the shared parameters with all else eliminated, priors included."""
+        """Information and gradient about the shared parameters, all others eliminated, priors included."""
         information = np.diag(self.prior_weight[self.shared])
         deviation = self.prior_mean[self.shared] - self.parameters(unknowns, 0)[self.shared]
         gradient = np.where(self.prior_weight[self.shared] > 0, self.prior_weight[self.shared] * deviation, 0.0)
@@ -247,6 +256,7 @@ class OutputErrorProblem:
         return information, gradient
 
     def step(self, unknowns: Array, point: LikelihoodPoint, damping: float) -> SolverStep:
+        """Gauss-Newton step with Marquardt's damping; shared parameters at their limits are held."""
         blocks = [self.flight_blocks(unknowns, point, i, damping) for i in range(len(self.flights))]
         information, gradient = self.shared_information(unknowns, blocks)
         information = information + damping * np.diag(np.diag(information))
@@ -272,7 +282,7 @@ class OutputErrorProblem:
         return SolverStep(direction, decrement, np.sqrt(np.maximum(weight, 0.0)))
 
     def _bounded_solution(self, information: Array, gradient: Array, current: Array) -> Array:
-        """Solution of the reduced normal equations with parameters that press against a limit held there."""
+        """Solution of the reduced normal equations; parameters at a limit that would leave it are held there."""
         lower, upper = self.lower[self.shared], self.upper[self.shared]
         movable = ~(((current <= lower) & (gradient < 0)) | ((current >= upper) & (gradient > 0)))
         change = np.zeros(current.size)
@@ -283,14 +293,14 @@ class OutputErrorProblem:
 
 
 def _runaway(motion: SegmentMotion) -> bool:
-    """Whether sensitivities have grown beyond what normal equations can hold."""
+    """Whether sensitivities are larger than LARGEST_SLOPE."""
     return motion.dy is not None and not float(np.abs(motion.dy).max(initial=0.0)) < LARGEST_SLOPE
 
 
 def whiten(residual: Array, R: Array) -> tuple[Array, float]:
-    """(residuals (N, ny) in units of their noise with unknown samples zero, sum of log det R over the samples)."""
+    """(residuals (N, ny) in units of their noise, zero where not measured; sum of log det R over the samples)."""
     measured = np.isfinite(residual)
-    if np.count_nonzero(R - np.diag(np.diag(R))) == 0:
+    if _is_diagonal(R):
         sigma = np.sqrt(np.diag(R))
         return np.where(measured, residual, 0.0) / sigma, float(np.sum(measured * 2.0 * np.log(sigma)))
     result = np.zeros_like(residual)
@@ -302,9 +312,13 @@ def whiten(residual: Array, R: Array) -> tuple[Array, float]:
     return result, logdet
 
 
+def _is_diagonal(R: Array) -> bool:
+    return np.count_nonzero(R - np.diag(np.diag(R))) == 0
+
+
 def _measured_together(measured: BoolArray) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Rows that share what is measured, and the outputs measured there; measured: (N, ny)."""
-    if measured.all():  # nearly always: sorting rows would take longer than weighing them
+    """Rows at which the same outputs are measured, and these outputs, for each such set. measured: (N, ny)."""
+    if measured.all():  # nearly always; np.unique would take longer than all else
         yield np.arange(len(measured)), np.arange(measured.shape[1])
         return
     for pattern in np.unique(measured, axis=0):
@@ -313,11 +327,11 @@ def _measured_together(measured: BoolArray) -> Iterator[tuple[NDArray[np.intp], 
 
 
 def whiten_all(dy: Array, residual: Array, R: Array) -> tuple[Array, Array]:
-    """Jacobian (N ny, n) and residual (N ny,) in units of the noise, rows of unknown samples zero."""
+    """Jacobian (N ny, n) and residual (N ny,) in units of the noise, zero where not measured."""
     count, ny, n = dy.shape
     measured = np.isfinite(residual)
     w, _ = whiten(residual, R)
-    if np.count_nonzero(R - np.diag(np.diag(R))) == 0:
+    if _is_diagonal(R):
         weight = measured / np.sqrt(np.diag(R))
         return (dy * weight[:, :, None]).reshape(count * ny, n), w.ravel()
     J = np.zeros_like(dy)

@@ -1,4 +1,4 @@
-"""Which columns of the recursive estimator's regressions a model's parameters stand before, from the model's text."""
+"""The regressor of the recursive estimator that each parameter of a model multiplies, from the model's text."""
 
 import math
 from collections.abc import Mapping
@@ -14,41 +14,47 @@ from estimation.models.numeric import FUNCTIONS
 from estimation.prepare.measured_cg import at_stated_cg
 
 PLANES = (LATERAL, LONGITUDINAL)
-OPTIONAL = ("beta", "p", "r", "phi", "ay")  # of the pitching plane by itself: zero where a flight does not have them
+OPTIONAL = (
+    "beta",
+    "p",
+    "r",
+    "phi",
+    "ay",
+)  # signals that are zero for the pitching plane alone where a flight lacks them
 LINEAR = "beta, p_hat, r_hat, delta_a, delta_r in CY Cl Cn, alpha, q_hat, delta_e in CL CD Cm, CL^2 in CD"
 
 
 @dataclass(frozen=True)
 class LinearTerms:
-    """A model's parameters as the recursive estimator has them. regressions: planes with the model's terms; names: parameter of
-    the model -> name there, which is coefficient and column (`Cl_p`)."""
+    """A model's parameters in the recursive estimator. regressions: planes with the model's terms; names: parameter of the model
+    -> its name there, coefficient and column (`Cl_p`)."""
 
     regressions: tuple[PlaneRegression, ...]
     names: Mapping[str, str]
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Columns of a flight without which nothing is estimated."""
+        """Columns that a flight must have."""
         signals = dict.fromkeys(s for r in self.regressions for s in r.signals)
         lateral = any(r.name == "lateral" for r in self.regressions)
         return tuple(s for s in signals if s != "rho" and (lateral or s not in OPTIONAL))
 
 
 def linear_terms(model: Model) -> LinearTerms:
-    """A model's parameters by the column that each stands before in a line CY, Cl, Cn, CL, CD or Cm.
+    """A model's parameters by the column that each multiplies in a line CY, Cl, Cn, CL, CD or Cm.
 
-    Found from the lines' values at random motions: a coefficient has to change by parameter times column, whatever the other
-    parameters are. Raises EstimationError for a parameter that is held, stands elsewhere, or before something else.
+    Found from the lines' values at random motions: the coefficient must change by parameter times column, whatever the other
+    parameters are. Raises EstimationError for a parameter that is fixed, or for which there is no such column.
     """
     names: dict[str, str] = {}
-    model = at_stated_cg(model)  # what has moved the rows know
+    model = at_stated_cg(model)  # the regression itself takes account of a moved CG
     for p in model.parameters:
-        place = _column_of(model, p.name)
-        if place is None or place in names.values():
+        term = _term_of(model, p.name)
+        if term is None or term in names.values():
             raise EstimationError(
                 f"method live knows derivatives by {LINEAR}; in model {model.name}, {p.name} is none of them: take method ml"
             )
-        names[p.name] = place
+        names[p.name] = term
     if fixed_names := [p.name for p in model.parameters if p.fixed]:
         raise EstimationError(f"method live holds no parameter ({', '.join(fixed_names)}): free it, or take method ml")
     planes = [_with_terms(plane, set(names.values())) for plane in PLANES]
@@ -56,7 +62,7 @@ def linear_terms(model: Model) -> LinearTerms:
 
 
 def _with_terms(plane: PlaneRegression, names: set[str]) -> PlaneRegression | None:
-    """A plane with those terms that a model has; None where it has none of it."""
+    """A plane with those terms that a model has; None where the model has none of them."""
     if not any(name.partition("_")[0] in {e.coefficient for e in plane.equations} for name in names):
         return None
     equations = tuple(
@@ -66,28 +72,31 @@ def _with_terms(plane: PlaneRegression, names: set[str]) -> PlaneRegression | No
 
 
 def _possible_terms(plane: PlaneRegression, equation: Equation) -> dict[str, str]:
-    """Those that an equation has anyhow first, in their order."""
+    """Terms that an equation may have, its usual ones first: name -> column."""
     further_terms = {f"{equation.coefficient}_{c}": c for c in plane.columns if c not in ("0", "CL2")}
     return {**equation.terms, **further_terms}
 
 
-def _column_of(model: Model, name: str) -> str | None:
-    """Coefficient and column (`Cl_p`) of a parameter; None where it stands before none."""
+MOTIONS = 3  # random ones at which a term is recognised: one could agree by chance
+
+
+def _term_of(model: Model, name: str) -> str | None:
+    """Coefficient and column (`Cl_p`) of a parameter; None where it multiplies no column, or several."""
     rng = np.random.default_rng(1)
-    places: set[str] | None = None
-    for _ in range(3):
+    candidates: set[str] | None = None
+    for _ in range(MOTIONS):
         symbols = {
             **{s: rng.uniform(0.02, 0.2) for s in (*model.state_names, *model.input_names, *model.parameter_names)},
             **model.constants,
             "V": rng.uniform(10.0, 20.0),
         }
-        shares = _shares(model, name, symbols)
-        places = shares if places is None else places & shares
-    return next(iter(places)) if places and len(places) == 1 else None
+        terms = _matching_terms(model, name, symbols)
+        candidates = terms if candidates is None else candidates & terms
+    return next(iter(candidates)) if candidates and len(candidates) == 1 else None
 
 
-def _shares(model: Model, name: str, symbols: Mapping[str, float]) -> set[str]:
-    """What a parameter may be by one motion: coefficients that change in proportion to it, by a column's value."""
+def _matching_terms(model: Model, name: str, symbols: Mapping[str, float]) -> set[str]:
+    """Terms that a parameter may be at one motion: those whose coefficient changes by a column's value for each unit of it."""
     terms: set[str] = set()
     for plane in PLANES:
         for equation in plane.equations:
@@ -106,7 +115,7 @@ def _shares(model: Model, name: str, symbols: Mapping[str, float]) -> set[str]:
 
 
 def _names_behind(model: Model, name: str) -> set[str]:
-    """Symbols that a definition rests on, directly or through others."""
+    """Symbols on which a definition depends, directly or through others."""
     if name not in model.definitions:
         return set()
     direct = names_in(model.definitions[name])
@@ -114,7 +123,7 @@ def _names_behind(model: Model, name: str) -> set[str]:
 
 
 def _line_value(model: Model, name: str, symbols: Mapping[str, float]) -> float:
-    """Value of a definition, those that it rests on evaluated before it."""
+    """Value of a definition, with those that it depends on evaluated first."""
     if name in symbols:
         return symbols[name]
     text = model.definitions[name]
@@ -123,7 +132,7 @@ def _line_value(model: Model, name: str, symbols: Mapping[str, float]) -> float:
 
 
 def _column_value(model: Model, plane: PlaneRegression, column: str, symbols: Mapping[str, float]) -> float:
-    """Value of a column without the dynamic pressure; NaN where the model does not have its signal."""
+    """Value of a column without dynamic pressure; NaN where the model lacks its signal."""
     if column == "0":
         return 1.0
     if column == "CL2":

@@ -1,8 +1,8 @@
-"""Maximum likelihood by output error: the laboratory's main method.
+"""Maximum likelihood by output error: the main method.
 
-`output_error(model, flights)` fits one flight, or any number together, with the engine's exact sensitivities; each
-segment has initial states of its own, each flight its own values of `local` parameters. The result carries both
-bounds and says what the data could not tell.
+`output_error(model, flights)` fits one flight, or several together, with the engine's exact sensitivities; each segment has its
+own initial states, each flight its own values of `local` parameters. The result has both bounds and says which parameters the
+data does not determine.
 """
 
 from collections.abc import Mapping
@@ -37,15 +37,15 @@ from estimation.signals.goodness_of_fit import channel_fits
 
 @dataclass(frozen=True)
 class OutputErrorOptions:
-    """What can be chosen of a fit by output or filter error.
+    """Options of a fit by output or filter error.
 
-    noise: diagonal or full covariance R of the residuals. sigma: standard deviation per output [its unit] given
-    instead, every output named. free_states: names of the states whose initial values are estimated in each segment
-    (default: those that the model does not hold); the others start where they were measured, or at their signal's
-    `start`. improve_start: try the equation-error solution as start too. `compile_`: auto uses gcc where there is one.
-    substeps: Runge-Kutta steps per sample. hold: inputs between samples, by default as
-    `engine.simulate.usual_hold`. preparation: of the inputs. loop: limits of the search. Names that the model does
-    not have raise ModelError when the fit begins.
+    noise: diagonal or full covariance R of the residuals. sigma: given standard deviation of every output [its unit], in place
+    of R. free_states: names of the states whose initial values are estimated in each segment (default: those that the model
+    does not hold); the others start as measured, or at their signal's `start`. improve_start: also try the equation-error
+    solution as start. `compile_`: auto uses gcc where there is one. substeps: Runge-Kutta steps per sample. hold: inputs
+    between samples, by default `engine.simulate.usual_hold`. preparation: of the inputs. loop: limits of the search. paths:
+    estimate the paths of surfaces between samples where these are uncertain (`input_path`). Names that the model lacks raise
+    ModelError when the fit begins.
     """
 
     noise: Noise = "diagonal"
@@ -62,11 +62,12 @@ class OutputErrorOptions:
 
 STANDARD = OutputErrorOptions()
 Fit = SolverOutcome[LikelihoodPoint]
-HOPELESS = 0.2  # median r2 below which a fit is tried again from pieces
-GROWTH = 1e4  # of a disturbance over a record: from here the end of it says nothing about its beginning
-NEARBY = 1.0  # predicted reduction of the log likelihood from which all integration steps are taken
-MOVED = 1.5e-4  # of the log likelihood: integration error that moves an estimate by some hundredth of its bound
-COARSE = 0.05  # of the noise: integration error that matters
+NUMBERS_PER_UNKNOWN = 2  # that are compared: with fewer, the unknowns cannot be determined
+HOPELESS = 0.2  # median r2 below which a fit is repeated on short pieces
+GROWTH = 1e4  # of a disturbance over a segment: beyond it the end of the segment says nothing about its beginning
+NEARBY = 1.0  # predicted reduction of the log likelihood below which all integration steps are used
+MOVED = 1.5e-4  # log likelihood: an integration error that moves an estimate by about a hundredth of its bound
+COARSE = 0.05  # of the noise: an integration error that matters
 FINEST = 16  # substeps
 
 
@@ -79,41 +80,41 @@ def output_error(
     """Fit `model` to one flight or to several together.
 
     start: start values by parameter name (default: the model's). Raises DataError or MissingColumnError for a flight
-    that cannot feed the model; a fit that fails is a Result whose status says so.
+    that the model cannot use; a fit that fails is a Result whose status says so.
     """
     loaded = load_model(model).with_starts(start or {})
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
     full = with_paths(loaded, data) if options.paths else loaded
     problem = build_problem(full, data, options)
-    _enough(problem)
+    numbers = int(sum(np.isfinite(s.z).sum() for f in data for s in f.segments))
+    require_enough_data(problem, numbers, "measured values")
     outcome = find_optimum(problem, _starts(problem, options), options)
     if _hopeless(problem, outcome) or _unstable(problem, outcome):
-        problem, outcome = _rescued(full, data, options, problem, outcome)
-    problem, outcome = _fine_enough(problem, outcome, options)
+        problem, outcome = _fit_by_pieces(full, data, options, problem, outcome)
+    problem, outcome = _with_fine_steps(problem, outcome, options)
     return in_own_terms(fit_result(problem, outcome, "ml"), loaded)
 
 
 def find_optimum(problem: OutputErrorProblem, start: Array, options: OutputErrorOptions) -> Fit:
-    """The optimum from `start`: the way there with half the integration steps, the end with all of them."""
+    """The optimum from `start`: first with half the integration steps, near it with all of them."""
     steps = problem.simulator.substeps
     if steps < 2 or problem.size == 0:
         return minimise(problem, start, options.loop)
     rough = copy(problem)
     rough.simulator = replace(problem.simulator, substeps=steps // 2)
-    way = minimise(rough, start, replace(options.loop, tolerance=max(options.loop.tolerance, NEARBY)))
-    if way.status is not Status.CONVERGED:
+    near = minimise(rough, start, replace(options.loop, tolerance=max(options.loop.tolerance, NEARBY)))
+    if near.status is not Status.CONVERGED:
         return minimise(problem, start, options.loop)
-    end = minimise(problem, way.unknowns, options.loop)
-    return replace(end, iterations=way.iterations + end.iterations, evaluations=way.evaluations + end.evaluations)
+    end = minimise(problem, near.unknowns, options.loop)
+    return replace(end, iterations=near.iterations + end.iterations, evaluations=near.evaluations + end.evaluations)
 
 
-def _enough(problem: OutputErrorProblem) -> None:
-    """DataError where there are fewer numbers than could ever settle the unknowns."""
-    numbers = int(sum(np.isfinite(s.z).sum() for f in problem.flights for s in f.segments))
-    if numbers < 2 * problem.size:
+def require_enough_data(problem: OutputErrorProblem, numbers: int, kind: str) -> None:
+    """DataError where there are too few numbers of a kind for the unknowns."""
+    if numbers < NUMBERS_PER_UNKNOWN * problem.size:
         names = ", ".join(f.name for f in problem.flights)
         raise DataError(
-            f"{names}: {numbers} measured values for {problem.size} unknowns of model {problem.model.name}; "
+            f"{names}: {numbers} {kind} for {problem.size} unknowns of model {problem.model.name}; "
             "that cannot be settled: fly longer, or fix parameters"
         )
 
@@ -131,7 +132,7 @@ def _hopeless(problem: OutputErrorProblem, outcome: Fit) -> bool:
 
 
 def _unstable(problem: OutputErrorProblem, outcome: Fit) -> bool:
-    """Whether what the outputs owe to the initial state, estimated or held, grows beyond all measure within some segment."""
+    """Whether sensitivities to the initial state, estimated or held, grow by more than GROWTH within some segment."""
     point = outcome.point
     states = len(problem.free) + np.arange(problem.nx)
     for motions in point.motions:
@@ -145,12 +146,13 @@ def _unstable(problem: OutputErrorProblem, outcome: Fit) -> bool:
     return False
 
 
-def _rescued(
+def _fit_by_pieces(
     model: Model, data: list[FlightData], options: OutputErrorOptions, problem: OutputErrorProblem, outcome: Fit
 ) -> tuple[OutputErrorProblem, Fit]:
-    """A fit on short pieces with initial states of their own, then the whole again from there.
+    """A fit on short pieces with their own initial states, then one of whole segments from there; the better of the two.
 
-    An unstable aircraft cannot be simulated for long from anywhere; short pieces can, and their estimates are good.
+    An unstable aircraft cannot be simulated for long from any state, but short pieces can, and give good estimates. Where they do
+    not either, the outcome is the given one.
     """
     for seconds in PIECES:
         pieces = [cut_into_pieces(d, seconds) for d in data]
@@ -164,7 +166,7 @@ def _rescued(
             continue
         uncut = minimise(problem, problem.pack(short.values(piecewise.unknowns, 0)), options.loop)
         uncut_preferred = not _hopeless(problem, uncut) and uncut.point.cost <= outcome.point.cost
-        if uncut_preferred and _unstable(problem, uncut):  # by Akaike's criterion: the pieces have more unknowns
+        if uncut_preferred and _unstable(problem, uncut):  # by Akaike's criterion, because pieces have more unknowns
             uncut_preferred = uncut.point.cost + problem.size <= piecewise.point.cost + short.size
         if uncut_preferred:
             return problem, uncut
@@ -172,11 +174,11 @@ def _rescued(
     return problem, outcome
 
 
-def _fine_enough(
+def _with_fine_steps(
     problem: OutputErrorProblem, outcome: Fit, options: OutputErrorOptions
 ) -> tuple[OutputErrorProblem, Fit]:
-    """Refit with finer integration steps where twice as many change the outputs by more than a twentieth of the noise,
-    or would move the estimates by more than about a hundredth of their bounds."""
+    """Refit with finer integration steps while twice as many change the outputs by more than COARSE of the noise, or would move
+    the estimates by more than about a hundredth of their bounds."""
     while outcome.status in (Status.CONVERGED, Status.CUT) and problem.simulator.substeps < FINEST:
         point = outcome.point
         finer = replace(problem.simulator, substeps=2 * problem.simulator.substeps)
@@ -190,8 +192,8 @@ def _fine_enough(
                 integration_error = (motion.y - point.motions[i][j].y) / np.sqrt(np.diag(point.R))
                 largest = max(largest, float(np.sqrt(np.mean(integration_error**2, axis=0)).max()))
                 residuals[-1].append(segment.z - motion.y)
-        probe = LikelihoodPoint(point.cost, residuals, point.motions, point.R)
-        step = problem.step(outcome.unknowns, probe, 0.0)
+        refined = LikelihoodPoint(point.cost, residuals, point.motions, point.R)
+        step = problem.step(outcome.unknowns, refined, 0.0)
         if largest < COARSE and step.decrement < MOVED:
             break
         options = replace(options, substeps=finer.substeps)
@@ -218,7 +220,7 @@ def build_problem(model: Model, data: list[FlightData], options: OutputErrorOpti
 
 
 def free_states_of(model: Model, options: OutputErrorOptions) -> NDArray[np.bool_] | None:
-    """(nx,) which initial states the options free; None where the model decides. ModelError for a name that is no state's."""
+    """(nx,) which initial states the options free; None where the model decides. ModelError for a name that is no state."""
     if options.free_states is None:
         return None
     if unknown := [n for n in options.free_states if n not in model.state_names]:
@@ -231,20 +233,19 @@ def free_states_of(model: Model, options: OutputErrorOptions) -> NDArray[np.bool
 def reopen_fit(
     model: Model | str, flights: FlightsToFit, result: Result, options: OutputErrorOptions = STANDARD
 ) -> tuple[OutputErrorProblem, Fit]:
-    """The problem of an earlier fit at its optimum, in the same pieces and steps."""
+    """The problem of an earlier fit and its optimum, in the same pieces. DataError for flights other than those of the fit."""
     loaded = load_model(model).with_starts(result.fitted_model.starts())
     loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
     if len(data) != len(result.flights):
         raise DataError(f"{len(data)} flights given for a fit of {len(result.flights)}: give those that were fitted")
-    data = in_pieces_of(data, result)
     loaded = with_paths(loaded, data).with_starts(path_values(result)) if options.paths else loaded
-    problem = build_problem(loaded, data, options)
+    problem = build_problem(loaded, in_pieces_of(data, result), options)
     start = problem.pack(loaded.starts(), [list(f.initial_states) for f in result.flights])
-    return _fine_enough(problem, minimise(problem, start, options.loop), options)
+    return _with_fine_steps(problem, minimise(problem, start, options.loop), options)
 
 
 def in_pieces_of(data: list[FlightData], result: Result) -> list[FlightData]:
-    """Prepared flights in the segments in which a result was fitted."""
+    """Prepared flights in the segments of a result. DataError where they have none like them."""
     segment_counts = [len(f.initial_states) for f in result.flights]
     for pieces in (data, *([cut_into_pieces(d, seconds) for d in data] for seconds in PIECES)):
         if [len(p.segments) for p in pieces] == segment_counts:
@@ -261,15 +262,11 @@ def _starts(problem: OutputErrorProblem, options: OutputErrorOptions) -> Array:
     if regression_values is None:
         return from_model
     from_regression = problem.clip(problem.pack(regression_values))
-    return (
-        from_regression
-        if problem.evaluate(from_regression, False).cost < problem.evaluate(from_model, False).cost
-        else from_model
-    )
+    return min(from_model, from_regression, key=lambda unknowns: problem.evaluate(unknowns, False).cost)
 
 
 def fit_result(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
-    """The result of an optimisation: bounds, verdicts, histories, fit."""
+    """The result of an optimisation: estimates with bounds and verdicts, histories, fit."""
     model, unknowns = problem.model, outcome.unknowns
     point = outcome.point
     if outcome.status is Status.DIVERGED:
@@ -332,6 +329,7 @@ def _flight_fit(
     covariances: tuple[Array, Array],
     effects: Mapping[str, ParameterEffect],
 ) -> FlightFit:
+    """One flight at the optimum. covariances: of its local parameters, Cramer-Rao and corrected."""
     flight = problem.flights[index]
     time, measured = flight.histories(problem.ny)
     outputs = np.full_like(measured, np.nan)
@@ -349,8 +347,8 @@ def _flight_fit(
 
 
 def mean_of_locals(flights: tuple[FlightFit, ...], names: tuple[str, ...]) -> dict[str, Estimate]:
-    """One line per local parameter for the joint table: mean over flights, and the bound of that mean; not to be told where
-    no flight can tell its own."""
+    """One estimate for each local parameter: the mean over flights and the bound of that mean; not identifiable where no flight
+    can identify its own."""
     result = {}
     for name in names:
         members = [f.local[name] for f in flights]

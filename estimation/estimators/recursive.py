@@ -1,6 +1,6 @@
-"""The recursive estimator of `daq.identification` over a flight's file: the numbers that were, or would have been, seen live.
+"""The recursive estimator of `daq.identification` over a recorded flight: the numbers of live identification.
 
-Measured columns go in as they are, scan by scan; nothing is smoothed and nothing is taken from the future.
+It gets measured columns scan by scan; nothing is smoothed and no later scan is used.
 """
 
 import math
@@ -20,7 +20,7 @@ from estimation.estimators.equation_error import simulated_fits
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.linear_terms import OPTIONAL, LinearTerms, linear_terms
 from estimation.estimators.result import Estimate, EstimateHistory, FlightFit, Result, correlation_matrix
-from estimation.estimators.uncertainty import LISTED
+from estimation.estimators.uncertainty import correlated_pairs
 from estimation.models.base import Model, Parameter
 from estimation.prepare.columns import with_derived
 from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
@@ -29,13 +29,13 @@ from estimation.prepare.measured_mass import mass_history
 from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import GAP_FACTOR, Array, Flight
 
-EVERY = 0.5  # s between two entries of the history
-DOUBTED = 0.5  # of a believed value: its standard deviation where the aircraft file states none
+HISTORY_INTERVAL = 0.5  # s between two entries of the history
+USUAL_DOUBT = 0.5  # of a believed value: its standard deviation where the aircraft file states none
 
 
 @dataclass(frozen=True)
 class _RecursiveRun:
-    """What came of feeding flights one after the other. ends: stretch of the estimator at which each flight ends."""
+    """The estimator after all flights. ends: for each flight, one past its last stretch in the estimator."""
 
     estimator: JointEstimator
     ends: tuple[int, ...]
@@ -43,11 +43,11 @@ class _RecursiveRun:
 
 
 def estimate_recursively(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Result:
-    """Estimates with bounds after the last scan, and how they came about.
+    """Estimates with bounds after the last scan, and their history where there is one flight.
 
-    model: linear in its parameters, as `linear_terms` asks. Several flights are taken one after the other, as one aircraft; the
-    history is that of a single flight. Raises EstimationError for another model, parameters that are held, an airframe that
-    cannot be or one of which nothing is believed, MissingColumnError for a flight without the measured motion.
+    model: linear in its parameters, as `linear_terms` requires. Several flights follow each other, of one aircraft. Raises
+    EstimationError for another model, fixed parameters, an impossible airframe or one without believed derivatives,
+    MissingColumnError for a flight without the measured motion.
     """
     airframe, terms = airframe_of(model, aircraft), linear_terms(model)
     if not any(b.value for b in airframe.beliefs.values()):
@@ -58,12 +58,12 @@ def estimate_recursively(model: Model, flights: Sequence[Flight], aircraft: Airc
     for flight in flights:
         flight.require(list(terms.signals), "method live")
     compared_model, data = without_absent_outputs(model, prepare_all(model, flights, FOR_REGRESSION))
-    run = _fed(airframe, terms, [with_derived(f, ["rho"]) for f in flights])
+    run = _run(airframe, terms, [with_derived(f, ["rho"]) for f in flights])
     return _result(compared_model, data, run, terms)
 
 
 def unsupported_by_live(model: Model) -> str:
-    """Why a model cannot be taken, empty where it can."""
+    """Why a model cannot be used, empty where it can."""
     try:
         linear_terms(model)
     except EstimationError as error:
@@ -72,7 +72,8 @@ def unsupported_by_live(model: Model) -> str:
 
 
 def airframe_of(model: Model, aircraft: Aircraft) -> Airframe:
-    """The airframe and what is believed of it, as a model and its aircraft have it."""
+    """Geometry, mass and beliefs of a model and its aircraft. EstimationError where the model lacks a constant, or one is
+    impossible."""
     terms, c = linear_terms(model), model.constants
     lag = None if aircraft.servos is None else aircraft.servos.lag
     beliefs = {terms.names[p.name]: _belief(p) for p in model.parameters}
@@ -90,11 +91,12 @@ def airframe_of(model: Model, aircraft: Aircraft) -> Airframe:
 
 def _belief(p: Parameter) -> Belief:
     value = p.start if p.reference is None else p.reference
-    return Belief(value, p.reference_std if p.reference_std is not None else DOUBTED * abs(value))
+    return Belief(value, p.reference_std if p.reference_std is not None else USUAL_DOUBT * abs(value))
 
 
 def values_of(model: Model) -> tuple[dict[str, float], dict[str, float]]:
-    """Derivatives of a model, and the standard deviations it states: those of a belief that was not estimated, or of a prior."""
+    """Values of a model's parameters, and the standard deviations of its priors and of beliefs that were not replaced by
+    estimates."""
     values = {p.name: p.start for p in model.parameters}
     stds = {p.name: s for p in model.parameters if (s := _stated_std(p)) is not None}
     return values, stds
@@ -109,12 +111,12 @@ def _stated_std(p: Parameter) -> float | None:
 def samples_of(
     flight: Flight, part: slice, regressions: Sequence[PlaneRegression] = (LATERAL,), airframe: Airframe | None = None
 ) -> Iterator[Sample]:
-    """Scans of a stretch of a flight, in order. A column that is missing reads NaN; the pitching plane by itself does without the
-    lateral motion, which counts as none. airframe: near whose mass and CG the flight's own must be; None: those are not taken.
-    Raises DataError as `mass_history` and `cg_history`."""
+    """Scans of a stretch of a flight, in order. For the pitching plane alone, a lateral column that is not measured reads zero.
+    airframe: its mass and CG limit the flight's measured ones; None: these are not used. Raises DataError as `mass_history` and
+    `cg_history`."""
     names = [*SIGNALS, *(PITCH_SIGNALS if regressions != (LATERAL,) else ())]
     lateral = any(r.name == "lateral" for r in regressions)
-    absent = () if lateral else [n for n in (*OPTIONAL, "delta_a", "delta_r") if n not in flight.columns]
+    absent = () if lateral else [n for n in (*OPTIONAL, "delta_a", "delta_r") if not flight.measured(n)]
     size = flight.time[part].size
     columns = [flight.time[part], *(np.zeros(size) if n in absent else flight[n][part] for n in names)]
     loading = np.full((size, 2), math.nan)
@@ -124,17 +126,18 @@ def samples_of(
         yield Sample(*row)._replace(mass=mass, cg_x=cg_x)
 
 
-def _fed(airframe: Airframe, terms: LinearTerms, flights: Sequence[Flight]) -> _RecursiveRun:
+def _run(airframe: Airframe, terms: LinearTerms, flights: Sequence[Flight]) -> _RecursiveRun:
+    """Feed all scans of the flights, one flight after the other, to one estimator."""
     estimator, ends, entries = JointEstimator(airframe, terms.regressions), [], list[LiveEstimates]()
     for flight in flights:
         due = -math.inf
         for part in flight.segments:
-            if not _leads_over(flight, part.start):
+            if not _continues(flight, part.start):
                 estimator.restart()
             for sample in samples_of(flight, part, terms.regressions, airframe):
                 estimator.add(sample)
                 if sample.time >= due and len(flights) == 1:
-                    due = sample.time + EVERY - 1e-6
+                    due = sample.time + HISTORY_INTERVAL - 1e-6  # 1e-6: rounding of the times
                     entries.append(replace(estimator.estimates(), time=sample.time))
         if len(flights) == 1:
             entries.append(replace(estimator.estimates(), time=float(flight.time[-1])))
@@ -142,8 +145,8 @@ def _fed(airframe: Airframe, terms: LinearTerms, flights: Sequence[Flight]) -> _
     return _RecursiveRun(estimator, tuple(ends), _history(entries, terms.names))
 
 
-def _leads_over(flight: Flight, row: int) -> bool:
-    """Whether a segment begins only because some scans are missing, fewer than make the estimator begin anew by itself."""
+def _continues(flight: Flight, row: int) -> bool:
+    """Whether a segment begins after a gap that is too short to restart the estimator."""
     if row == 0:
         return False
     step = float(flight.time[row] - flight.time[row - 1])
@@ -163,6 +166,7 @@ def _history(entries: Sequence[LiveEstimates], names: Mapping[str, str]) -> Esti
 
 
 def _result(model: Model, data: list[FlightData], run: _RecursiveRun, terms: LinearTerms) -> Result:
+    """The result of a run, with flights simulated at its estimates."""
     final = run.estimator.estimates()
     names = tuple(n for n in model.parameter_names if not model.parameter(n).local)
     estimates = {n: _estimate(model.parameter(n), final.derivatives[terms.names[n]]) for n in names}
@@ -174,18 +178,19 @@ def _result(model: Model, data: list[FlightData], run: _RecursiveRun, terms: Lin
     flights: tuple[FlightFit, ...] = tuple(
         replace(f, local=flight_constants) for f, flight_constants in zip(fits, constants_by_flight, strict=True)
     )
-    honest, white = (
+    corrected, white = (
         _matrix([terms.names[n] for n in names], run.estimator.solutions(), kind) for kind in ("covariance", "white")
     )
     status, text = _status(final, estimates)
     return Result(
-        model, "live", status, text, final.rows, final.rows, math.nan, R, names, estimates, white, honest,
-        _pairs(names, honest), flights, "daq.identification", history=run.history if len(data) == 1 else None,
+        model, "live", status, text, final.rows, final.rows, math.nan, R, names, estimates, white, corrected,
+        correlated_pairs(names, correlation_matrix(corrected)), flights, "daq.identification",
+        history=run.history if len(data) == 1 else None,
     )  # fmt: skip
 
 
 def _locals(model: Model, run: _RecursiveRun, terms: LinearTerms) -> Iterator[dict[str, Estimate]]:
-    """Each flight's own constants, where the model says that they are."""
+    """The local parameters of each flight."""
     begin = 0
     for end in run.ends:
         derivatives = run.estimator.estimates(slice(begin, end)).derivatives
@@ -194,7 +199,7 @@ def _locals(model: Model, run: _RecursiveRun, terms: LinearTerms) -> Iterator[di
 
 
 def _estimate(p: Parameter, d: LiveDerivative) -> Estimate:
-    """The start value stands where there is no number at all."""
+    """The estimate of a parameter; its start value where there is no finite estimate."""
     value, bound, white = (d.estimate, d.std, d.white) if math.isfinite(d.std) else (p.start, math.inf, math.inf)
     return Estimate(
         p.name, value, min(white, bound), bound, d.told, d.why, p.unit, p.reference, p.reference_source, p.local
@@ -212,21 +217,10 @@ def _status(final: LiveEstimates, parameters: Mapping[str, Estimate]) -> tuple[S
 
 
 def _matrix(names: Sequence[str], solutions: Mapping[str, RegressionSolution | None], kind: str) -> Array:
-    """(n, n) covariance in the order of the names; zero where there is none, constants by themselves."""
+    """(n, n) covariance in the order of the names, zero between different regressions. kind: attribute of the solutions."""
     result = np.zeros((len(names), len(names)))
     for solution in solutions.values():
         if solution is not None:
             indices = [names.index(n) for n in solution.names]
             result[np.ix_(indices, indices)] = getattr(solution, kind)
     return result
-
-
-def _pairs(names: tuple[str, ...], covariance: Array) -> tuple[tuple[str, str, float], ...]:
-    rho = correlation_matrix(covariance)
-    pairs = [
-        (names[i], names[j], round(float(rho[i, j]), 4))
-        for i in range(len(names))
-        for j in range(i)
-        if abs(rho[i, j]) >= LISTED
-    ]
-    return tuple(sorted(pairs, key=lambda p: -abs(p[2])))

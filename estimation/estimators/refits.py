@@ -1,16 +1,15 @@
-"""Refits of a maximum-likelihood fit: what its bounds are worth where they are no parabola.
+"""Refits of a maximum-likelihood fit: uncertainty where the log likelihood is no parabola.
 
 Parametric bootstrap (B. Efron and R. J. Tibshirani, An Introduction to the Bootstrap, sections 6.5 and 13.3): simulate at the
-estimate, add noise like the residuals, fit again, many times. It needs no linearisation: bias and skewness of the estimates show,
-which a bound cannot. The noise has the covariance between outputs and the colour of the residuals, from the same autoregressive
-spectrum as the corrected bound, raised by what the fit took away (`estimators.coloured`), and the noise that de-noising left in
-the inputs is drawn anew (`estimators.input_error`).
+estimate, add noise like the residuals, fit again, many times. It needs no linearisation and shows bias and skewness of the
+estimates, which a bound cannot. The noise has the covariance between outputs and the colour of the residuals, from the spectrum
+of the corrected bound (`estimators.coloured`); remaining noise of the inputs is drawn anew (`estimators.input_error`).
 
-Profile likelihood: how fast the fit worsens as one parameter leaves its estimate while all others follow. Unlike a bound it does
-not believe the likelihood a parabola: limits, curvature and one-sided knowledge show. The 95 % interval holds the values whose
-deviance 2 (J - J_min) is below 3.84 (chi-square, one degree of freedom; Y. Pawitan, In All Likelihood, section 3.4). That
-believes residuals white; where they are coloured, deviance is scaled by the squared ratio of Cramer-Rao to corrected bound
-(R. E. Chandler and S. Bate, Biometrika 94(1), 2007, equation 8).
+Profile likelihood: how fast the fit worsens as one parameter leaves its estimate while all others are fitted again. It shows
+limits, curvature and one-sided knowledge. The 95 % interval contains the values whose deviance 2 (J - J_min) is below 3.84
+(chi-square, one degree of freedom; Y. Pawitan, In All Likelihood, section 3.4), if residuals are white; where they are coloured,
+the deviance is scaled by the squared ratio of Cramer-Rao to corrected bound (R. E. Chandler and S. Bate, Biometrika 94(1), 2007,
+equation 8).
 """
 
 import math
@@ -31,8 +30,13 @@ from estimation.models.base import Model
 from estimation.prepare.flight_data import FlightData
 from estimation.prepare.pipeline import FlightsToFit
 
-FEWEST_REPLICATES = 10  # replicates
-PERCENTILES = (2.5, 97.5)
+FEWEST_REPLICATES = 10
+PERCENTILES = (2.5, 97.5)  # ends of a 95 % interval
+ROOT_95 = 1.959963984540054  # square root of the 95 % point of chi-square, one degree of freedom
+BEYOND = 1.15  # of the expected half-width: how far the curve is drawn
+FARTHEST = 4.0  # times that, where the interval is longer than expected
+FEWEST_POINTS = 5
+BETTER = -0.01  # deviance: a fit this much better than the estimate is no rounding
 
 
 def parametric_bootstrap(
@@ -43,7 +47,8 @@ def parametric_bootstrap(
     rng: np.random.Generator,
     options: OutputErrorOptions = STANDARD,
 ) -> Bootstrap:
-    """Spread of every estimate over `replicates` simulated repetitions; `result` and `options` are those of the fit.
+    """Spread of every estimate over `replicates` simulated flights like the given ones; `result` and `options` are those of the
+    fit.
 
     Raises EstimationError for too few replicates.
     """
@@ -63,7 +68,7 @@ def parametric_bootstrap(
         outcome = minimise(replicate, fit.unknowns, options.loop)
         if outcome.status.usable:
             rows.append(_mean_over_flights(problem, outcome.unknowns))
-    names = tuple(n for n in problem.free if np.isfinite(result.parameters[n].std))
+    names = tuple(n for n in problem.free if n in result.parameters and np.isfinite(result.parameters[n].std))
     if len(rows) < FEWEST_REPLICATES:
         return Bootstrap(
             names, np.zeros((0, len(names))), {}, replicates - len(rows), "hardly any replicate could be fitted"
@@ -77,7 +82,7 @@ def parametric_bootstrap(
 
 
 def check_replicates(replicates: int) -> None:
-    """EstimationError where there are too few."""
+    """EstimationError where they are too few."""
     if replicates < FEWEST_REPLICATES:
         raise EstimationError(
             f"{replicates} replicates make no bootstrap: at least {FEWEST_REPLICATES} are needed, 100 or more of use"
@@ -96,7 +101,7 @@ def _repeated(
     inputs: list[list[Disturbed]],
     rng: np.random.Generator,
 ) -> list[FlightData]:
-    """The flights as they might be measured another time, with the same samples missing."""
+    """The flights as another measurement might show them, with the same samples missing."""
     factor = np.linalg.cholesky(point.R)
     repeated = []
     for flight, motions, root, responses in zip(problem.flights, point.motions, roots, inputs, strict=True):
@@ -112,7 +117,7 @@ def _repeated(
 
 
 def _prior_redrawn(problem: OutputErrorProblem, fit: Fit, rng: np.random.Generator) -> Model:
-    """A prior is a measurement made earlier: repeated, it falls elsewhere too."""
+    """The model with its prior means redrawn: a prior is an earlier measurement, and a repetition would differ."""
     values = problem.values(fit.unknowns, 0)
     return problem.model.with_prior(
         **{
@@ -123,12 +128,6 @@ def _prior_redrawn(problem: OutputErrorProblem, fit: Fit, rng: np.random.Generat
     )
 
 
-ROOT_95 = 1.959963984540054  # square root of the 95 % point of chi-square, one degree of freedom
-BEYOND = 1.15  # of the expected half-width: how far the curve is drawn
-FARTHEST = 4.0  # times that, where the interval is longer than expected
-FEWEST_POINTS = 5  # points
-
-
 def profile_likelihood(
     model: Model | str,
     flights: FlightsToFit,
@@ -137,7 +136,7 @@ def profile_likelihood(
     points: int = 13,
     options: OutputErrorOptions = STANDARD,
 ) -> Profile:
-    """Refit everything else at about `points` values of one parameter; `result` and `options` are those of the fit.
+    """Profile of one parameter at about `points` values; `result` and `options` are those of the fit.
 
     Raises EstimationError for too few points or a parameter that was not estimated, ModelError for an unknown one.
     """
@@ -159,14 +158,15 @@ def profile_likelihood(
     deviance = np.maximum([k[1] for k in knots], 0.0)
     root = np.copysign(np.sqrt(deviance), values - line.center)
     ends = [_interval(values, root, level, line.limits) for level in (ROOT_95, ROOT_95 * ratio)]
-    open_ = any(not math.isfinite(v) for v in ends[1])
-    text = f"the data sets {parameter} no end within {FARTHEST:g} times its bound" if open_ else ""
-    if line.lower_found:
+    unbounded = any(not math.isfinite(v) for v in ends[1])
+    text = f"the data sets {parameter} no end within {FARTHEST:g} times its bound" if unbounded else ""
+    if line.better_fit_found:
         text = "a better fit was found beside the estimate: the fit had not reached the best; start it from elsewhere"
     return Profile(parameter, line.center, values, deviance, ends[0], ends[1], text)
 
 
 def _no_curve(result: Result, parameter: str) -> str:
+    """Why a parameter has no profile, empty where it has one."""
     if not result.converged:
         return f"no profile: {result.text}"
     if parameter not in result.names:
@@ -176,28 +176,28 @@ def _no_curve(result: Result, parameter: str) -> str:
 
 
 class _ProfileLine:
-    """Refits along one parameter, each started from its neighbour. center: value at the optimum."""
+    """Refits along one parameter, each from its neighbour. center: value at the optimum."""
 
     def __init__(self, problem: OutputErrorProblem, fit: Fit, name: str, options: OutputErrorOptions) -> None:
         self.problem, self.name, self.options = problem, name, options
-        self.at = [problem.free[i] for i in problem.shared].index(name)
-        self.best, self.center = fit.unknowns, float(fit.unknowns[self.at])
+        self.index = [problem.free[i] for i in problem.shared].index(name)
+        self.best, self.center = fit.unknowns, float(fit.unknowns[self.index])
         self.lowest = fit.point.cost  # with the parameter's own prior
         parameter = problem.model.parameter(name)
         self.limits = (parameter.lower, parameter.upper)
-        self.lower_found = False
+        self.better_fit_found = False
 
     def _prior(self, value: float) -> float:
-        """The parameter's own prior, which a refit with the parameter held does not count."""
+        """Cost of the parameter's prior, which a refit with the parameter fixed does not include."""
         parameter = self.problem.model.parameter(self.name)
         if parameter.prior_mean is None or parameter.prior_std is None:
             return 0.0
         return 0.5 * ((value - parameter.prior_mean) / parameter.prior_std) ** 2
 
     def side(self, step: float, count: int, level: float) -> list[tuple[float, float]]:
-        """(value, deviance) outward from the estimate, to `count` steps or until the root of deviance passes `level`."""
+        """(value, deviance) outward from the estimate: `count` steps, and more until the root of deviance passes `level`."""
         curve: list[tuple[float, float]] = []
-        unknowns = np.delete(self.best, self.at)
+        unknowns = np.delete(self.best, self.index)
         for k in range(1, math.ceil(FARTHEST * count) + 1):
             if k > count and math.sqrt(max(curve[-1][1], 0.0)) >= level:
                 break
@@ -212,13 +212,13 @@ class _ProfileLine:
                 break
             unknowns = outcome.unknowns
             deviance = 2.0 * (outcome.point.cost + self._prior(value) - self.lowest)
-            self.lower_found |= deviance < -0.01
+            self.better_fit_found |= deviance < BETTER
             curve.append((value, deviance))
         return curve
 
 
 def _interval(values: Array, root: Array, level: float, limits: tuple[float, float]) -> tuple[float, float]:
-    """Where the signed root of deviance passes -level and level; it is nearly straight, so lines between points do."""
+    """Where the signed root of deviance passes -level and level, by lines between points, because it is nearly straight."""
     ends = []
     center = int(np.flatnonzero(root == 0.0)[0])
     for side, limit in zip((-1, 1), limits, strict=True):

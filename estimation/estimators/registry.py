@@ -1,9 +1,9 @@
-"""Estimators by name: what `--method` chooses from, and where help, progress, JSON, tables and figures take their words.
+"""Estimators by name, for `--method`; help, progress, JSON, tables and figures take names and titles from here.
 
-An estimator is an `Estimator` record in one file. Those that come with Sideslip lie in `estimators/methods`, each module
-with a tuple ESTIMATORS; an installed package brings its own under the entry point group `sideslip.estimators`, and
-`--method module:NAME` takes one that is not installed. Importing this module, or asking for `names`, loads none that is
-somebody else's, and no numerical library.
+An estimator is an `Estimator` record in one file. Those of Sideslip are in `estimators/methods`, each module with a tuple
+ESTIMATORS; an installed package adds its own under the entry point group `sideslip.estimators`, and `--method module:NAME`
+takes one that is not installed. Importing this module or calling `estimator_names` loads no estimator of another package, and no
+numerical library.
 """
 
 import importlib
@@ -35,7 +35,7 @@ def _installed() -> Mapping[str, EntryPoint]:
 
 
 def estimator_names(extra: Extra | None = None) -> tuple[str, ...]:
-    """All names; with `extra` those of Sideslip's own that support it (others are not loaded to be asked)."""
+    """All names; with `extra`, those of Sideslip's estimators that support it (those of other packages are not loaded)."""
     built_in_estimators = built_in()
     if extra is not None:
         return tuple(n for n, e in built_in_estimators.items() if extra in e.supports)
@@ -43,7 +43,7 @@ def estimator_names(extra: Extra | None = None) -> tuple[str, ...]:
 
 
 def find_estimator(name: str) -> Estimator:
-    """The estimator of that name, or of `module:NAME`; EstimationError naming what there is."""
+    """The estimator of that name, or of `module:NAME`; EstimationError naming the known ones."""
     estimator, point = built_in().get(name), _installed().get(name)
     if estimator is not None and point is not None:
         raise EstimationError(f"method {name}: {point.value} brings one too, but the name is taken; give it another")
@@ -56,19 +56,16 @@ def find_estimator(name: str) -> Estimator:
             raise EstimationError(f"method {name}: {point.value} cannot be loaded: {mistake_text(error)}") from error
         return _checked(value, f"method {name}: {point.value}", name)
     if ":" in name:
-        estimator_of_file = _checked(
-            import_named(name, f"method {name!r}", "module:NAME, like my_fits:OWN"), f"method {name}"
-        )
-        if estimator_of_file.name in estimator_names():
-            raise EstimationError(
-                f"method {name} calls itself {estimator_of_file.name!r}: the name is taken; give it another"
-            )
-        return estimator_of_file
+        imported = _checked(import_named(name, f"method {name!r}", "module:NAME, like my_fits:OWN"), f"method {name}")
+        if imported.name in estimator_names():
+            raise EstimationError(f"method {name} calls itself {imported.name!r}: the name is taken; give it another")
+        return imported
     alternatives = f"known are {', '.join(estimator_names())}, or give module:NAME"
     raise EstimationError(f"method {name!r} is unknown; {alternatives}{did_you_mean(name, estimator_names())}")
 
 
 def _checked(value: object, source: str, name: str = "") -> Estimator:
+    """`value` if it is an Estimator, of that name where one is given; EstimationError otherwise."""
     if not isinstance(value, Estimator):
         raise EstimationError(f"{source} is {type(value).__name__}, not an estimation.Estimator")
     if name and value.name != name:
@@ -82,9 +79,9 @@ def listed_words(words: Sequence[str]) -> str:
 
 
 def check_extras(extras: Sequence[Extra], estimators: Sequence[Estimator]) -> None:
-    """EstimationError for an extra that none of the chosen estimators heeds."""
+    """EstimationError for an extra that none of the chosen estimators supports."""
     for extra in extras:
         if not any(extra in e.supports for e in estimators):
-            able = estimator_names(extra)
-            able_methods = f"method{'s' if len(able) > 1 else ''} {listed_words(able)}"
-            raise EstimationError(f"{extra.value} is for {able_methods}: add {able[0]} to --method")
+            names = estimator_names(extra)
+            methods_text = f"method{'s' if len(names) > 1 else ''} {listed_words(names)}"
+            raise EstimationError(f"{extra.value} is for {methods_text}: add {names[0]} to --method")

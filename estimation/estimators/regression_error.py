@@ -1,9 +1,9 @@
-"""By how much a regression misses: it takes noisy, sampled and smoothed motion for the motion itself, which no residual shows.
+"""Errors of a regression that residuals do not show: it takes noisy, sampled and smoothed motion for the motion itself.
 
-It is asked for an answer that is known: flights are simulated with its own estimates, sampled, given the noise that each channel
-shows, smoothed and regressed again, on inputs with what may still be wrong with them; and once more with the estimates less what
-that took off them. What comes back differs by the errors of noisy regressors, sampling and smoothing (indirect inference: C.
-Gourieroux, A. Monfort, E. Renault, J. Applied Econometrics 8, 1993, S85-S118). Estimates stay as they are.
+The regression is repeated on flights with known answer: simulated with its own estimates, sampled, with the noise of each channel
+added, smoothed, and with redrawn input errors; then again with estimates corrected by the bias found. The differences from the
+known answer are the errors due to noisy regressors, sampling and smoothing (indirect inference: C. Gourieroux, A. Monfort, E.
+Renault, J. Applied Econometrics 8, 1993, S85-S118). Only bounds change, not the estimates.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,15 +23,15 @@ from estimation.prepare.columns import bridge_gaps
 from estimation.prepare.flight_data import FlightData, Segment, without_absent_outputs
 from estimation.signals.denoise import denoise_many, noise_level
 
-REPLICATES = 4  # of which two bend edges on the sampling clock one way, and two the other
-ROUNDS = 2  # the first says what the motion's noise took off the estimates, the second flies them with that restored
+REPLICATES = 4  # two of them bend edges on the sampling clock one way, and two the other
+ROUNDS = 2  # the first finds the bias of the estimates, the second simulates with estimates corrected for it
 SEED = 0
 MEAN_BEND = 2 / 3 * HALF_WAY  # of a step: mean over an interval of a bend that is HALF_WAY in its middle
 BOUNDS_LEAVE_OUT = "its bounds leave out noise of the measured motion: they are none to rely on"
 
 
 def with_regression_errors(result: Result, flights: Sequence[FlightData], *, stepwise: bool = False) -> Result:
-    """The result with these errors in its corrected bounds; where there is no telling them, its text says so."""
+    """The result with these errors in its corrected bounds; where they cannot be found, its text says so."""
     try:
         with numerical_failures():
             errors = regression_errors(result, flights, stepwise=stepwise)
@@ -47,8 +47,8 @@ def with_regression_errors(result: Result, flights: Sequence[FlightData], *, ste
 
 
 def regression_errors(result: Result, flights: Sequence[FlightData], *, stepwise: bool = False) -> Mapping[str, float]:
-    """Parameter -> rms by which the regression misses an answer that it takes for its own; empty where the model runs away from
-    that. flights: as the regression had them."""
+    """Parameter -> rms error of the regression on flights with known answer; empty where the model cannot be simulated with the
+    estimates. flights: as prepared for the regression."""
     model, data = without_absent_outputs(result.model, list(flights))
     simulator = Simulator.build(model)
     clocked = [model.input_names.index(n) for n in clocked_controls(model, data)]
@@ -57,21 +57,24 @@ def regression_errors(result: Result, flights: Sequence[FlightData], *, stepwise
     for _ in range(ROUNDS):
         if not _complete(predicted, data):
             break
-        made = [_made(model, d, y, index, clocked) for index, (d, y) in enumerate(zip(data, predicted, strict=True))]
-        replicates = [solve_regression(simulator, r, stepwise=stepwise).values for r in zip(*made, strict=True)]
-        misses = {n: np.array([values[n] - answer[n] for values in replicates]) for n in result.names}
-        rms = {n: float(np.sqrt(np.mean(m**2))) for n, m in misses.items()}
-        answer = {**answer, **{n: result.values[n] - float(np.mean(m)) for n, m in misses.items()}}
+        replicates = [
+            _replicates(model, d, y, i, clocked) for i, (d, y) in enumerate(zip(data, predicted, strict=True))
+        ]
+        estimates = [solve_regression(simulator, r, stepwise=stepwise).values for r in zip(*replicates, strict=True)]
+        errors = {n: np.array([values[n] - answer[n] for values in estimates]) for n in result.names}
+        rms = {n: float(np.sqrt(np.mean(e**2))) for n, e in errors.items()}
+        answer = {**answer, **{n: result.values[n] - float(np.mean(e)) for n, e in errors.items()}}
         predicted = [_simulated(model, d, answer) for d in data]
     return {n: v for n, v in rms.items() if np.isfinite(v)}
 
 
 def _complete(predicted: Sequence[Array], data: Sequence[FlightData]) -> bool:
+    """Whether the outputs are finite throughout the segments."""
     return all(np.isfinite(y[s.rows]).all() for y, d in zip(predicted, data, strict=True) for s in d.segments)
 
 
 def _simulated(model: Model, data: FlightData, answer: Mapping[str, float]) -> Array:
-    """(samples, ny) outputs; infinite where they cannot be computed."""
+    """(samples, ny) outputs; infinite where the simulation fails."""
     try:
         with numerical_failures():
             return simulate(model, data, answer)
@@ -79,12 +82,15 @@ def _simulated(model: Model, data: FlightData, answer: Mapping[str, float]) -> A
         return np.full((data.samples, len(model.outputs)), np.inf)
 
 
-def _made(model: Model, data: FlightData, predicted: Array, index: int, clocked: Sequence[int]) -> list[FlightData]:
-    """The flight again and again with outputs as predicted (samples, ny) and noise of the measured ones; states that no output
-    shows stay as measured. clocked: inputs whose way between samples may lie on either side of the straight line."""
+def _replicates(
+    model: Model, data: FlightData, predicted: Array, index: int, clocked: Sequence[int]
+) -> list[FlightData]:
+    """REPLICATES of a flight with outputs as predicted (samples, ny) plus noise as measured; states without an output stay as
+    measured. index: of the flight, for its random numbers; clocked: inputs whose path between samples may lie on either side of
+    the straight line."""
     rng = np.random.default_rng([SEED, index])
     outputs = {s.source: j for j, s in enumerate(model.outputs)}
-    shown = [(i, outputs[s.source]) for i, s in enumerate(model.states) if s.source in outputs]
+    measured_states = [(i, outputs[s.source]) for i, s in enumerate(model.states) if s.source in outputs]
     states = [data.states.copy() for _ in range(REPLICATES)]
     segments: list[list[Segment]] = [[] for _ in range(REPLICATES)]
     errors: NDArray[np.floating] = np.zeros((data.samples, len(model.inputs), REPLICATES))
@@ -94,7 +100,7 @@ def _made(model: Model, data: FlightData, predicted: Array, index: int, clocked:
         levels = np.array([noise_level(column) for column in s.z.T])
         noisy = predicted[s.rows] + levels * rng.standard_normal((REPLICATES, *s.z.shape))
         noisy[:, ~np.isfinite(s.z)] = np.nan
-        columns = [(k, i, bridge_gaps(noisy[k, :, j])) for k in range(REPLICATES) for i, j in shown]
+        columns = [(k, i, bridge_gaps(noisy[k, :, j])) for k in range(REPLICATES) for i, j in measured_states]
         for (k, i, _), smooth in zip(columns, denoise_many([c for *_, c in columns], order=2), strict=True):
             states[k][s.rows, i] = smooth.values
         for k in range(REPLICATES):

@@ -1,4 +1,4 @@
-"""What an estimation leaves: estimates that travel with their validity and spread, per flight and joint.
+"""The result of an estimation: estimates with validity and spread, by flight and joint.
 
 `Result.to_json()` is one method's entry of `estimate --json`.
 """
@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter. std: Cramer-Rao bound; std_coloured: corrected for coloured residuals (both inf where the data does
-    not see the parameter); identifiable False comes with `why`."""
+    """One parameter. std: Cramer-Rao bound; std_coloured: corrected for coloured residuals and input errors (both inf where the
+    data does not see the parameter); why: reason where it is not identifiable. local: each flight has its own value."""
 
     name: str
     estimate: float
@@ -52,7 +52,7 @@ class Estimate:
 class FlightFit:
     """One flight within a fit. measured, outputs, residuals: (samples, ny), NaN outside the segments.
 
-    initial_states: one (nx,) per segment. local: estimates of parameters (biases, trims) of this flight alone.
+    initial_states: (nx,) of each segment. local: estimates of parameters (biases, trims) of this flight alone.
     """
 
     name: str
@@ -69,8 +69,8 @@ class FlightFit:
 
 @dataclass(frozen=True)
 class Spread:
-    """One parameter over the replicates. std: their standard deviation; bias: their mean less the estimate they were
-    made with; interval: 95 %, between percentiles."""
+    """One parameter over the replicates. std: their standard deviation; bias: their mean minus the estimate of the fit; interval:
+    95 %, between percentiles."""
 
     std: float
     bias: float
@@ -79,8 +79,8 @@ class Spread:
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """names: parameters the data can see; estimates: (replicates that came to an end, names), local parameters as their
-    mean over flights; failed: replicates that did not. text: why there is nothing, else empty."""
+    """names: parameters the data sees; estimates: (replicates that converged, names), local parameters as mean over flights;
+    failed: number of replicates that did not converge; text: why there are no estimates, else empty."""
 
     names: tuple[str, ...]
     estimates: Array
@@ -101,9 +101,9 @@ class Bootstrap:
 
 @dataclass(frozen=True)
 class Profile:
-    """values, deviance: (points,) ascending, the estimate among them. interval: 95 %, residuals believed white;
-    interval_coloured: widened as the corrected bound is. An end is infinite where the data sets none; a limit of the
-    parameter ends an interval. text: why there is no curve or no end, else empty."""
+    """values, deviance: (points,) ascending in value, the estimate among them. interval: 95 %, for white residuals;
+    interval_coloured: widened like the corrected bound. An end is infinite where the data sets none; a limit of the parameter
+    ends an interval. text: why there is no curve or no end, else empty."""
 
     name: str
     estimate: float
@@ -125,14 +125,14 @@ class Profile:
 
 @dataclass(frozen=True)
 class EstimateHistory:
-    """How estimates came about during the flight. time: (n,) s; estimate, std: name -> (n,), NaN before it could be told."""
+    """Estimates during the flight. time: (n,) s; estimate, std: name -> (n,), NaN while not identifiable."""
 
     time: Array
     estimate: Mapping[str, Array]
     std: Mapping[str, Array]
 
     def to_json(self) -> dict[str, Any]:
-        """`time` and each parameter by name; JSON knows no NaN, so what cannot be told yet is null."""
+        """`time` and each parameter by name; null while it is not identifiable, because JSON knows no NaN."""
         parameters = {
             n: {
                 "estimate": [finite_or_none(v) for v in self.estimate[n]],
@@ -145,10 +145,9 @@ class EstimateHistory:
 
 @dataclass(frozen=True)
 class Result:
-    """A whole fit, of one flight or of many together. Matrices are in the order of `names` (the shared parameters)."""
-
-    def __repr__(self) -> str:
-        return f"<Result of {self.model.name} by {self.method}: {len(self.parameters)} parameters; {self.text:.120}>"
+    """A fit of one flight or of several together. names: the shared parameters, in the order of the covariances; R: (ny, ny)
+    covariance of the residuals; collinear: strongly correlated pairs with their correlation; engine: back end of the
+    simulation."""
 
     model: Model
     method: str
@@ -170,13 +169,17 @@ class Result:
     bootstrap: Bootstrap | None = None
     history: EstimateHistory | None = None
 
+    def __repr__(self) -> str:
+        return f"<Result of {self.model.name} by {self.method}: {len(self.parameters)} parameters; {self.text:.120}>"
+
     @property
     def converged(self) -> bool:
+        """Whether the estimates can be used."""
         return self.status.usable
 
     @property
     def informative(self) -> bool:
-        """Whether it can tell any derivative, or any parameter where the model has no derivatives free."""
+        """Whether any derivative is identifiable, or any parameter where the model has no free derivative."""
         names = self.model.free_of(ParameterRole.DERIVATIVE) or tuple(self.parameters)
         return any(self.parameters[n].identifiable for n in names if n in self.parameters)
 
@@ -187,10 +190,12 @@ class Result:
 
     @property
     def std(self) -> dict[str, float]:
+        """Cramer-Rao bounds by name."""
         return {n: e.std for n, e in self.parameters.items()}
 
     @property
     def std_coloured(self) -> dict[str, float]:
+        """Corrected bounds by name."""
         return {n: e.std_coloured for n, e in self.parameters.items()}
 
     @property
@@ -200,7 +205,7 @@ class Result:
 
     @property
     def fitted_model(self) -> Model:
-        """The model with the estimates as its values: for prediction, for a child in a lineage, for a TOML file."""
+        """The model with the estimates as its values."""
         return self.model.with_starts({n: v for n, v in self.values.items() if math.isfinite(v)})
 
     @property
@@ -243,15 +248,15 @@ class Result:
 
 
 def judge_status(status: Status, parameters: Mapping[str, Estimate]) -> tuple[Status, str]:
-    """The status of a fit in view of what the data can tell, and its sentence."""
-    unclear = [n for n, e in parameters.items() if not e.identifiable]
+    """The status of a fit, given which parameters are identifiable, and its sentence."""
+    blind = [n for n, e in parameters.items() if not e.identifiable]
     if status in (Status.CONVERGED, Status.NOT_IDENTIFIABLE):
-        status = Status.NOT_IDENTIFIABLE if unclear else Status.CONVERGED
-    return status, status.value + (f": {', '.join(unclear)}" if status is Status.NOT_IDENTIFIABLE else "")
+        status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
+    return status, status.value + (f": {', '.join(blind)}" if status is Status.NOT_IDENTIFIABLE else "")
 
 
 def correlation_matrix(covariance: Array) -> Array:
-    """Correlation matrix; rows of parameters without a bound are zero but for the diagonal."""
+    """(n, n) correlations; zero with a parameter that has no finite, positive variance."""
     d = np.sqrt(np.diag(covariance))
     bounded = np.isfinite(d) & (d > 0)
     scale = np.where(bounded, 1.0 / np.where(bounded, d, 1.0), 0.0)
@@ -261,5 +266,5 @@ def correlation_matrix(covariance: Array) -> Array:
 
 
 def finite_or_none(value: float) -> float | None:
-    """JSON knows no infinity: None stands for it."""
+    """The number; None for infinity and NaN, which JSON does not know."""
     return float(value) if math.isfinite(value) else None

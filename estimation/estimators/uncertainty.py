@@ -1,11 +1,10 @@
-"""Bounds and what they are worth: Cramer-Rao, corrected for coloured residuals and inputs in error, identifiability with
-reasons.
+"""Bounds of estimates, Cramer-Rao and corrected for coloured residuals and input errors, and identifiability with reasons.
 
-The corrected covariance is M^-1 B M^-1 with M the information and B the covariance of the score, the sum of what the
-outputs' noise (`estimation.estimators.coloured`) and the inputs' errors (`estimation.estimators.input_error`) put into it.
+The corrected covariance is M^-1 B M^-1 with M the information and B the covariance of the score: the sum of the parts due to
+the outputs' noise (`estimation.estimators.coloured`) and to input errors (`estimation.estimators.input_error`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -18,10 +17,10 @@ from estimation.estimators.coloured import (
     Spectrum,
     autocovariance,
     filtered_covariance,
+    measured_part,
+    measured_rows_of,
     noise_spectrum,
-    with_something_known,
-    without_empty,
-    without_empty_rows,
+    non_empty_pieces,
     without_nuisance,
 )
 from estimation.estimators.input_error import (
@@ -35,7 +34,7 @@ from estimation.estimators.input_error import (
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.normal_equations import FlightBlocks, pseudo_inverse
 from estimation.estimators.result import Estimate, correlation_matrix
-from estimation.estimators.together import moving_together, text_of
+from estimation.estimators.together import gearing_text, moving_together
 from estimation.models.base import Model, Parameter
 from estimation.models.expressions import products_in
 from estimation.prepare.flight_data import FlightData
@@ -43,17 +42,18 @@ from estimation.prepare.flight_data import FlightData
 Array = NDArray[np.float64]
 
 COLLINEAR = 0.95  # correlation from which two estimates are called collinear
-LISTED = 0.9
-TIED = 1e-3  # share in a direction the data does not see, in scaled coordinates
-RESOLUTION = 0.01  # of the motion of an output: a quantity known to that is known to be small, if it is small
-USEFUL = 0.3  # a bound wider than this part of what is believed tells nothing new
-BEYOND_DOUBT = 0.2  # but five bounds from zero is told, however small it was believed to be
-STILL = 3.0  # an input that moves less than this many noise levels has not moved
+LISTED = 0.9  # correlation from which a pair is listed
+TIED = 1e-3  # share in a direction the data does not see, in scaled coordinates: such a parameter is undetermined
+RESOLUTION = 0.01  # of the motion of an output: a parameter whose bound moves no output by more is identifiable
+USEFUL = 0.3  # of a believed value: a wider bound tells nothing new
+BEYOND_DOUBT = 0.2  # of the estimate: a bound this narrow, five times below it, is useful whatever was believed
+STILL = 3.0  # times its noise: an input that moves less has not moved
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Covariances of the shared parameters and of each flight's local ones; undetermined: names the data does not see."""
+    """Covariances of the shared parameters and of each flight's local ones, Cramer-Rao and corrected; undetermined: (shared,)
+    which the data does not see."""
 
     covariance: Array
     coloured: Array
@@ -64,8 +64,8 @@ class Uncertainty:
 
 @dataclass(frozen=True, slots=True)
 class ParameterEffect:
-    """What one unit of a parameter does to the output that it moves most. share: of the rms motion of that output about its
-    mean [1/unit of the parameter]."""
+    """Effect of one unit of a parameter on the output that it moves most. share: of the rms motion of that output about its mean
+    [1/unit of the parameter]."""
 
     output: str
     share: float
@@ -76,10 +76,10 @@ def effects_of(problem: OutputErrorProblem, point: LikelihoodPoint) -> dict[str,
     n = len(problem.free)
     effect_squares, motion = np.zeros((problem.ny, n)), np.zeros(problem.ny)
     for flight, motions in zip(problem.flights, point.motions, strict=True):
-        for segment, of_segment in zip(flight.segments, motions, strict=True):
-            assert of_segment.dy is not None
+        for segment, simulated in zip(flight.segments, motions, strict=True):
+            assert simulated.dy is not None
             measured = np.isfinite(segment.z)
-            effect_squares += np.sum(np.where(measured[:, :, None], of_segment.dy[:, :, :n], 0.0) ** 2, axis=0)
+            effect_squares += np.sum(np.where(measured[:, :, None], simulated.dy[:, :, :n], 0.0) ** 2, axis=0)
             z = np.where(measured, segment.z, 0.0)
             mean = z.sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
             motion += np.sum(np.where(measured, z - mean, 0.0) ** 2, axis=0)
@@ -98,27 +98,27 @@ def bounds_at_optimum(problem: OutputErrorProblem, unknowns: Array, point: Likel
     blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
     information, _ = problem.shared_information(unknowns, blocks)
     covariance, blind = pseudo_inverse(information)
-    undetermined = np.any(np.abs(blind) > TIED, axis=1) if blind.size else np.zeros(len(problem.shared), bool)
+    undetermined = np.any(np.abs(blind) > TIED, axis=1)
     scores = [flight_score(problem, unknowns, point, i, covariance, block) for i, block in enumerate(blocks)]
-    reduced = [_reduction(problem, block) for block in blocks]
+    reduced = [reduction(problem, block) for block in blocks]
     change = covariance @ np.sum([r @ s.common for r, s in zip(reduced, scores, strict=True)], axis=0)
-    flight_evidence = [s.evidence for s in scores]
-    edges = edge_size(flight_evidence)
-    common = common_error(flight_evidence, edges)
+    evidence = [s.evidence for s in scores]
+    edges = edge_size(evidence)
+    common = common_error(evidence, edges)
     middle = np.diag(problem.prior_weight[problem.shared])
     middle += sum(r @ s.covariance(edges) @ r.T for r, s in zip(reduced, scores, strict=True))
     coloured = covariance @ middle @ covariance + change @ common @ change.T
     local_covariance, local_coloured = [], []
     for block, score in zip(blocks, scores, strict=True):
-        local_covariance.append(_local(block, covariance, block.ll_inverse))
-        of_local = score.covariance(edges)[np.ix_(problem.local, problem.local)]
-        local_common = score.common[problem.local]
-        own_coloured = block.ll_inverse @ (of_local + local_common @ common @ local_common.T) @ block.ll_inverse
-        local_coloured.append(_local(block, coloured, own_coloured))
+        local_covariance.append(with_shared(block, block.ll_inverse, covariance))
+        independent = score.covariance(edges)[np.ix_(problem.local, problem.local)]
+        by_common = score.common[problem.local]
+        given_shared = block.ll_inverse @ (independent + by_common @ common @ by_common.T) @ block.ll_inverse
+        local_coloured.append(with_shared(block, given_shared, coloured))
     return Uncertainty(covariance, coloured, local_covariance, local_coloured, undetermined)
 
 
-def _reduction(problem: OutputErrorProblem, block: FlightBlocks) -> Array:
+def reduction(problem: OutputErrorProblem, block: FlightBlocks) -> Array:
     """(shared, n) from a flight's score to that of the shared parameters with the local ones eliminated."""
     reduce = np.zeros((len(problem.shared), len(problem.free)))
     reduce[:, problem.shared] = np.eye(len(problem.shared))
@@ -127,17 +127,18 @@ def _reduction(problem: OutputErrorProblem, block: FlightBlocks) -> Array:
     return reduce
 
 
-def _local(block: FlightBlocks, shared: Array, own_covariance: Array) -> Array:
+def with_shared(block: FlightBlocks, given_shared: Array, shared: Array) -> Array:
+    """(local, local) covariance of a flight's local parameters, from that given the shared ones and that of the shared ones."""
     lever = block.ll_inverse @ block.sl.T
-    return own_covariance + lever @ shared @ lever.T
+    return given_shared + lever @ shared @ lever.T
 
 
 @dataclass(frozen=True)
 class FlightScore:
-    """Where the score of one flight about the free parameters scatters from, initial states projected out.
+    """Parts of the score of one flight about the free parameters, initial states projected out.
 
-    noise: (n, n) covariance from the outputs' noise; inputs, edges: (n, draws) and common: (n, errors) scores; evidence: from
-    which the sizes of the last two are found; spectrum: of the outputs' noise, in units of R.
+    noise: (n, n) covariance due to the outputs' noise; inputs, edges: (n, draws) and common: (n, errors) scores due to input
+    errors; evidence: determines the sizes of the last two; spectrum: of the outputs' noise, in units of R.
     """
 
     noise: Array
@@ -148,7 +149,7 @@ class FlightScore:
     spectrum: Spectrum
 
     def covariance(self, edges: float) -> Array:
-        """(n, n), of all that is independent from flight to flight. edges: factor on their variance."""
+        """(n, n) covariance of the parts that are independent from flight to flight. edges: factor on the variance of edges."""
         inputs = self.inputs @ self.inputs.T / max(self.inputs.shape[1], 1)
         return self.noise + inputs + edges / max(self.edges.shape[1], 1) * (self.edges @ self.edges.T)
 
@@ -161,25 +162,28 @@ def flight_score(
     covariance: Array,
     blocks: FlightBlocks,
 ) -> FlightScore:
-    """Where the score of one flight scatters from: the outputs' noise, coloured as residuals show it, and the inputs."""
+    """Parts of the score of one flight due to the outputs' noise, coloured as residuals show it, and to input errors.
+
+    covariance: of the shared parameters; blocks: of this flight.
+    """
     pieces = segments_in_noise(problem, point, index)
     nuisance_inverse = [b.xx_inverse for b in point.blocks[index]]
-    inverse = _of_free_parameters(problem, covariance, blocks)
+    inverse = free_covariance(problem, covariance, blocks)
     responses = disturbed_outputs(problem, unknowns, index)
     noise, edges = responses[0].noise, responses[0].edges
     white = white_responses(pieces, nuisance_inverse, responses, point)
-    white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
-    bare = [without_empty_rows(p) for p in pieces]
-    pieces, white = with_something_known(bare, white)
-    nuisance_inverse = with_something_known(bare, nuisance_inverse)[1]
+    white = [measured_rows_of(p, w) for p, w in zip(pieces, white, strict=True)]
+    measured_pieces = [measured_part(p) for p in pieces]
+    pieces, white = non_empty_pieces(measured_pieces, white)
+    nuisance_inverse = non_empty_pieces(measured_pieces, nuisance_inverse)[1]
     projected = without_nuisance(pieces, nuisance_inverse)
     columns = np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
     lags = input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags)
     inputs, edge, common = np.split(columns, [noise, noise + edges], axis=1)
     from_noise = filtered_covariance(pieces, projected, spectrum)
-    residual_evidence = input_error_evidence(pieces, white, spectrum, responses[0])
-    return FlightScore(from_noise, inputs, edge, common, residual_evidence, spectrum)
+    evidence = input_error_evidence(pieces, white, spectrum, responses[0])
+    return FlightScore(from_noise, inputs, edge, common, evidence, spectrum)
 
 
 def white_responses(
@@ -187,8 +191,8 @@ def white_responses(
 ) -> list[Array]:
     """Responses (N ny, columns) of each piece in units of the noise, initial states projected out."""
     white = []
-    for d, p, state_covariance in zip(responses, pieces, nuisance_inverse, strict=True):
-        w = whiten_all(d.values, np.where(p.known, 0.0, np.nan), point.R)[0]
+    for response, p, state_covariance in zip(responses, pieces, nuisance_inverse, strict=True):
+        w = whiten_all(response.values, np.where(p.known, 0.0, np.nan), point.R)[0]
         white.append(w - p.nuisance @ (state_covariance @ (p.nuisance.T @ w)))
     return white
 
@@ -196,7 +200,10 @@ def white_responses(
 def input_lags(
     pieces: list[ResidualSegment], projected: list[Array], white: list[Array], change: Array
 ) -> Array | None:
-    """Autocovariance that the noise of the inputs gives the residuals of a fit. change: (n, draws) of the parameters."""
+    """Autocovariance that the noise of the inputs gives the residuals of a fit, or None without draws of it.
+
+    white: (N ny, draws) of each piece; change: (n, draws) of the parameters.
+    """
     if not change.shape[1]:
         return None
     series = [(w - J @ change).reshape(*p.residual.shape, -1) for p, J, w in zip(pieces, projected, white, strict=True)]
@@ -204,14 +211,14 @@ def input_lags(
 
 
 def noise_spectra(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> list[Spectrum]:
-    """Spectrum of each flight's output noise in units of R, the one that the corrected bound is made of."""
+    """Spectrum of each flight's output noise in units of R, as in the corrected bound."""
     blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
     covariance, _ = pseudo_inverse(problem.shared_information(unknowns, blocks)[0])
     return [flight_score(problem, unknowns, point, i, covariance, b).spectrum for i, b in enumerate(blocks)]
 
 
-def _of_free_parameters(problem: OutputErrorProblem, covariance: Array, blocks: FlightBlocks) -> Array:
-    """(n, n) covariance of the free parameters of one flight, shared and local ones each by themselves."""
+def free_covariance(problem: OutputErrorProblem, covariance: Array, blocks: FlightBlocks) -> Array:
+    """(n, n) covariance of the free parameters of one flight, without that between shared and local ones. covariance: shared."""
     inverse = np.zeros((len(problem.free), len(problem.free)))
     inverse[np.ix_(problem.shared, problem.shared)] = covariance
     inverse[np.ix_(problem.local, problem.local)] = blocks.ll_inverse
@@ -219,7 +226,7 @@ def _of_free_parameters(problem: OutputErrorProblem, covariance: Array, blocks: 
 
 
 def segments_in_noise(problem: OutputErrorProblem, point: LikelihoodPoint, index: int) -> list[ResidualSegment]:
-    """Segments of one flight in units of the noise."""
+    """Residuals and sensitivities of the segments of one flight in units of the noise."""
     n = len(problem.free)
     keep = np.concatenate([np.arange(n), n + problem.free_states])
     pieces = []
@@ -243,9 +250,9 @@ def judge_estimates(
     flights: list[FlightData],
     effects: Mapping[str, ParameterEffect] = MappingProxyType({}),
 ) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
-    """Estimates with bounds and a verdict on each, and the list of strongly correlated pairs.
+    """Estimates with bounds and a verdict on each, and the strongly correlated pairs.
 
-    effects: parameter -> the output it moves most; a parameter whose bound moves none by more than RESOLUTION is told.
+    effects: parameter -> the output it moves most; a parameter whose bound moves none by more than RESOLUTION is identifiable.
     """
     std = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     std_coloured = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(coloured), 0.0)))
@@ -258,7 +265,7 @@ def judge_estimates(
     for i, name in enumerate(names):
         parameter = model.parameter(name)
         size = (float(values[i]), float(std_coloured[i]))
-        reason = next((t for c in sorted(inputs_beside(model, name)) if (t := text_of(c, gearing))), "")
+        reason = next((t for c in sorted(inputs_beside(model, name)) if (t := gearing_text(c, gearing))), "")
         reason = reason or _why_not(model, parameter, *size, rho[i], names, i, movement, effects.get(name))
         if not reason and undetermined[i] and diagonal[i] <= 0.0:
             reason = "has no effect on any output in this data"
@@ -269,13 +276,19 @@ def judge_estimates(
             name, float(values[i]), float(std[i]), float(std_coloured[i]), not reason, reason, parameter.unit,
             parameter.reference, parameter.reference_source, parameter.local,
         )  # fmt: skip
+    rho[undetermined] = rho[:, undetermined] = 0.0
+    return result, correlated_pairs(names, rho)
+
+
+def correlated_pairs(names: Sequence[str], rho: Array) -> tuple[tuple[str, str, float], ...]:
+    """Pairs of names with a correlation of LISTED or more in rho (n, n), the strongest first."""
     pairs = [
         (names[i], names[j], round(float(rho[i, j]), 4))
         for i in range(len(names))
         for j in range(i)
-        if abs(rho[i, j]) >= LISTED and not (undetermined[i] or undetermined[j])
+        if abs(rho[i, j]) >= LISTED
     ]
-    return result, tuple(sorted(pairs, key=lambda p: -abs(p[2])))
+    return tuple(sorted(pairs, key=lambda p: -abs(p[2])))
 
 
 def _why_not(
@@ -289,11 +302,12 @@ def _why_not(
     movement: dict[str, tuple[float, float]],
     effect: ParameterEffect | None,
 ) -> str:
+    """Why a parameter is not identifiable, empty where it is. movement: as of `input_movement`; index: of it in `names`."""
     for name in sorted(inputs_beside(model, parameter.name)):
         if name in movement:
             movement_rms, noise = movement[name]
             if movement_rms <= max(STILL * noise, 1e-12):
-                unit, factor = _face(model, name)
+                unit, factor = _shown_unit(model, name)
                 return (
                     f"{name} moved only {movement_rms * factor:.2g} {unit} rms"
                     + (f" against {noise * factor:.2g} {unit} of sensor noise" if noise else "")
@@ -306,20 +320,21 @@ def _why_not(
     limit = _useful_bound(parameter, value)
     if std <= limit or (effect is not None and std * effect.share <= RESOLUTION):
         return ""
-    strong = [(abs(rho[j]), names[j]) for j in range(len(names)) if j != index and abs(rho[j]) >= COLLINEAR]
-    if strong:
-        r, partner = max(strong)
+    collinear = [(abs(rho[j]), names[j]) for j in range(len(names)) if j != index and abs(rho[j]) >= COLLINEAR]
+    if collinear:
+        r, partner = max(collinear)
         return f"collinear with {partner} (correlation {r:.3f}): this data cannot tell them apart"
     effect_text = "" if effect is None else f", and moves {effect.output} by {std * effect.share:.0%} of its motion"
-    return f"bound {std:.2g} is wider than {_what_limits(parameter, limit)}{effect_text}: this data cannot tell"
+    return f"bound {std:.2g} is wider than {_limit_text(parameter, limit)}{effect_text}: this data cannot tell"
 
 
-def _what_limits(parameter: Parameter, limit: float) -> str:
+def _limit_text(parameter: Parameter, limit: float) -> str:
     has_belief = parameter.reference or parameter.reference_std is not None
     return f"{limit:.2g}, too wide to be of use" if has_belief else "the estimate itself"
 
 
 def _useful_bound(parameter: Parameter, value: float) -> float:
+    """The widest bound that still tells something new about a parameter, estimated as `value`."""
     share_of_value = BEYOND_DOUBT * abs(value)
     if parameter.reference:
         return max(USEFUL * abs(parameter.reference), share_of_value)
@@ -328,13 +343,14 @@ def _useful_bound(parameter: Parameter, value: float) -> float:
     return np.inf if parameter.reference == 0.0 else abs(value)
 
 
-def _face(model: Model, name: str) -> tuple[str, float]:
+def _shown_unit(model: Model, name: str) -> tuple[str, float]:
+    """Unit in which a person reads an input, and the factor to it."""
     unit = next((s.unit for s in model.inputs if s.name == name), "")
     return ("deg", RADIAN) if unit == "rad" else (unit, 1.0)
 
 
 def input_movement(model: Model, flights: list[FlightData]) -> dict[str, tuple[float, float]]:
-    """Control input -> (rms movement about its median, noise level), pooled over flights."""
+    """Control -> (rms movement about its median, noise), over all flights."""
     result = {}
     for i, signal in enumerate(model.inputs):
         if not signal.control:
@@ -351,7 +367,7 @@ def input_movement(model: Model, flights: list[FlightData]) -> dict[str, tuple[f
 
 
 def inputs_beside(model: Model, parameter: str) -> frozenset[str]:
-    """Input names that stand in a product with the parameter in some line of the model."""
+    """Inputs that stand in a product with the parameter in some line of the model."""
     inputs = set(model.input_names)
     products = (names for line in model.definitions.values() for names in products_in(line) if parameter in names)
     return frozenset(name for names in products for name in names if name in inputs)

@@ -62,26 +62,28 @@ class Model(ModelParts):
     ) -> "Model":
         """A new model with an effect added.
 
-        terms: symbol -> expression added to its line (`{"Cn": "Cn_da*delta_a"}`). replaced: symbol -> expression that
-        takes the place of its line. lines: new lines. outputs: output -> what its instrument shows; the word of the
-        output itself stands for what it showed before (`{"ay": "ay + x_imu*r_dot"}`, applied over earlier changes).
-        parameters: new ones (one that has the name of a constant or an existing parameter takes its place).
-        states, inputs, observed: new states, inputs and outputs. transforms, output_delays: as the fields.
+        terms: symbol -> expression added to its line (`{"Cn": "Cn_da*delta_a"}`). replaced: symbol -> expression in place
+        of its line. lines: new lines. outputs: output -> what its instrument shows; the output's
+        name stands for what it showed before (`{"ay": "ay + x_imu*r_dot"}`, applied over earlier changes).
+        parameters: new ones (one named like a constant or an existing parameter replaces it). states, inputs, observed: new
+        states, inputs and outputs. transforms, output_delays: as the fields.
         """
         definitions = dict(self.definitions)
         for symbol, term in (terms or {}).items():
             if symbol not in definitions:
-                raise ModelError(f"model {self.name}: no line {symbol!r} to add a term to; {_has(definitions)}")
+                raise ModelError(
+                    f"model {self.name}: no line {symbol!r} to add a term to; it has {', '.join(definitions)}"
+                )
             definitions[symbol] = f"{definitions[symbol]} + {_bracket(term)}"
         for symbol, expression in (replaced or {}).items():
             if symbol not in definitions:
-                raise ModelError(f"model {self.name}: no line {symbol!r} to replace; {_has(definitions)}")
+                raise ModelError(f"model {self.name}: no line {symbol!r} to replace; it has {', '.join(definitions)}")
             definitions[symbol] = expression
         for output, expression in (outputs or {}).items():
             self._apply_output(definitions, output, expression)
         equations = [f"{symbol} = {expression}" for symbol, expression in definitions.items()] + list(lines)
-        fresh = {p.name: p for p in parameters}
-        parameters_before = tuple(fresh.pop(p.name, p) for p in self.parameters)
+        new_parameters = {p.name: p for p in parameters}
+        parameters_before = tuple(new_parameters.pop(p.name, p) for p in self.parameters)
         return replace(
             self,
             name=name or self.name,
@@ -89,19 +91,20 @@ class Model(ModelParts):
             states=self.states + tuple(states),
             inputs=self.inputs + tuple(inputs),
             outputs=self.outputs + tuple(observed),
-            parameters=parameters_before + tuple(fresh.values()),
+            parameters=parameters_before + tuple(new_parameters.values()),
             equations=tuple(equations),
             transforms=self.transforms + tuple(transforms),
             output_delays={**self.output_delays, **(output_delays or {})},
         )
 
     def _apply_output(self, definitions: dict[str, str], output: str, expression: str) -> None:
+        """Let the instrument of an output show `expression`, in place; the output's name stands for what it showed before."""
         if output not in self.output_names:
             raise ModelError(f"model {self.name}: no output {output!r}; it has {', '.join(self.output_names)}")
         measured = f"{output}_measured"
         count = 0
         if measured in definitions and output in names_in(expression):
-            # chain: what the instrument showed so far becomes an intermediate of its own
+            # what the instrument showed before becomes an intermediate that the new line refers to
             while f"{output}_shown{count}" in definitions:
                 count += 1
             definitions[f"{output}_shown{count}"] = definitions.pop(measured)
@@ -116,9 +119,7 @@ class Model(ModelParts):
         model = self
         for output in outputs:
             if f"bias_{output}" in model.parameter_names:
-                raise ModelError(
-                    f"model {self.name}: has a parameter bias_{output} already; give that one another name"
-                )
+                raise ModelError(f"model {self.name}: it already has a parameter bias_{output}; rename that one")
             unit = next((s.unit for s in self.outputs if s.name == output), "")
             bias = Parameter(
                 f"bias_{output}",
@@ -131,7 +132,7 @@ class Model(ModelParts):
         return model
 
     def without_outputs(self, *outputs: str) -> "Model":
-        """A new model that is not compared in the named outputs."""
+        """A new model without the named outputs and their delays."""
         keep = tuple(s for s in self.outputs if s.name not in outputs)
         delays = {k: v for k, v in self.output_delays.items() if k not in outputs}
         return replace(self, outputs=keep, output_delays=delays)
@@ -159,17 +160,17 @@ class Model(ModelParts):
         return self._changed({n: {"lower": float(a), "upper": float(b)} for n, (a, b) in limits.items()})
 
     def with_initial(self, *names: str, held: bool, values: Mapping[str, float] | None = None) -> "Model":
-        """A new model in which the initial values of the named states are held or estimated; all of them where none is named.
+        """A new model in which the initial values of the named states are held or estimated; of all states where none is named.
 
-        values: numbers at which initial values are held. Raises ModelError for a name that is no state's.
+        values: state -> number at which its initial value is held. Raises ModelError for a name that is no state's.
         """
         held_values = dict(values or {})
-        state_list = (*(names or (() if held_values else self.state_names)), *held_values)
-        for name in state_list:
+        changed_states = (*(names or (() if held_values else self.state_names)), *held_values)
+        for name in changed_states:
             if name not in self.state_names:
                 raise ModelError(f"model {self.name}: no state {name!r}; it has {', '.join(self.state_names)}")
         states = tuple(
-            replace(s, held=held, start=held_values.get(s.name, s.start)) if s.name in state_list else s
+            replace(s, held=held, start=held_values.get(s.name, s.start)) if s.name in changed_states else s
             for s in self.states
         )
         return replace(self, states=states)
@@ -237,23 +238,20 @@ class Model(ModelParts):
 
     @cached_property
     def digest(self) -> str:
-        """Digest of the whole model, values included: names it in lineages and reports."""
+        """Digest of the model, values included; it identifies the model in lineages and reports."""
         return hashlib.sha256(json.dumps(self.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
 
 
 def joint_model(model: Model) -> Model:
-    """The model for a joint fit: constant coefficients (CY_0 Cl_0 Cn_0 ...) are each flight's own.
+    """The model for a joint fit: each flight has its own constant coefficients (CY_0 Cl_0 Cn_0 ...).
 
-    They hold the trim, the centre of gravity and the sensor offsets of the day as much as the aircraft.
+    They absorb the day's trim, centre of gravity and sensor offsets.
     """
     return model.with_local(*model.free_of(ParameterRole.CONSTANT))
 
 
-def _has(definitions: Mapping[str, str]) -> str:
-    return f"it has {', '.join(definitions)}"
-
-
 def _bracket(term: str) -> str:
+    """The term in brackets where it is a sum."""
     return f"({term})" if any(sign in term.strip()[1:] for sign in "+-") else term
 
 

@@ -1,4 +1,4 @@
-"""Whether a model makes sense: every name defined once, no circles, numbers that are numbers."""
+"""Check of a model: every name defined once, no circular definitions, finite numbers."""
 
 import math
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ def check_model(model: ModelParts) -> None:
             symbols[name] = kind
     if len(set(model.output_names)) < len(model.output_names):
         repeated = next(n for n in model.output_names if model.output_names.count(n) > 1)
-        raise ModelError(f"{prefix}: output {repeated!r} stands there twice")
+        raise ModelError(f"{prefix}: output {repeated!r} is listed twice")
     lines = [split_line(line) for line in model.equations]
     defined: set[str] = set()
     for symbol, _ in lines:
@@ -50,27 +50,29 @@ def check_model(model: ModelParts) -> None:
 
 
 def _check_circles(model: ModelParts, definitions: Mapping[str, str]) -> None:
-    """No equation uses itself, by whatever way, and none by more steps than limits.MODEL_DEPTH. Without recursion: a model may
-    come from anybody."""
+    """ModelError where an equation uses itself, directly or through others, or through more than limits.MODEL_DEPTH others.
+
+    Not recursive: a hostile file could otherwise exhaust the stack.
+    """
     if len(definitions) > limits.MODEL_LINES:
         raise ModelError(f"model {model.name}: {len(definitions)} equations; at most {limits.MODEL_LINES} are taken")
     uses = {s: sorted(names_in(text) & definitions.keys()) for s, text in definitions.items()}
     depth: dict[str, int] = {}
     for first in definitions:
-        path, rest = [first], [iter(uses[first])]
+        path, unvisited = [first], [iter(uses[first])]  # from `first` down, and what each still uses
         while path:
-            symbol = next(rest[-1], None) if path[-1] not in depth else None
+            symbol = next(unvisited[-1], None) if path[-1] not in depth else None
             if symbol is None:
-                symbol_done = path.pop()
-                rest.pop()
-                depth.setdefault(symbol_done, 1 + max((depth[u] for u in uses[symbol_done]), default=0))
+                finished = path.pop()
+                unvisited.pop()
+                depth.setdefault(finished, 1 + max((depth[u] for u in uses[finished]), default=0))
             elif symbol in path:
                 raise ModelError(
                     f"model {model.name}: definitions run in a circle: {' -> '.join((*path[-10:], symbol))}"
                 )
             elif symbol not in depth:
                 path.append(symbol)
-                rest.append(iter(uses[symbol]))
+                unvisited.append(iter(uses[symbol]))
     deepest = max(depth, key=lambda s: depth[s], default="")
     if deepest and depth[deepest] > limits.MODEL_DEPTH:
         raise ModelError(
@@ -79,6 +81,7 @@ def _check_circles(model: ModelParts, definitions: Mapping[str, str]) -> None:
 
 
 def _check_parameters(model: ModelParts) -> None:
+    """ModelError for start values outside their limits or not finite, and for incomplete priors."""
     for p in model.parameters:
         prefix = f"model {model.name}: parameter {p.name}"
         if not p.lower <= p.start <= p.upper:
@@ -90,6 +93,7 @@ def _check_parameters(model: ModelParts) -> None:
 
 
 def _check_transforms(model: ModelParts) -> None:
+    """ModelError for an unknown kind, input, output or parameter of transforms and delays."""
     for t in model.transforms:
         prefix = f"model {model.name}: transform {t.kind} of {t.input}"
         if t.kind not in TRANSFORM_KINDS:

@@ -1,42 +1,35 @@
-"""What of a model depends on what: states that forces drive, names in force while some parameters are held at zero."""
+"""Dependences in a model: states that forces drive, and names that matter while some parameters are zero."""
 
 import ast
 from collections.abc import Collection, Iterable, Set
 
 from estimation.errors import ModelError
 from estimation.models.base import Model
-from estimation.models.expressions import NUMBERS, names_in, parse
+from estimation.models.expressions import NUMBERS, parse
 
 
 def force_states(model: Model, parameters: Collection[str] | None = None) -> tuple[str, ...]:
-    """States whose rate depends on a parameter: forces and moments act there, not in mere kinematics.
+    """States whose rate depends on a parameter: forces and moments drive them, not kinematics alone.
 
-    parameters: those that count; by default all of the model's.
+    parameters: those that count, by default all of the model.
     """
     counted = set(model.parameter_names if parameters is None else parameters)
 
-    def reach(symbol: str, visited: set[str]) -> set[str]:
-        for name in names_in(model.definitions[symbol]) if symbol in model.definitions else ():
-            if name not in visited:
-                visited.add(name)
-                reach(name, visited)
-        return visited
-
-    return tuple(s for s in model.state_names if reach(f"{s}_dot", set()) & counted)
+    return tuple(s for s in model.state_names if _reached(model, [f"{s}_dot"], frozenset()) & counted)
 
 
 def driven_outputs(model: Model) -> frozenset[str]:
-    """Outputs in which process noise shows: all but states that only kinematics moves, such as attitude.
+    """Outputs in which process noise shows: all but states that kinematics alone drives, such as attitude.
 
-    Gusts and missing terms are forces and moments. Residuals of an attitude are coloured in any air, by the slow errors of the
-    filter that it comes from, which a filter error takes up as gladly.
+    Gusts and missing terms are forces and moments. Residuals of an attitude are coloured in calm air too, by the slow errors of
+    the attitude filter, and a fit by filter error would take these for process noise.
     """
     kinematic = set(model.state_names) - set(force_states(model, model.free_names))
     return frozenset(o for o in model.output_names if o not in kinematic)
 
 
 def require_states(model: Model, method: str) -> Model:
-    """The model. ModelError where it has no states: what a filter corrects, or a frequency response belongs to, is not there."""
+    """The model itself; ModelError where it has no states, which filters correct and frequency responses are of."""
     if not model.states:
         raise ModelError(
             f"model {model.name} has no states, so method {method} has no motion to work on; use method ml or ls"
@@ -44,30 +37,34 @@ def require_states(model: Model, method: str) -> Model:
     return model
 
 
-def asked_for(model: Model, zero: Set[str]) -> frozenset[str]:
-    """Names that rates and outputs of `model` reach with the parameters `zero` held at nothing."""
-    definitions = model.definitions
-    pending = [f"{s}_dot" for s in model.state_names]
-    pending += [n for o in model.output_names for n in (f"{o}_measured", o) if n in definitions or n == o]
-    visited: set[str] = set()
+def names_used(model: Model, zero: Set[str]) -> frozenset[str]:
+    """Names on which rates and outputs of `model` depend while the parameters `zero` are zero."""
+    rates = [f"{s}_dot" for s in model.state_names]
+    outputs = [n for o in model.output_names for n in (f"{o}_measured", o) if n in model.definitions or n == o]
+    return _reached(model, [*rates, *outputs], zero)
+
+
+def _reached(model: Model, symbols: Iterable[str], zero: Set[str]) -> frozenset[str]:
+    """Names on which some symbols of a model depend, these included, while the parameters `zero` are zero."""
+    pending, visited = list(symbols), set[str]()
     while pending:
         name = pending.pop()
         if name not in visited:
             visited.add(name)
-            if name in definitions:
-                pending += names_in_force(definitions[name], zero)
+            if name in model.definitions:
+                pending += names_in_force(model.definitions[name], zero)
     return frozenset(visited)
 
 
 def names_in_force(expression: str, zero: Set[str]) -> frozenset[str]:
-    """Names an expression asks for where those in `zero` are nothing. A term is left out only where it is zero times something
-    or zero over something; a function of zero counts as if it were not."""
+    """Names on which an expression depends while those in `zero` are zero. Only products with and quotients of zero vanish; the
+    names in a function's arguments always count."""
     names = _in_force(parse(expression), zero)
     return frozenset() if names is None else names
 
 
 def _in_force(node: ast.AST, zero: Set[str]) -> frozenset[str] | None:
-    """Names of a part, or None where it is zero."""
+    """Names on which a part of an expression depends; None where the part is zero."""
     match node:
         case ast.Name(id=name):
             return None if name in zero else frozenset({name}) - set(NUMBERS)

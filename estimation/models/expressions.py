@@ -1,8 +1,8 @@
 """Equation text as data: parsed by a whitelist, never evaluated as code.
 
-A line is `name = expression`. An expression knows + - * / ** (or ^), unary minus, numbers, names, and the functions of
-`FUNCTIONS`; comparisons may stand as the first argument of `where`. Everything else is refused with a sentence, so a
-model file from a stranger can do nothing but arithmetic.
+A line is `name = expression`. An expression may hold + - * / ** (or ^), unary minus, numbers, names, and the functions of
+`FUNCTIONS`; a comparison may be the first argument of `where`. Everything else is refused with a sentence, so a stranger's
+model file can do nothing but arithmetic.
 """
 
 import ast
@@ -23,9 +23,9 @@ FUNCTIONS: Mapping[str, int] = {
 """Function name -> number of arguments."""
 
 NUMBERS: Mapping[str, float] = {"pi": 3.141592653589793}
-LARGEST = 1e100  # of a number in an equation
+LARGEST = 1e100  # number in an equation
 LONGEST = 4000  # characters in one expression; longer text is no equation of motion
-DEEPEST = 200  # operations within operations; what reads the tree later takes some frames a level of Python's thousand
+DEEPEST = 200  # nested operations; reading the tree takes some of Python's thousand stack frames for each
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
@@ -33,7 +33,7 @@ _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
 
 
 def check_name(name: str, kind: str) -> str:
-    """`name` if it can stand in an equation; ModelError otherwise."""
+    """`name` if an equation may use it; ModelError otherwise."""
     if not _NAME.match(name) or name in FUNCTIONS or name in NUMBERS:
         raise ModelError(
             f"{kind} {name!r}: use letters, digits and _, not beginning with a digit, and no function's name"
@@ -59,7 +59,7 @@ def parse(expression: str) -> ast.expr:
         raise ModelError(f"expression of {len(expression)} characters: the limit is {LONGEST}; use intermediate lines")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of Python's parser about what is refused here anyway
+            warnings.simplefilter("ignore")  # Python's parser warns of syntax that is refused below anyway
             tree = ast.parse(expression.replace("^", "**").strip(), mode="eval").body
         _check(tree, expression)
         _check_depth(tree, expression)
@@ -70,7 +70,7 @@ def parse(expression: str) -> ast.expr:
 
 @lru_cache(maxsize=4096)
 def names_in(expression: str) -> frozenset[str]:
-    """Names an expression refers to, functions and pi left out."""
+    """Names an expression refers to, without functions and pi."""
     functions = {
         n.func.id for n in ast.walk(parse(expression)) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
     }
@@ -80,7 +80,7 @@ def names_in(expression: str) -> frozenset[str]:
 
 @lru_cache(maxsize=4096)
 def products_in(expression: str) -> tuple[frozenset[str], ...]:
-    """Names that stand together in a product, for every product of an expression without a sum inside."""
+    """The names of every product of an expression that has no sum inside."""
     products = []
     for node in ast.walk(parse(expression)):
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
@@ -91,12 +91,12 @@ def products_in(expression: str) -> tuple[frozenset[str], ...]:
 
 
 def addends_in(expression: str) -> tuple[str, ...]:
-    """The text of a sum, cut before each of its signs: `a - b*c + d` gives `a`, ` - b*c`, ` + d`; a product is one piece."""
+    """The addends of a sum, each with its sign: `a - b*c + d` gives `a`, ` - b*c`, ` + d`."""
     spaced = " ".join(expression.replace("^", "**").split())
     node, text = parse(spaced), spaced.encode()  # the tree counts in bytes
     end, cuts = len(text), [len(text)]
     while isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub):
-        if b")" in text[node.end_col_offset : end]:  # the sum stands in brackets, and is one piece
+        if b")" in text[node.end_col_offset : end]:  # a sum in brackets is one addend
             break
         begin = node.left.end_col_offset or 0
         end = begin + next(i for i, sign in enumerate(text[begin:]) if sign in b"+-")
@@ -106,17 +106,18 @@ def addends_in(expression: str) -> tuple[str, ...]:
 
 
 def without_addends_of(expression: str, name: str) -> str:
-    """The sum without the addends in which a name stands; 0 where it stands in all of them."""
-    rest = "".join(addend for addend in addends_in(expression) if name not in names_in(addend))
-    return rest.strip().removeprefix("+").lstrip() or "0"
+    """The sum without the addends that contain a name; 0 where all of them do."""
+    remainder = "".join(addend for addend in addends_in(expression) if name not in names_in(addend))
+    return remainder.strip().removeprefix("+").lstrip() or "0"
 
 
 def evaluate(expression: str, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
-    """Value of an expression; symbols and functions decide of what kind (numbers, arrays, CasADi symbols)."""
+    """Value of an expression, a number, an array or a CasADi expression as `symbols` and `functions` are."""
     return _value(parse(expression), symbols, functions)
 
 
 def _check(node: ast.AST, text: str) -> None:
+    """ModelError for a node that is not on the whitelist."""
     match node:
         case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
             if not abs(value) <= LARGEST:
@@ -151,22 +152,24 @@ def _check_depth(tree: ast.AST, text: str) -> None:
 
 
 def _check_call(name: str, arguments: list[ast.expr], text: str) -> None:
+    """ModelError for a call with the wrong arguments; only `where` takes a comparison."""
     if len(arguments) != FUNCTIONS[name]:
         raise ModelError(f"expression {_short(text)}: {name} takes {FUNCTIONS[name]} arguments, not {len(arguments)}")
-    rest = arguments
+    values = arguments
     if name == "where":
-        condition, *rest = arguments
+        condition, *values = arguments
         match condition:
             case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARE:
                 _check(left, text)
                 _check(right, text)
             case _:
                 raise ModelError(f"expression {_short(text)}: where(a < b, value, other) needs one comparison first")
-    for argument in rest:
+    for argument in values:
         _check(argument, text)
 
 
 def _value(node: ast.AST, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
+    """Value of a checked node."""
     match node:
         case ast.Constant(value=value):
             return float(value)  # type: ignore[arg-type]
@@ -192,7 +195,7 @@ def _arithmetic(operator: str, a: Any, b: Any) -> Any:
 
 
 def _of_numbers(operator: str, a: float, b: float) -> float:
-    """The same of two plain numbers, which Python's own arithmetic refuses in three ways."""
+    """`_of_symbols` of two floats; ModelError where the value is no finite real number that Python can compute."""
     try:
         value = _of_symbols(operator, a, b)
     except (OverflowError, ZeroDivisionError):
@@ -212,7 +215,7 @@ def _of_symbols(operator: str, a: Any, b: Any) -> Any:
             return a * b
         case "/":
             return a / b
-    # small whole powers as products: exact derivatives at zero and faster than pow()
+    # squares and cubes as products: their derivatives are exact at zero, and they are faster than pow()
     if isinstance(b, float) and b in (2.0, 3.0):
         return a * a if b == 2.0 else a * a * a
     return a**b

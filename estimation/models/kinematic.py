@@ -1,9 +1,9 @@
 """Flight-path kinematics with instrument factors: the model of the data-compatibility check.
 
-Measured specific forces and rates drive the motion; what the vanes, the pitot, the attitude filter and the altimeter
-should have shown follows without any aerodynamics. Conventions: measured = true + bias for accelerations and rates
-(so the motion is driven by measured - bias), measured = K true + bias for alpha, beta, V. SI, radians, body axes x
-forward, y right, z down, everything at the centre of gravity.
+Measured specific forces and rates drive the motion; from it follows, without any aerodynamics, what vanes, pitot and attitude
+filter should have shown. Conventions: measured = true + bias for accelerations and rates (so measured - bias drives the
+motion), measured = K true + bias for alpha, beta, V. SI, radians, body axes x forward, y right, z down, all at the centre of
+gravity.
 
 Source: kinematic equations of a rigid body over a flat earth; factors as in The Aeronautical Journal (2018), pp 889-912,
 Table 2.
@@ -20,19 +20,20 @@ STANDARD_FACTORS = ("dax", "day", "daz", "dp", "dq", "dr", "K_beta", "dbeta")
 """Table 2 of the paper."""
 
 AIR = ("V", "alpha", "beta")
-"""Where specific force shows: it moves the air-relative velocity and nothing else."""
+"""Outputs in which specific force shows: it changes the air-relative velocity and nothing else."""
 
 
 @dataclass(frozen=True)
 class InstrumentFactor:
-    """An instrument factor. channels: measured ones, of which one is needed for it to show; none for a bias of an input.
+    """An instrument factor. channels: outputs of which at least one must be measured for it to be estimated; none for a bias of a
+    rate.
 
-    late: the output that the factor delays, else empty.
+    delayed: the output that the factor delays, else empty.
     """
 
     parameter: Parameter
     channels: tuple[str, ...] = ()
-    late: str = ""
+    delayed: str = ""
 
 
 def _factor(name: str, unit: str, description: str, *channels: str, start: float = 0.0) -> InstrumentFactor:
@@ -41,10 +42,15 @@ def _factor(name: str, unit: str, description: str, *channels: str, start: float
     )
 
 
+LONGEST_DELAY = 0.3  # s, of either sign: beyond any sensor or filter on board
+
+
 def _delay(channel: str) -> InstrumentFactor:
     name = f"tau_{channel}"
     return InstrumentFactor(
-        Parameter(name, "s", lower=-0.3, upper=0.3, role=ParameterRole.INSTRUMENT), (channel,), channel
+        Parameter(name, "s", lower=-LONGEST_DELAY, upper=LONGEST_DELAY, role=ParameterRole.INSTRUMENT),
+        (channel,),
+        channel,
     )
 
 
@@ -72,9 +78,9 @@ FACTORS: Mapping[str, InstrumentFactor] = {f.parameter.name: f for f in _FACTORS
 ATTITUDE = ("phi", "theta", "psi")
 
 FILTER_ERRORS: Mapping[str, tuple[float, float]] = {"level": (1.0, 30.0), "swing": (0.35, 0.7)}
-"""Errors of an attitude filter: share of its stated uncertainty, and time constant [s]. A level error from accelerometer
-bias lasts a whole flight; what manoeuvres leave behind is corrected within a second. Sizes as seen against the truth of
-simulated flights (docs/compatibility.md)."""
+"""Error of an attitude filter -> share of its stated uncertainty, time constant [s]. A level error, from accelerometer bias,
+lasts a flight; the filter corrects errors from manoeuvres within a second. Sizes as found on simulated flights
+(docs/compatibility.md)."""
 
 MEASUREMENTS = {
     "V": Signal("V", "m/s", "true airspeed"),
@@ -93,13 +99,13 @@ def compatibility_model(
     *,
     filtered_attitude: bool = False,
 ) -> Model:
-    """Kinematic model with the named factors free, and those of `known` at the values given (a tape measure's).
+    """Kinematic model with the named factors free, and those of `known` fixed at given values, such as measured lengths.
 
     filtered_attitude: phi, theta and psi come from an onboard filter and carry its errors, states `phi_level`,
     `phi_swing` and so on [rad], first-order Gauss-Markov as in FILTER_ERRORS.
 
-    Raises ModelError for a factor that does not exist, and for IMU and vane positions along the same axis, because the
-    kinematics hold for any point of the body: only the difference between the two shows.
+    Raises ModelError for a factor that does not exist, and for free IMU and vane positions along the same axis: the kinematics
+    hold at any point of the body, so only the difference of the two can be estimated.
     """
     free, measured = tuple(factors), tuple(outputs)
     fixed = dict(known or {})
@@ -115,7 +121,7 @@ def compatibility_model(
 
     errors = [(a, e) for a in ATTITUDE for e in FILTER_ERRORS] if filtered_attitude else []
     lever = tuple(n for n in ("x_imu", "y_imu", "z_imu") if n in free or n in fixed)
-    delayed = {FACTORS[f].late: f for f in free if FACTORS[f].late}
+    delays = {FACTORS[f].delayed: f for f in free if FACTORS[f].delayed}
     return Model(
         name="compatibility",
         title="flight-path kinematics",
@@ -135,29 +141,29 @@ def compatibility_model(
         parameters=tuple(FACTORS[f].parameter for f in free),
         equations=_equations(free, fixed, lever, errors),
         constants={"g": GRAVITY},
-        output_delays=delayed,
+        output_delays=delays,
     )
 
 
 def _equations(
     free: Collection[str], fixed: Mapping[str, float], lever: Collection[str], errors: Collection[tuple[str, str]]
 ) -> tuple[str, ...]:
-    """lever: positions of the IMU that are asked for; errors: (angle, kind) of an attitude filter."""
+    """Lines of the model. lever: IMU positions, free or fixed; errors: (angle, kind) of an attitude filter."""
 
     def value(name: str, neutral: float) -> str:
         return name if name in free else f"({fixed.get(name, neutral)!r})"
 
-    def less(name: str, bias: str) -> str:
+    def corrected(name: str, bias: str) -> str:
         return f"({name} - {value(bias, 0.0)})" if bias in free or bias in fixed else name
 
-    def wandering(angle: str) -> str:
+    def filter_errors(angle: str) -> str:
         return "".join(f" + {a}_{e}" for a, e in errors if a == angle)
 
-    p, q, r = (less(n, f"d{n}") for n in "pqr")
-    ax, ay, az = (less(f"a{x}", f"da{x}") for x in "xyz")
+    p, q, r = (corrected(n, f"d{n}") for n in "pqr")
+    ax, ay, az = (corrected(f"a{x}", f"da{x}") for x in "xyz")
     if lever:
         X, Y, Z = (value(n, 0.0) for n in ("x_imu", "y_imu", "z_imu"))
-        # specific force at the centre of gravity: less omega_dot x arm and omega x (omega x arm)
+        # specific force at the centre of gravity: minus omega_dot x arm and omega x (omega x arm)
         ax = f"({ax} - (q_dot*{Z} - r_dot*{Y} + {p}*({q}*{Y} + {r}*{Z}) - ({q}^2 + {r}^2)*{X}))"
         ay = f"({ay} - (r_dot*{X} - p_dot*{Z} + {q}*({p}*{X} + {r}*{Z}) - ({p}^2 + {r}^2)*{Y}))"
         az = f"({az} - (p_dot*{Y} - q_dot*{X} + {r}*({p}*{X} + {q}*{Y}) - ({p}^2 + {q}^2)*{Z}))"
@@ -176,8 +182,8 @@ def _equations(
         f"V = {value('K_V', 1.0)}*speed + {value('dV', 0.0)}",
         f"alpha = {value('K_alpha', 1.0)}*atan2(w_vane, u_vane) + {value('dalpha', 0.0)}",
         f"beta = {value('K_beta', 1.0)}*atan2(v_vane, sqrt(u_vane^2 + w_vane^2)) + {value('dbeta', 0.0)}",
-        f"phi_measured = phi + {value('dphi', 0.0)}{wandering('phi')}",
-        f"theta_measured = theta + {value('dtheta', 0.0)}{wandering('theta')}",
-        f"psi_measured = psi{wandering('psi')}",
+        f"phi_measured = phi + {value('dphi', 0.0)}{filter_errors('phi')}",
+        f"theta_measured = theta + {value('dtheta', 0.0)}{filter_errors('theta')}",
+        f"psi_measured = psi{filter_errors('psi')}",
         *(f"{a}_{e}_dot = -{a}_{e}/{FILTER_ERRORS[e][1]!r}" for a, e in errors),
     )

@@ -2,7 +2,7 @@
 
 Body axes x forward, y right, z down; SI and radians; derivatives per rad, rates non-dimensional as p b / 2V, q c / 2V,
 r b / 2V. +delta_r trailing edge to port (force to +y, nose left), +delta_a rolls left. All sensors are taken at the CG:
-bringing them there is the calibration's work.
+calibration brings them there.
 
 Source of the lateral aerodynamics: The Aeronautical Journal (2018), pp 889-912, eqs 14-20.
 """
@@ -72,7 +72,7 @@ def _unit(name: str) -> str:
 
 
 def aerodynamic_parameters(names: tuple[str, ...], aircraft: Aircraft) -> tuple[Parameter, ...]:
-    """Derivatives as parameters that start from, and are printed beside, what is believed of the aircraft."""
+    """Derivatives as parameters that start from, and are printed beside, the values believed of the aircraft."""
     parameters = []
     for name in names:
         prior = aircraft.prior(name)
@@ -97,14 +97,14 @@ MOTION = {
     "beta": "beta", "p": "p_hat", "r": "r_hat", "da": "delta_a", "dr": "delta_r",
     "alpha": "alpha", "q": "q_hat", "de": "delta_e",
 }  # fmt: skip
-"""Ending of a derivative -> what it is a derivative by, as the equations call it."""
+"""Ending of a derivative -> symbol of the variable that it multiplies."""
 
 
 def stated_terms(model: Model, aircraft: Aircraft) -> Model:
-    """The model with those derivatives of the general linear model that the aircraft file states and the model does not have.
+    """The model with those derivatives of the general linear model that the aircraft file states and the model lacks.
 
-    They start from what is stated, and are drawn towards it by as much as its standard deviation says: a term that was thought
-    worth stating is not dropped because one flight cannot tell it.
+    They start from the stated value, which is a prior where a standard deviation is stated: a term worth stating is not dropped
+    because one flight cannot determine it.
     """
     terms: dict[str, str] = {}
     parameters = []
@@ -123,7 +123,7 @@ def stated_terms(model: Model, aircraft: Aircraft) -> Model:
 
 
 def not_in_model(model: Model, aircraft: Aircraft) -> tuple[str, ...]:
-    """Derivatives of a model's own coefficients that the aircraft file states and the model has no term for."""
+    """Derivatives that the aircraft file states of coefficients of the model, but for which the model has no term."""
     return tuple(
         n
         for n in aircraft.derivatives
@@ -135,8 +135,8 @@ def lateral(aircraft: Aircraft) -> Model:
     """Lateral-directional motion with full kinematics; measured V, alpha, theta, q enter as known inputs.
 
     beta_dot = p sin(alpha) - r cos(alpha) + (ay + g cos(theta) sin(phi)) / (V cos(beta)) - V_dot/V tan(beta) is exact;
-    V_dot is differentiated from the de-noised airspeed where the flight has no such column. p_dot and r_dot carry the
-    p q and q r couplings (REFERENCE: C_l, C_n from measured rates, solved for the accelerations).
+    V_dot is differentiated from the de-noised airspeed where the flight has no such column. p_dot and r_dot
+    contain the p q and q r couplings.
     """
     return Model(
         name="lateral",
@@ -214,7 +214,7 @@ def longitudinal(aircraft: Aircraft) -> Model:
 
 
 def six_dof(aircraft: Aircraft) -> Model:
-    """All of it: V, alpha, beta, p, q, r, phi, theta with the aerodynamics of both planes."""
+    """Motion in all axes: V, alpha, beta, p, q, r, phi, theta with the aerodynamics of both planes."""
     return Model(
         name="six-dof",
         title="six degrees of freedom",
@@ -245,6 +245,6 @@ def six_dof(aircraft: Aircraft) -> Model:
 
 
 WHOLE = ("lateral", "longitudinal", "six-dof")
-"""Models that take every derivative of the general linear model; `lateral-simple` is the paper's and stays so."""
+"""Models that `stated_terms` extends by derivatives of the general linear model; `lateral-simple` stays as in the paper."""
 
 BUILDERS = {"lateral": lateral, "lateral-simple": lateral_simple, "longitudinal": longitudinal, "six-dof": six_dof}

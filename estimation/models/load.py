@@ -1,4 +1,4 @@
-"""Get a model: by built-in name, from a TOML file of equations, or from a class of one's own; write one to TOML."""
+"""Models by built-in name, from a TOML file of equations or from the user's class; models written to TOML."""
 
 import math
 from dataclasses import replace
@@ -19,9 +19,9 @@ from estimation.own_code import MISTAKES, import_named, mistake_text
 def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None = None) -> Model:
     """The model meant by `which`: a built-in name, a TOML file, `module:Class`, a class, or a model.
 
-    aircraft: an aircraft, a built-in name or a file; gives the built-in models, and classes that ask for it, constants and
-    starting derivatives. Raises ModelError naming what was not found or does not fit, AircraftError for what the aircraft
-    lacks.
+    aircraft: an aircraft, a built-in name or a file. Built-in models, and classes whose constructor takes an aircraft, get
+    constants and start values from it. Raises ModelError naming what was not found or is inconsistent, AircraftError for
+    what the aircraft lacks.
     """
     if isinstance(which, Model):
         return which
@@ -29,9 +29,9 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
         return _from_class(which, aircraft)
     text = str(which)
     if text in BUILDERS:
-        craft = _named(aircraft, f"model {text}")
-        built = _with_known_constants(BUILDERS[text](craft), craft, f"model {text}")
-        return stated_terms(built, craft) if text in WHOLE else built
+        loaded = _required_aircraft(aircraft, f"model {text}")
+        built = _with_known_constants(BUILDERS[text](loaded), loaded, f"model {text}")
+        return stated_terms(built, loaded) if text in WHOLE else built
     if text.endswith(".toml"):
         return read_model(text)
     if ":" in text:
@@ -42,7 +42,8 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     )
 
 
-def _named(aircraft: Aircraft | str | None, purpose: str) -> Aircraft:
+def _required_aircraft(aircraft: Aircraft | str | None, purpose: str) -> Aircraft:
+    """The aircraft, loaded where it is a name or file; ModelError where there is none."""
     if aircraft is None:
         raise ModelError(
             f"{purpose} takes mass and geometry of an aircraft and was given none; name a built-in one"
@@ -52,7 +53,7 @@ def _named(aircraft: Aircraft | str | None, purpose: str) -> Aircraft:
 
 
 def _with_known_constants(model: Model, aircraft: Aircraft | None, purpose: str) -> Model:
-    """The model without constants its aircraft does not know; AircraftError where an equation uses one of them."""
+    """The model without constants that its aircraft lacks; AircraftError where an equation uses one of them."""
     unknown = {name for name, value in model.constants.items() if math.isnan(value)}
     if aircraft is None or not unknown:
         return model
@@ -61,13 +62,13 @@ def _with_known_constants(model: Model, aircraft: Aircraft | None, purpose: str)
 
 
 def check_model(which: str) -> None:
-    """Raise ModelError where `load_model` would, as far as it needs no aircraft: an unknown name, a file or class in error."""
+    """Raise the ModelError of `load_model` for an unknown name, or a file or class in error, without an aircraft."""
     if not asks_for_aircraft(which):
         load_model(which)
 
 
 def asks_for_aircraft(which: str | Path | type | Model) -> bool:
-    """Whether a model takes constants or derivatives from an aircraft: a built-in one, or a class that is given it."""
+    """Whether a model takes constants or derivatives from an aircraft: a built-in one, or a class whose constructor takes it."""
     from estimation.models.own import takes_aircraft
 
     if isinstance(which, type):
@@ -94,20 +95,20 @@ def write_model(model: Model, path: str | Path) -> None:
 
 
 def model_text(model: Model) -> str:
-    """The model as TOML, which `Model.from_dict` takes back."""
+    """The model as TOML text that `read_model` reads back."""
     import tomli_w
 
-    data = {key: _plain(value) for key, value in model.to_dict().items() if value}
+    data = {key: _for_toml(value) for key, value in model.to_dict().items() if value}
     order = ("name", "title", "description", "equations")  # what a person reads first
     return tomli_w.dumps({key: data[key] for key in (*(k for k in order if k in data), *data)}, indent=2)
 
 
-def _plain(value: Any) -> Any:
-    """Without what TOML has no word for: None, and the bare numbers 1 and 1.0 as two things."""
+def _for_toml(value: Any) -> Any:
+    """A value as TOML can hold it: without None, which TOML lacks, and with integers as floats."""
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items() if v is not None}
+        return {k: _for_toml(v) for k, v in value.items() if v is not None}
     if isinstance(value, list):
-        return [_plain(v) for v in value]
+        return [_for_toml(v) for v in value]
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
@@ -121,8 +122,8 @@ def _import_class(text: str) -> type:
 def _from_class(cls: type, aircraft: Aircraft | str | None) -> Model:
     from estimation.models.own import model_from_class
 
-    craft = load_aircraft(aircraft) if isinstance(aircraft, str) else aircraft
+    loaded = load_aircraft(aircraft) if isinstance(aircraft, str) else aircraft
     try:
-        return _with_known_constants(model_from_class(cls, craft), craft, f"model class {cls.__name__}")
+        return _with_known_constants(model_from_class(cls, loaded), loaded, f"model class {cls.__name__}")
     except MISTAKES as error:
         raise ModelError(f"model class {cls.__name__}: {mistake_text(error)}") from error

@@ -1,4 +1,4 @@
-"""The functions that equation text knows, on numbers and arrays: with `expressions.evaluate`."""
+"""The functions of equation text for numbers and arrays, as `expressions.evaluate` takes them."""
 
 from collections.abc import Mapping
 from typing import Any

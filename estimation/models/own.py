@@ -1,4 +1,4 @@
-"""A model of one's own as a short class: names with units, and two methods of plain equations.
+"""A user's model as a short class: names with units, and two methods of plain equations.
 
     class RollMode:
         states = {"p": "rad/s"}
@@ -14,7 +14,7 @@
 
 The methods are called once with symbols and give the equation text of an ordinary `Model`, so such a model simulates,
 compiles, is written to TOML and takes extra terms like any other. Use `sin`, `where`, ... from this module, or numpy's.
-A class whose constructor takes an argument is given the aircraft.
+A constructor with an argument gets the aircraft.
 """
 
 import inspect
@@ -27,18 +27,20 @@ from estimation.errors import ModelError
 from estimation.models.base import Model, Parameter, Signal
 from estimation.models.parts import usual_role
 
+# Binding strength of operators, of comparisons (weakest), and of names, numbers, calls and brackets (strongest).
 _LEVEL = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3, "**": 4}
+_COMPARISON, _ATOM = 0, 9
 _NUMPY = {
     "add": "+", "subtract": "-", "multiply": "*", "divide": "/", "power": "**", "negative": "neg",
     "sin": "sin", "cos": "cos", "tan": "tan", "tanh": "tanh", "arcsin": "asin", "arccos": "acos", "arctan": "atan",
     "arctan2": "atan2", "sqrt": "sqrt", "exp": "exp", "log": "log", "sign": "sign", "absolute": "abs", "minimum": "min",
     "maximum": "max", "less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">=",
 }  # fmt: skip
-SHORT = 12  # characters below which an expression used twice is written twice
+SHORT = 12  # characters: a longer expression that is used twice gets a line of its own
 
 
 def _infix(operator: str, swapped: bool = False) -> Callable[["Symbol", object], "Symbol"]:
-    """An operator as a method; swapped: of what stands on its right."""
+    """An operator as a method of `Symbol`; swapped: of the operand on its right."""
 
     def apply(self: "Symbol", other: object) -> "Symbol":
         return Symbol(operator, symbol(other), self) if swapped else Symbol(operator, self, symbol(other))
@@ -59,13 +61,13 @@ class Symbol:
         raise ModelError("an equation cannot branch with 'if' or 'and'; use where(a < b, value, otherwise)")
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: object, **_: object) -> "Symbol":
-        """numpy's functions and numpy numbers in an equation."""
+        """numpy's functions of quantities, and operators between a numpy number and a quantity."""
         if method != "__call__" or ufunc.__name__ not in _NUMPY:
             raise ModelError(f"numpy.{ufunc.__name__} has no place in an equation; known are {', '.join(_NUMPY)}")
         return Symbol(_NUMPY[ufunc.__name__], *(symbol(value) for value in inputs))
 
     def __radd__(self, other: object) -> "Symbol":
-        if isinstance(other, int) and other == 0:  # where sum() begins
+        if isinstance(other, int) and other == 0:  # sum() starts at 0
             return self
         return Symbol("+", symbol(other), self)
 
@@ -84,7 +86,7 @@ class Symbol:
 
 
 def symbol(value: object) -> Symbol:
-    """A number or symbol as a symbol."""
+    """A number or symbol as a symbol; ModelError for another value or a number that is not finite."""
     if isinstance(value, Symbol):
         return value
     try:
@@ -114,7 +116,7 @@ minimum, maximum, where = _function("min"), _function("max"), _function("where")
 
 
 class Names:
-    """Quantities by attribute: `x.p`, `u.delta_a`; also by item and in order."""
+    """Quantities by attribute: `x.p`, `u.delta_a`; also by item, and iterable in order."""
 
     def __init__(self, kind: str, names: Iterable[str], suffix: str = "") -> None:
         self._kind = kind
@@ -136,7 +138,7 @@ class Names:
 
 
 def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
-    """The `Model` that a class as in the module head describes; ModelError says what it lacks."""
+    """The `Model` of a class as in the module head; ModelError says what the class lacks."""
     for attribute in ("states", "measured", "parameters", "derivatives", "outputs"):
         if not hasattr(cls, attribute):
             raise ModelError(
@@ -170,8 +172,9 @@ def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
 
 
 def takes_aircraft(cls: type) -> bool:
-    """Whether the constructor of a model class asks for the aircraft."""
-    return any(q.default is q.empty and q.kind in (0, 1) for q in inspect.signature(cls).parameters.values())
+    """Whether the constructor of a model class takes the aircraft: whether it has a positional argument without default."""
+    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return any(q.default is q.empty and q.kind in positional for q in inspect.signature(cls).parameters.values())
 
 
 def _instance(cls: type, aircraft: Aircraft | None) -> Any:
@@ -204,6 +207,7 @@ def _parameter(name: str, value: object) -> Parameter:
 
 
 def _in_order(value: object, names: list[str], method: str) -> list[Symbol]:
+    """What a method returned, a mapping, a sequence or one value, in the order of the names; ModelError for others."""
     if isinstance(value, Mapping):
         if set(value) != set(names):
             raise ModelError(f"{method}: gives {', '.join(map(str, value))}; needed are {', '.join(names)}")
@@ -215,21 +219,21 @@ def _in_order(value: object, names: list[str], method: str) -> list[Symbol]:
 
 
 class _Writer:
-    """Equation text of several targets; what is used more than once becomes a line of its own."""
+    """Equation text of several targets; an expression that is used more than once becomes a line of its own."""
 
     def __init__(self, targets: list[tuple[str, Symbol]]) -> None:
         self.targets = targets
         self.uses: dict[int, int] = {}
         self.names: dict[int, str] = {}
-        self.made: list[str] = []
+        self.written: list[str] = []
         for _, value in targets:
             self._count(value)
 
     def lines(self) -> list[str]:
         for name, value in self.targets:
             text = self._text(value, top=True)[0]
-            self.made.append(f"{name} = {text}")
-        return self.made
+            self.written.append(f"{name} = {text}")
+        return self.written
 
     def _count(self, node: Symbol) -> None:
         self.uses[id(node)] = self.uses.get(id(node), 0) + 1
@@ -241,10 +245,10 @@ class _Writer:
     def _text(self, node: Symbol, top: bool = False) -> tuple[str, int]:
         """(text, binding strength) of a node."""
         if id(node) in self.names:
-            return self.names[id(node)], 9
+            return self.names[id(node)], _ATOM
         if node.operator == "leaf":
             text = str(node.arguments[0])
-            return (f"({text})", 9) if text.startswith("-") else (text, 9)
+            return f"({text})" if text.startswith("-") else text, _ATOM
         expression, level = self._operation(node)
         if (
             not top
@@ -254,25 +258,27 @@ class _Writer:
         ):
             name = f"common_{len(self.names) + 1}"
             self.names[id(node)] = name
-            self.made.append(f"{name} = {expression}")
-            return name, 9
+            self.written.append(f"{name} = {expression}")
+            return name, _ATOM
         return expression, level
 
     def _operation(self, node: Symbol) -> tuple[str, int]:
+        """(text, binding strength) of an operator or function with its arguments."""
         parts = [self._text(a) for a in node.arguments if isinstance(a, Symbol)]
         operator = node.operator
         if operator == "neg":
-            return f"-{_wrapped(parts[0], 3)}", _LEVEL["neg"]
+            return f"-{_wrapped(parts[0], _LEVEL['neg'])}", _LEVEL["neg"]
         if operator in _LEVEL:
             level = _LEVEL[operator]
+            left = level + 1 if operator == "**" else level
             right = level + 1 if operator in "-/*" else level
-            left_need = level + 1 if operator == "**" else level
-            return f"{_wrapped(parts[0], left_need)} {operator} {_wrapped(parts[1], right)}", level
+            return f"{_wrapped(parts[0], left)} {operator} {_wrapped(parts[1], right)}", level
         if operator in ("<", "<=", ">", ">="):
-            return f"{parts[0][0]} {operator} {parts[1][0]}", 0
-        return f"{operator}({', '.join(t for t, _ in parts)})", 9
+            return f"{parts[0][0]} {operator} {parts[1][0]}", _COMPARISON
+        return f"{operator}({', '.join(t for t, _ in parts)})", _ATOM
 
 
-def _wrapped(part: tuple[str, int], need: int) -> str:
+def _wrapped(part: tuple[str, int], weakest: int) -> str:
+    """The text of a part, in brackets where it binds more weakly than `weakest`."""
     text, level = part
-    return text if level >= need else f"({text})"
+    return text if level >= weakest else f"({text})"

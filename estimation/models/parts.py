@@ -1,4 +1,4 @@
-"""What a model is made of: signals, parameters, and changes of an input that no equation can express."""
+"""The parts of a model: signals, parameters, and changes of an input that no equation can express."""
 
 import hashlib
 import json
@@ -14,22 +14,21 @@ from estimation.models.expressions import split_line
 TRANSFORM_KINDS: Mapping[str, int] = dict.fromkeys(
     ("delay", "lag", "deadzone", "backlash", "rate_limit", "bend", "scale", "bias"), 1
 )
-"""Input transforms by name -> number of parameters. Seconds for delay and lag, the input's unit for dead zone, backlash and
-bias, seconds per unit of the input for the rate limit (0: none); bend: share of each step by which the input is beyond the
-straight line half-way between two samples."""
+"""Kind of input transform -> number of parameters. Units: seconds for delay and lag; the input's for dead zone, backlash and
+bias; seconds per unit of the input for the rate limit (0: none). bend: share of the change between two samples by which the
+input lies beyond their straight line half-way."""
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
     """A state, input or output. `column` names the flight column it is read from (its own name by default).
 
-    `start` (states): the column or number from which the initial value is guessed where the state itself is not
-    measured. `servo` (inputs): True where a servo moves it, so that it runs on a curve between samples, not on a line.
-    `control` (inputs): True for a control surface or other input that may step, False for a motion variable
-    that is smooth; it decides how measurement noise is taken off. `optional`: where the flight has no such column, an
-    input is taken as zero and an output is not compared, and the result says so. `held` (states): the initial value is not
-    estimated; it is `start` where that is a number, else what was measured. `computed` (inputs): the column is the result of a
-    calculation, without noise of its own, and is taken as it stands.
+    `start` (states): column or number for the first guess of the initial value where the state is not measured. `servo`
+    (inputs): a servo moves it, so it follows a curve between samples, not a straight line. `control` (inputs): a control
+    surface or another input that may step; False for a smooth motion variable. It decides how the input is de-noised.
+    `optional`: where the flight has no such column, an input is zero and an output is not compared, and the result says so.
+    `held` (states): the initial value is not estimated; it is `start` where that is a number, else the measured value.
+    `computed` (inputs): the column was calculated, has no measurement noise, and is not de-noised.
     """
 
     name: str
@@ -45,23 +44,22 @@ class Signal:
 
     @property
     def source(self) -> str:
+        """Name of the flight column."""
         return self.column or self.name
 
 
 class ParameterRole(StrEnum):
-    """What a parameter is for. Whatever treats parameters differently asks for this, never for their names."""
+    """What a parameter is for. Code that treats parameters differently tests this, never their names."""
 
     DERIVATIVE = "derivative"  # of the aircraft: the same in every flight
-    CONSTANT = (
-        "constant"  # a coefficient's constant part: holds trim, centre of gravity and sensor offsets of the day too
-    )
+    CONSTANT = "constant"  # of a coefficient: absorbs the day's trim, centre of gravity and sensor offsets too
     INSTRUMENT = "instrument"  # bias, scale, delay or place of a sensor
-    NUISANCE = "nuisance"  # fitted so that nothing else takes it up; never named as an answer
-    DORMANT = "dormant"  # of a term that is written into the equations but held without effect
+    NUISANCE = "nuisance"  # fitted so that no other parameter absorbs its effect; not part of the answer
+    DORMANT = "dormant"  # of a term in the equations that is held without effect
 
 
 def usual_role(name: str) -> ParameterRole:
-    """The role where a model file or class states none: by the convention of the field, `CY_0`, `Z_0` ... are constants.
+    """The role of a parameter whose model states none: `CY_0`, `Z_0` ... are constants, by the convention of the field.
 
     `CD_0`, the drag at no lift, is a property of the aircraft like any derivative.
     """
@@ -72,9 +70,9 @@ def usual_role(name: str) -> ParameterRole:
 class Parameter:
     """An unknown (or `fixed` known) number of the model.
 
-    `prior_mean`, `prior_std`: a Gaussian prior that enters the fit when both are given. `reference`: what is believed
-    before flying (wind tunnel, engineering estimate): printed beside the estimate and used as the scale of what a
-    useful bound is, but never drawn towards. `local`: each flight has its own value in a joint fit. `role`: what it is for.
+    `prior_mean`, `prior_std`: a Gaussian prior that enters the fit when both are given. `reference`: the value believed
+    before flying (wind tunnel, engineering estimate), printed beside the estimate; it is the scale of a useful bound but does
+    not enter the fit. `local`: each flight has its own value in a joint fit. `role`: what it is for.
     """
 
     name: str
@@ -95,7 +93,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class InputTransform:
-    """A change of a measured input that no algebra on its samples can express: delay, backlash, dead zone, lag."""
+    """A change of a measured input that the equations cannot express: delay, backlash, dead zone, lag."""
 
     kind: str
     input: str
@@ -104,7 +102,7 @@ class InputTransform:
 
 @dataclass(frozen=True)
 class ModelStructure:
-    """What decides the traced functions of a model: names and equations, not values. constants: sorted."""
+    """What the traced functions of a model depend on: names and equations, not values. constants: sorted."""
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -114,19 +112,24 @@ class ModelStructure:
     equations: tuple[str, ...]
 
     @property
-    def constants_kept(self) -> tuple[str, ...]:
-        """Constants in the order in which they follow the parameters; one that a parameter has replaced is left out."""
+    def remaining_constants(self) -> tuple[str, ...]:
+        """Constants that no parameter has replaced, in the order in which they follow the parameters."""
         return tuple(sorted(set(self.constants) - set(self.parameters)))
 
     @property
     def definitions(self) -> dict[str, str]:
-        """Symbol -> expression text, in the order of the text."""
+        """Symbol -> expression, in the order of the equations."""
         return dict(split_line(line) for line in self.equations)
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
-        """Number of states, inputs, parameters with constants, outputs."""
-        return len(self.states), len(self.inputs), len(self.parameters) + len(self.constants_kept), len(self.outputs)
+        """Numbers of states, inputs, parameters and constants together, outputs."""
+        return (
+            len(self.states),
+            len(self.inputs),
+            len(self.parameters) + len(self.remaining_constants),
+            len(self.outputs),
+        )
 
     @cached_property
     def digest(self) -> str:
@@ -144,7 +147,7 @@ class EstimatedStretch:
 
 @dataclass(frozen=True)
 class ModelParts:
-    """The parts of a model as they were written, not yet looked at: see `estimation.models.base.Model`."""
+    """The parts of a model, not yet checked: see `estimation.models.base.Model`."""
 
     name: str
     states: tuple[Signal, ...]
@@ -158,7 +161,7 @@ class ModelParts:
     output_delays: Mapping[str, str] = field(default_factory=dict)
     description: str = ""
     flown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Name -> least and greatest value in the flights that the model was estimated from; empty where nobody says."""
+    """Name -> least and greatest value in the flights that the model was estimated from; empty where unknown."""
     estimated_from: tuple[EstimatedStretch, ...] = ()
 
     @cached_property
@@ -183,7 +186,7 @@ class ModelParts:
         return tuple(p.name for p in self.parameters if not p.fixed)
 
     def parameter(self, name: str) -> Parameter:
-        """The parameter of that name; ModelError naming the nearest ones otherwise."""
+        """The parameter of that name; ModelError naming those of the model otherwise."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
@@ -195,12 +198,12 @@ class ModelParts:
 
     @cached_property
     def definitions(self) -> Mapping[str, str]:
-        """Symbol -> expression text, in the order of the text."""
+        """Symbol -> expression, in the order of the equations."""
         return dict(split_line(line) for line in self.equations)
 
     @cached_property
     def structure(self) -> ModelStructure:
-        """Equal for models that differ in values only."""
+        """Names and equations: equal for models that differ in values only."""
         return ModelStructure(
             self.state_names,
             self.input_names,

@@ -11,7 +11,7 @@ from estimation.models.parts import EstimatedStretch, InputTransform, Parameter,
 
 
 def without_defaults(item: Any) -> dict[str, Any]:
-    """A part as a table, keys at their default left out."""
+    """A part as a table, without keys at their default."""
     cls = type(item)
     default = cls("x", "x", ("x",)) if cls is InputTransform else cls("x")
     if isinstance(item, Parameter):
@@ -21,24 +21,24 @@ def without_defaults(item: Any) -> dict[str, Any]:
 
 
 def read_number(value: object, key: str) -> float:
-    """A number, or ModelError naming the key."""
+    """`value` as a float; ModelError naming the key where it is no number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ModelError(f"{key} = {value!r} is not a number")
     return float(value)
 
 
 def read_ends(value: object, key: str) -> tuple[float, float]:
-    """Two rising numbers, or ModelError naming the key."""
+    """`value` as (least, greatest); ModelError naming the key."""
     if not isinstance(value, list) or len(value) != 2:
         raise ModelError(f"{key} = {value!r} must be two numbers, [least, greatest]")
     low, high = read_number(value[0], key), read_number(value[1], key)
     if not low <= high:
-        raise ModelError(f"{key} = {value!r}: the first must not be the greater")
+        raise ModelError(f"{key} = {value!r}: the first number must not be greater than the second")
     return low, high
 
 
 def read_stretch(data: object) -> EstimatedStretch:
-    """One of the stretches that a model was estimated from, or ModelError."""
+    """One of the stretches that a model was estimated from; ModelError for other data."""
     if not isinstance(data, Mapping) or set(data) != {"sha256", "begin", "end"}:
         raise ModelError(f"estimated_from = {data!r} must be a table of sha256, begin and end")
     begin, end = read_ends([data["begin"], data["end"]], "estimated_from")
@@ -46,7 +46,7 @@ def read_stretch(data: object) -> EstimatedStretch:
 
 
 def read_list(data: Mapping[str, Any], key: str) -> list[Any]:
-    """The list under a key (empty where it is not there), or ModelError."""
+    """The list under a key, empty where it is absent; ModelError for another value."""
     value = data.get(key, [])
     if not isinstance(value, list):
         raise ModelError(f"{key} = {value!r} must be a list, like [{value!r}]")
@@ -54,7 +54,7 @@ def read_list(data: Mapping[str, Any], key: str) -> list[Any]:
 
 
 def read_table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """The table under a key (empty where it is not there), or ModelError."""
+    """The table under a key, empty where it is absent; ModelError for another value."""
     value = data.get(key, {})
     if not isinstance(value, Mapping):
         raise ModelError(f"{key} = {value!r} must be a table of names and values")
@@ -74,7 +74,7 @@ def read_signal(key: str, data: object) -> Signal:
 
 
 def _floats(data: object) -> object:
-    """A table with whole numbers as the floats they stand for: the digest of a model must not hang on a decimal point."""
+    """A table with its integers as floats: the digest of a model must not depend on a decimal point."""
     if not isinstance(data, Mapping):
         return data
     return {k: float(v) if isinstance(v, int) and not isinstance(v, bool) else v for k, v in data.items()}
@@ -87,16 +87,16 @@ _KINDS: Mapping[str, Any] = {
 
 
 def read_lines(value: object) -> tuple[str, ...]:
-    """Equation lines without comments and blanks, from a list or from one text."""
+    """Equation lines without comments and blank lines, from a list or from one text."""
     rows = value.splitlines() if isinstance(value, str) else value
     if not isinstance(rows, list) or not all(isinstance(r, str) for r in rows):
         raise ModelError("equations must be lines of text: 'name = expression'")
-    bare = (row.split("#", 1)[0].strip() for row in rows)
-    return tuple(row for row in bare if row)
+    lines = (row.split("#", 1)[0].strip() for row in rows)
+    return tuple(line for line in lines if line)
 
 
 def read_item(cls: type[Any], key: str, data: object) -> Any:
-    """A part from a table, or from its name alone."""
+    """A part of class `cls` from a table, or from its name alone."""
     if isinstance(data, str):
         data = {"name": data}
     if not isinstance(data, Mapping) or "name" not in data:
@@ -118,7 +118,7 @@ def read_parameter(data: object) -> Parameter:
         texts = {"name", "unit", "reference_source", "description", "role"}
         flags = {"fixed", "local"}
         for key, value in data.items():
-            if key in texts - {"name", "role"} and not isinstance(value, str):  # those two are looked at by themselves
+            if key in texts - {"name", "role"} and not isinstance(value, str):  # those two are checked elsewhere
                 raise ModelError(f"parameter {data.get('name')!r}: {key} = {value!r} must be text")
             if key in Parameter.__dataclass_fields__ and key not in texts | flags:
                 read_number(value, f"parameter {data.get('name')!r}: {key}")

@@ -1,4 +1,4 @@
-"""Which columns a model needs of a flight, and those made from others where it lacks them: slopes, density from air data."""
+"""Columns that a model needs of a flight, and those derived from others where the flight lacks them: slopes, air density."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ from groundstation.flight.findings import Finding, FindingKind
 
 
 def bridge_gaps(values: Array) -> Array:
-    """The signal with samples that were not measured on straight lines between their neighbours. values: (N,)."""
+    """The signal (N,) with its missing samples on straight lines between their neighbours; unchanged where none is measured."""
     missing = ~np.isfinite(values)
-    if missing.any():
+    if missing.any() and not missing.all():
         index = np.arange(values.size)
         values = values.copy()
         values[missing] = np.interp(index[missing], index[~missing], values[~missing])
@@ -28,28 +28,32 @@ def bridge_gaps(values: Array) -> Array:
 
 
 def denoised_slope(time: Array, values: Array) -> Array:
-    """Derivative of a signal from its de-noised curve, by central differences. time, values: (N,)."""
+    """Derivative of a de-noised signal, by central differences. time, values: (N,)."""
     return np.gradient(denoise(bridge_gaps(values), order=2).values, time)
 
 
 def alpha_rate(flight: Flight, s: slice, time: Array, x: Mapping[str, Array]) -> Array:
-    """(n,) rate of alpha [rad/s]: by the equation of motion from accelerometers and attitude where the flight has them, for a
-    slope of a vane between samples misses what steps of the elevator do; else that slope."""
+    """(n,) rate of alpha [rad/s] over the samples `s` of a flight. x: V, alpha, beta, p, q, r there, (n,) each.
+
+    From accelerometers and attitude by the equation of motion where the flight has them, because the slope of a vane between
+    samples misses steps of the elevator; else that slope.
+    """
     columns = ("ax", "az", "theta")
     if not all(flight.measured(n) for n in columns):
         return np.gradient(x["alpha"], time)
     ax, az, theta = (bridge_gaps(flight[n][s]) for n in columns)
     phi = bridge_gaps(flight["phi"][s]) if flight.measured("phi") else np.zeros(time.size)
     gx, gz = ax - GRAVITY * np.sin(theta), az + GRAVITY * np.cos(theta) * np.cos(phi)
-    c, t = np.cos(x["alpha"]), np.sin(x["alpha"])
-    rate = x["q"] - np.tan(x["beta"]) * (x["p"] * c + x["r"] * t) + (gz * c - gx * t) / (x["V"] * np.cos(x["beta"]))
+    cos, sin = np.cos(x["alpha"]), np.sin(x["alpha"])
+    rate = x["q"] - np.tan(x["beta"]) * (x["p"] * cos + x["r"] * sin)
+    rate = rate + (gz * cos - gx * sin) / (x["V"] * np.cos(x["beta"]))
     return denoise(rate, order=2).values
 
 
 @dataclass(frozen=True)
 class Way:
-    """How a column is made where the flight lacks it. build: function of time (N,) and of each needed column (N,). credible:
-    whether the needed columns are what their names say, as far as that can be seen."""
+    """One way to derive a column. needs: columns; build: function of time (N,) and of each needed column (N,); credible: whether
+    the needed columns can be what their names say."""
 
     needs: tuple[str, ...]
     build: Callable[..., Array]
@@ -57,13 +61,13 @@ class Way:
 
 
 def way_to(flight: Flight, name: str) -> Way | None:
-    """The first way to make a column of which the flight has all that it needs."""
-    able = (w for w in DERIVED.get(name, ()) if all(flight.measured(n) for n in w.needs))
-    return next((w for w in able if w.credible(*(flight[n] for n in w.needs))), None)
+    """The best way to derive a column whose needed columns the flight has, or None."""
+    possible = (w for w in DERIVED.get(name, ()) if all(flight.measured(n) for n in w.needs))
+    return next((w for w in possible if w.credible(*(flight[n] for n in w.needs))), None)
 
 
 def with_derived(flight: Flight, names: Sequence[str]) -> Flight:
-    """The flight with those of the named columns added that it lacks and that can be made from others of its columns."""
+    """The flight with those of the named columns added that it lacks and that can be derived from others."""
     segments = [(s.start, s.stop) for s in flight.segments]
     derivable = [n for n in names if not flight.measured(n) and way_to(flight, n) is not None]
     return (
@@ -72,14 +76,13 @@ def with_derived(flight: Flight, names: Sequence[str]) -> Flight:
 
 
 def derive_column(flight: Flight, name: str, pieces: Sequence[tuple[int, int]], notes: list[Finding]) -> Array:
-    """(N,) the column made piece by piece in the best way there is, NaN outside the pieces; said in `notes`.
+    """(N,) the column derived piece by piece in the best way, NaN outside the pieces; `notes` gets a note on it.
 
-    Raises MissingColumnError naming the ways where the flight has no columns for any, DataError where what comes out cannot be
-    what its name says.
+    Raises MissingColumnError naming the ways where the flight lacks columns for all of them, DataError for an implausible result.
     """
     way = way_to(flight, name)
     if way is None:
-        flight.require([name], f"this model (or {_ways(name)} to derive it from)")
+        flight.require([name], f"this model (or {_ways_text(name)} to derive it from)")
         raise DataError(f"{flight.name}: {name} is not measured")
     result = np.full(len(flight), np.nan)
     for a, b in pieces:
@@ -110,16 +113,17 @@ DERIVED: Mapping[str, tuple[Way, ...]] = {
     **{f"{n}_dot": (Way((n,), denoised_slope),) for n in ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")},
     "rho": tuple(Way(w.needs, _bridged(w.build), w.credible) for w in DENSITY_WAYS),
 }
-"""Columns that are made from others where the flight lacks them, the best way first."""
+"""Column -> ways to derive it where the flight lacks it, the best first."""
 
 
 EITHER, EITHER_IN = ("beta", "ay"), ("lateral", "lateral-simple")
-"""Columns of which a flight needs one, the other following from the motion (`estimation.session.without_sensor`), and models."""
+"""Two columns of which a flight needs only one, because the other follows from the motion (`estimation.session.without_sensor`),
+and the models for which that holds."""
 
 
 def require_columns(model: Model, flight: Flight) -> None:
-    """Raise one MissingColumnError naming every column that the model needs and the flight has not and cannot make of others,
-    with the built-in models that would do without."""
+    """Raise a MissingColumnError naming all columns that the model needs and the flight neither has nor can derive, and the
+    built-in models that do not need them."""
     missing_columns = unmet_columns(model, flight)
     if missing_columns:
         fit = () if flight_without_motion(missing_columns, model) else models_for(flight)
@@ -130,12 +134,12 @@ def require_columns(model: Model, flight: Flight) -> None:
 
 
 def flight_without_motion(missing: Iterable[str], model: Model) -> bool:
-    """Whether a flight lacks all that the model compares with: no other model would help."""
+    """Whether a flight lacks all outputs that the model requires, so that no other model would help."""
     return {s.source for s in model.outputs if not s.optional} <= set(missing)
 
 
 def unmet_columns(model: Model, flight: Flight) -> list[str]:
-    """Columns that the model needs and the flight lacks; one that could be made of others is named with these ways."""
+    """Columns that the model needs and the flight lacks; a derivable one is named with the ways to derive it."""
     required = dict.fromkeys(s.source for s in (*model.inputs, *model.outputs) if not s.optional)
     unmeasured = [c for c in required if c not in DERIVED and not flight.measured(c)]
     underivable = [c for c in required if c in DERIVED and not flight.measured(c) and way_to(flight, c) is None]
@@ -143,21 +147,21 @@ def unmet_columns(model: Model, flight: Flight) -> list[str]:
 
 
 def _comes_with(column: str, flight: Flight, missing: list[str]) -> bool:
-    """Whether a derived column could be made once the lacking plain ones are there."""
+    """Whether a column can be derived once the other missing columns are there."""
     return any(all(n in missing or flight.measured(n) for n in way.needs) for way in DERIVED[column])
 
 
 def _with_ways(column: str) -> str:
-    return f"{column} (or {_ways(column)} to derive it from)"
+    return f"{column} (or {_ways_text(column)} to derive it from)"
 
 
-def _ways(column: str) -> str:
-    """The ways to a column, without those that another betters by one column more."""
+def _ways_text(column: str) -> str:
+    """The ways to derive a column, without those that only add columns to another way."""
     needs = [w.needs for w in DERIVED[column]]
     return " or ".join(" and ".join(n) for n in needs if not any(set(n) > set(other) for other in needs))
 
 
 def models_for(flight: Flight) -> tuple[str, ...]:
-    """Built-in models whose columns the flight has. Which they are does not depend on the aircraft."""
-    craft = unknown_aircraft("any")
-    return tuple(name for name, build in BUILDERS.items() if not unmet_columns(build(craft), flight))
+    """Built-in models whose columns the flight has."""
+    aircraft = unknown_aircraft("any")  # columns do not depend on the aircraft
+    return tuple(name for name, build in BUILDERS.items() if not unmet_columns(build(aircraft), flight))

@@ -1,6 +1,6 @@
-"""What of a flight's columns is a measurement: wild values taken out, repeats of slow and of stuck sensors marked.
+"""Which samples of a flight are measurements: wild values removed, repeats of slow and of stuck sensors marked.
 
-Everything left out is said in a note that names the column, and can be kept (`keep_held`).
+A note names each column of which something is left out; `keep_held` keeps repeated values.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.prepare.plausible import refuse_other_time_unit, wild_values
+from estimation.prepare.plausible import TURNING_ANGLES, refuse_other_time_unit, wild_values
 from groundstation.flight import Array, Flight
 from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.quality.repeats import RepeatedValues, repeats
@@ -18,18 +18,15 @@ Mask = NDArray[np.bool_]
 
 KEEP = "--keep-held keeps them"
 INTEGRATED = ("ax", "ay", "az", "p", "q", "r")
-"""What a reconstruction integrates between fixes."""
-WHOLE_TURNS = ("phi", "psi")
-"""Angles that go round: an aircraft that rolls on through inverted flight has no jump from half a turn to minus half a turn."""
+"""Columns that a reconstruction integrates between fixes."""
 NOT_SLOWER = 0.9
-"""Of the flight's rate: a column logged at more than this is as fast as the samples."""
+"""Of the flight's sample rate: a column logged faster than this is as fast as the samples."""
 
 
 @dataclass(frozen=True)
 class ConditionedFlight:
-    """flight: without wild values. repeats: column -> its repeated values; empty where they are kept. notes: on wild values and
-    on what stands still with everything else. drawn: column -> (N,) samples that an import drew on straight lines between two
-    of a slower sensor."""
+    """flight: without wild values. repeats: column -> its repeated values; empty where they are kept. notes: on wild values.
+    drawn: column -> (N,) samples that an import put on straight lines between two samples of a slower sensor."""
 
     flight: Flight
     repeats: Mapping[str, RepeatedValues]
@@ -45,15 +42,16 @@ class ConditionedFlight:
         return self.repeats[column].stuck if column in self.repeats else np.zeros(len(self.flight), bool)
 
     def copies(self, column: str) -> Mask:
-        """(N,) samples without a measurement of their own: repeats of a slow sensor, and those drawn between two samples."""
+        """(N,) samples without a measurement of their own: repeats of a slow sensor, and those drawn between two of its
+        samples."""
         return self.held(column) | self.drawn[column] if column in self.drawn else self.held(column)
 
     def fresh(self, column: str) -> Mask:
-        """(N,) samples at which a column shows a measurement."""
+        """(N,) samples at which a column has a measurement of its own."""
         return np.isfinite(self.flight[column]) & ~self.copies(column)
 
     def as_output(self, column: str) -> tuple[Array, list[Finding]]:
-        """The column as an output: NaN where it shows no measurement; and what was left out, one note a reason."""
+        """(N,) the column as an output, NaN without a measurement; and a note for each reason for which samples are left out."""
         values, notes = self.flight[column].copy(), []
         missing = int((~np.isfinite(values)).sum())
         if missing:
@@ -69,7 +67,7 @@ class ConditionedFlight:
         return values, notes
 
     def slow_notes(self, column: str, consequence: str) -> list[Finding]:
-        """The note on a slow sensor, if it is one."""
+        """A note where the column's sensor is slow, else none."""
         if column not in self.repeats or not self.repeats[column].slow:
             return []
         text = (
@@ -79,7 +77,7 @@ class ConditionedFlight:
         return [Finding(FindingKind.HELD, text, columns=(column,))]
 
     def stuck_notes(self, column: str, consequence: str) -> list[Finding]:
-        """The note on a stuck sensor, if it is one."""
+        """A note where the column's sensor is stuck, else none."""
         stuck = self.stuck(column)
         if not stuck.any():
             return []
@@ -91,7 +89,8 @@ class ConditionedFlight:
 
 
 def condition_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> ConditionedFlight:
-    """Look at the named columns (those that are measured). keep_held: repeated values are taken for measurements.
+    """The flight with its named columns conditioned, as far as they are measured. keep_held: repeated values count as
+    measurements.
 
     Raises DataError where time is in another unit.
     """
@@ -103,11 +102,10 @@ def condition_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool
         if wild.any():
             changed[name] = np.where(wild, np.nan, flight[name])
             notes.append(_wild_note(flight, name, np.flatnonzero(wild)))
-    changed |= {
-        n: v
-        for n in names
-        if n in WHOLE_TURNS and (v := _unwrapped(changed.get(n, flight[n]), flight.segments)) is not None
-    }
+        if name in TURNING_ANGLES:
+            unwrapped = _unwrapped(changed.get(name, flight[name]), flight.segments)
+            if unwrapped is not None:
+                changed[name] = unwrapped
     if changed:
         flight = flight.with_columns(**changed)
     if keep_held:
@@ -116,7 +114,7 @@ def condition_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool
 
 
 def _unwrapped(angle: Array, segments: Iterable[slice]) -> Array | None:
-    """The angle (N,) [rad] without jumps of a turn in any segment; None where it has none. From one to the next it may have."""
+    """The angle (N,) [rad] without jumps of a full turn within a segment; None where it has none."""
     unwrapped = angle.copy()
     for part in segments:
         known = np.flatnonzero(np.isfinite(angle[part])) + part.start
@@ -125,8 +123,8 @@ def _unwrapped(angle: Array, segments: Iterable[slice]) -> Array | None:
 
 
 def repair_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> ConditionedFlight:
-    """The flight for a method that reads its columns itself: wild values and repeats of slow sensors on straight lines between
-    their neighbours, samples of stuck sensors NaN; all said in the notes."""
+    """The flight for a method that reads its columns itself: wild values and repeats of slow sensors replaced by straight lines
+    between their neighbours, samples of stuck sensors NaN; with notes."""
     conditioned = condition_columns(flight, columns, keep_held=keep_held)
     notes, changed = list(conditioned.notes), {}
     for name in dict.fromkeys(columns):
@@ -147,16 +145,16 @@ def repair_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool = 
 
 
 def drawn_between(flight: Flight, columns: Iterable[str]) -> dict[str, Mask]:
-    """Column -> (N,) samples that its import drew between those that were logged, of columns logged more slowly than the flight
-    samples.
+    """Column -> (N,) samples that an import interpolated, of each column that was logged more slowly than the flight is sampled.
 
-    One sample stands for each that was logged, in each of its intervals the one at which the straight lines meet: there the
-    second differences of all columns of that rate are largest. A column that was reconstructed has a value for each sample of the
-    gyros and accelerometers it was integrated from. So a log has the information it has, on whatever grid.
+    In each logging interval one sample counts as logged: the one at which the straight lines meet, where the second differences
+    of all columns of that rate are largest. A reconstructed column was logged as often as the gyros and accelerometers that it
+    was integrated from. So the information of a log does not depend on the grid of its import.
     """
     by_rate: dict[float, list[str]] = {}
-    sensed = [c for c in columns if flight.held(c) is None]  # a command holds: nothing is drawn between its records
-    for column in sensed:
+    for column in columns:
+        if flight.held(column) is not None:  # a command: it holds, and nothing is drawn between its records
+            continue
         native_rates = [flight.native_rate(c) for c in (INTEGRATED if column in flight.reconstructed else (column,))]
         rate = min((r for r in native_rates if r is not None), default=None)
         if rate is not None and rate < NOT_SLOWER / flight.sample_interval:
@@ -166,17 +164,18 @@ def drawn_between(flight: Flight, columns: Iterable[str]) -> dict[str, Mask]:
 
 
 def _drawn_at_rate(flight: Flight, columns: Sequence[str], rate: float) -> Mask:
+    """(N,) interpolated samples of columns that were logged at `rate` [Hz]."""
     bend = np.zeros(len(flight))
     for column in columns:
         if column not in flight.reconstructed:
             second = np.nan_to_num(np.abs(np.diff(flight[column], 2)))
             bend[1:-1] += second / max(float(second.mean()), 1e-300)
-    interval = np.floor((flight.time - flight.time[0]) * rate + 1e-6).astype(np.int64)
+    interval = np.floor((flight.time - flight.time[0]) * rate + 1e-6).astype(np.int64)  # 1e-6: rounding of the times
     order = np.lexsort((-bend, interval))
     first = np.concatenate([[True], np.diff(interval[order]) > 0])
-    mask = np.ones(len(flight), bool)
-    mask[order[first]] = False
-    return mask
+    drawn = np.ones(len(flight), bool)
+    drawn[order[first]] = False
+    return drawn
 
 
 def _wild_note(flight: Flight, name: str, rows: NDArray[np.intp]) -> Finding:

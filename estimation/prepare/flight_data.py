@@ -1,4 +1,4 @@
-"""A flight as the engine needs it: inputs without noise, measured outputs, initial states, cut at every gap."""
+"""A flight as the engine needs it: de-noised inputs, measured outputs, initial states, cut at every gap."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -12,15 +12,15 @@ from groundstation.flight import Array
 from groundstation.flight.findings import Finding
 
 SHORTEST_SEGMENT = 8  # samples
-DRAWS = 24  # of what may still be wrong with the inputs
-DRAWN = 200_000  # samples times draws: long flights need fewer, for they average over time
+DRAWS = 24  # of the remaining errors of the inputs
+SAMPLES_TIMES_DRAWS = 200_000  # at most: long flights need fewer draws, because they average over time
 FEWEST_DRAWS = 12
-PIECES = (8.0, 4.0, 2.0, 1.0)  # s, of an unstable motion, the longest first that can be simulated
+PIECES = (8.0, 4.0, 2.0, 1.0)  # s: lengths into which an unstable motion is cut, tried from the longest on
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of samples that one integration covers.
+    """A stretch of samples covered by one integration.
 
     first: index of its first sample in the flight. time: (N,) s. u: (N, nu) inputs. z: (N, ny) outputs, NaN where not
     measured. x0: (nx,) guess of the initial state.
@@ -37,23 +37,22 @@ class Segment:
 
     @property
     def rows(self) -> slice:
-        """Its samples in the flight."""
+        """The segment's samples in the flight."""
         return slice(self.first, self.first + len(self))
 
     def part(self, start: int, stop: int, x0: Array) -> "Segment":
-        """Samples start..stop-1 as a segment of their own."""
+        """Samples start..stop-1 of the segment as a segment."""
         s = slice(start, stop)
         return Segment(self.first + start, self.time[s], self.u[s], self.z[s], x0)
 
 
 @dataclass(frozen=True)
 class FlightData:
-    """A flight prepared for one model. samples: of the flight; states: (samples, nx) smoothed measured states, NaN columns
-    where a state is not measured; noise: column -> (estimated noise, rms removed) of the de-noised inputs; errors:
-    (samples, nu, draws) what may still be wrong with the inputs (draws from the posterior of the de-noising, or of the noise
-    that was left in; zero outside the segments), or None where nothing is known of it; follows: (samples, nu) what of each
-    control follows the motion, where that was looked for; commands: controls that are recorded commands -> interval of the
-    record [s]."""
+    """A flight prepared for one model. samples: of the flight; states: (samples, nx) de-noised measured states, NaN where a state
+    is not measured; noise: input -> (standard deviation, rms removed by de-noising); errors: (samples, nu, draws) draws of the
+    remaining errors of the inputs (from the posterior of the de-noising, or of noise that was not removed; zero outside the
+    segments), or None where unknown; follows: (samples, nu) the part of each control that follows the motion, where it was
+    looked for; commands: control that is a recorded command -> interval of its record [s]."""
 
     name: str
     samples: int
@@ -81,10 +80,10 @@ class FlightData:
 
 @dataclass(frozen=True, slots=True)
 class Preparation:
-    """How measured signals are prepared. denoise: take noise off the measured inputs (edge-preserving). draws: of what is
-    left of it (all of it where none is taken off), for the corrected bound (0: inputs are taken for truth there too).
-    keep_held: take the repeated values of slow and stuck sensors for measurements. feedback: controls of a model that
-    pitches keep what follows the motion, and their measured values by steps. every_axis: those of any model do."""
+    """How measured signals are prepared. denoise: de-noise the measured inputs, edges preserved. draws: of their remaining
+    errors, for the corrected bound (0: it takes the inputs for exact). keep_held: take the repeated values of slow and stuck
+    sensors for measurements. feedback: in a model with pitch rate, controls keep their part that follows the motion, and their
+    measured values near steps. every_axis: so do those of any model."""
 
     denoise: bool = True
     draws: int = DRAWS
@@ -94,29 +93,29 @@ class Preparation:
 
 
 AS_USUAL = Preparation()
-FOR_REGRESSION = Preparation(feedback=False)  # noise in a regressor biases it, more than what is lost of the feedback
+FOR_REGRESSION = Preparation(feedback=False)  # noise in a regressor biases more than the loss of some feedback
 
 
 def draws_for(samples: int) -> int:
-    """How many draws describe the errors of a flight well enough."""
-    return min(DRAWS, max(FEWEST_DRAWS, DRAWN // samples))
+    """Number of draws that describe the input errors of a flight of so many samples well enough."""
+    return min(DRAWS, max(FEWEST_DRAWS, SAMPLES_TIMES_DRAWS // samples))
 
 
 def without_absent_outputs(model: Model, flights: list[FlightData]) -> tuple[Model, list[FlightData]]:
-    """Model and flights without the outputs that no flight measures."""
+    """Model and flights without the outputs that are absent from all flights."""
     absent = set(flights[0].absent_outputs).intersection(*(d.absent_outputs for d in flights[1:]))
     if not absent:
         return model, flights
     present = [i for i, n in enumerate(model.output_names) if n not in absent]
-    slim = []
+    reduced = []
     for flight in flights:
         segments = tuple(replace(s, z=np.ascontiguousarray(s.z[:, present])) for s in flight.segments)
-        slim.append(replace(flight, segments=segments, absent_outputs=()))
-    return model.without_outputs(*absent), slim
+        reduced.append(replace(flight, segments=segments, absent_outputs=()))
+    return model.without_outputs(*absent), reduced
 
 
 def cut_into_pieces(flight: FlightData, seconds: float) -> FlightData:
-    """The same flight in pieces of about `seconds`, each starting from its measured state."""
+    """The flight with its segments cut into pieces of about `seconds`, each starting from its measured state."""
     parts = []
     for s in flight.segments:
         count = max(1, round((s.time[-1] - s.time[0]) / seconds))

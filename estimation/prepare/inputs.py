@@ -1,9 +1,9 @@
-"""Measured inputs of a model at every sample, their noise taken off, and what may still be wrong with them.
+"""Measured inputs of a model at every sample, de-noised, and draws of their remaining errors.
 
-Controls of a model that pitches keep what follows the motion, and their measured values by steps: an elevator acts on a light
-and little damped motion. What de-noising takes off it besides noise goes into pitch damping and the derivatives by the elevator
-(`estimation.signals.controls`), far beyond their bounds. A lateral motion forgives both, but for very quiet gyros: the noise of
-measured values costs as much there as the rounding does.
+Controls of a model with pitch rate keep their part that follows the motion, and their measured values near steps: an elevator
+acts on a light and little damped motion, so what de-noising removes besides noise would bias pitch damping and the derivatives
+by the elevator far beyond their bounds (`estimation.signals.controls`). Lateral models need neither, but for very quiet gyros:
+there the noise of measured values costs as much as the rounding of steps.
 """
 
 from collections.abc import Sequence
@@ -23,17 +23,17 @@ from groundstation.flight.findings import Finding, FindingKind
 
 SEED = 20  # of the draws: the same flight gives the same bound
 FEEDBACK_SEED = 22
-PITCH_RATE = "q"  # column of a state of a model that pitches
+PITCH_RATE = "q"  # column
 
 Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class PreparationState:
-    """A flight half prepared for a model: what each step of the pipeline takes and gives.
+    """A flight partly prepared for a model: argument and result of each step of the pipeline.
 
-    pieces: [start, stop) of samples without a gap. rows: input -> the measured samples of each piece. u, z, states: as of
-    `FlightData` and its segments, over all samples, NaN outside the pieces; errors, noise, absent as there.
+    pieces: [start, stop) of samples without a gap. rows: index of an input -> the measured samples of each piece. u, z, states:
+    as in `FlightData` and its segments, over all samples, NaN outside the pieces; errors, follows, noise, absent as there.
     """
 
     model: Model
@@ -59,17 +59,13 @@ class PreparationState:
         return signal.optional and not self.flight.measured(signal.source)
 
     def own_samples(self, column: str, start: int, stop: int) -> Index:
-        """Samples start..stop-1 at which a column has a value of its own; all of them where too few would be left."""
+        """Samples start..stop-1 at which a column has a measurement of its own; all of them where those are too few."""
         rows = np.flatnonzero(~self.conditioned.copies(column)[start:stop]) + start
         return rows if rows.size >= SHORTEST_SEGMENT else np.arange(start, stop)
 
-    def noted(self, notes: Sequence[Finding]) -> tuple[Finding, ...]:
-        """The notes with more of them."""
-        return (*self.notes, *notes)
-
 
 def inputs_at_samples(state: PreparationState) -> PreparationState:
-    """Inputs at every sample of the pieces, with their noise: measured, zero where they may be missing, or derived."""
+    """Inputs at every sample of the pieces, with their noise: measured, derived, or zero for an optional one that is missing."""
     flight, inputs, notes = state.flight, state.model.inputs, list[Finding]()
     u = np.full((len(flight), len(inputs)), np.nan)
     rows: dict[int, list[Index]] = {}
@@ -88,11 +84,11 @@ def inputs_at_samples(state: PreparationState) -> PreparationState:
         else:
             u[:, i] = derive_column(flight, signal.source, state.pieces, notes)
     notes += _bridge_notes([(inputs[i].source, flight[inputs[i].source]) for i in rows], state.pieces)
-    return replace(state, u=u, rows=rows, notes=state.noted(notes))
+    return replace(state, u=u, rows=rows, notes=(*state.notes, *notes))
 
 
 def _bridge_notes(columns: Sequence[tuple[str, Array]], pieces: Sequence[tuple[int, int]]) -> list[Finding]:
-    """A note on the inputs that lack samples between others of a piece, those that lack as many together."""
+    """Notes on inputs with missing samples inside a piece; inputs with equally many share one."""
     by_count: dict[int, list[str]] = {}
     for column, values in columns:
         by_count.setdefault(sum(int(np.isnan(values[a:b]).sum()) for a, b in pieces), []).append(column)
@@ -109,9 +105,9 @@ def _bridge_notes(columns: Sequence[tuple[str, Array]], pieces: Sequence[tuple[i
 
 
 def inputs_without_noise(state: PreparationState) -> PreparationState:
-    """Inputs made smooth piece by piece, as far as that is asked for, and draws of what may still be wrong with them."""
+    """Inputs de-noised piece by piece, unless the preparation keeps noise, and draws of their remaining errors."""
     flight, inputs, preparation = state.flight, state.model.inputs, state.preparation
-    # computed of others, or a command that holds between its records: without noise of its own
+    # a computed input, or a command that holds between its records, has no measurement noise
     noisy = {i for i in state.rows if not inputs[i].computed and flight.held(inputs[i].source) is None}
     draws = min(preparation.draws, draws_for(len(flight)))
     errors = np.zeros((*state.u.shape, draws), np.float32)
@@ -119,11 +115,10 @@ def inputs_without_noise(state: PreparationState) -> PreparationState:
     if not preparation.denoise:
         _draw_noise(state, noisy, errors, rng)
         note = Finding(FindingKind.OTHER, "measured inputs taken with their noise")
-        return replace(state, errors=errors if draws else None, notes=state.noted([note]))
+        return replace(state, errors=errors if draws else None, notes=(*state.notes, note))
     for order, control in ((1, True), (2, False)):
-        _take_off_noise(
-            state, [i for i in state.rows if i in noisy and inputs[i].control == control], order, errors, rng
-        )
+        same_kind = [i for i in state.rows if i in noisy and inputs[i].control == control]
+        _denoise(state, same_kind, order, errors, rng)
     _derive_errors(state, errors)
     return replace(state, errors=errors)
 
@@ -131,7 +126,8 @@ def inputs_without_noise(state: PreparationState) -> PreparationState:
 def _draw_noise(
     state: PreparationState, noisy: set[int], errors: NDArray[np.float32], rng: np.random.Generator
 ) -> None:
-    """Errors of inputs that keep their noise: white, of the level that each shows, on straight lines between its rows."""
+    """Draw errors of inputs that keep their noise, in place: white, of the estimated level, on straight lines between measured
+    samples."""
     for i in (i for i in state.rows if i in noisy):
         level = max((noise_level(state.u[rows, i]) for rows in state.rows[i]), default=0.0)
         state.noise[state.model.inputs[i].name] = (level, 0.0)
@@ -141,10 +137,10 @@ def _draw_noise(
                 errors[a:b, i, k] = np.interp(np.arange(a, b), rows, values)
 
 
-def _take_off_noise(
+def _denoise(
     state: PreparationState, inputs: Sequence[int], order: int, errors: NDArray[np.float32], rng: np.random.Generator
 ) -> None:
-    """Columns of `u` made smooth in place. order: of the polynomials."""
+    """De-noise columns of `u` and draw their errors, in place. order: of the polynomials."""
     levels: dict[int, list[tuple[float, float]]] = {i: [] for i in inputs}
     places = [(a, b, i, state.rows[i][k]) for k, (a, b) in enumerate(state.pieces) for i in inputs]
     measured = [state.u[rows, i] for _, _, i, rows in places]
@@ -162,7 +158,7 @@ def _take_off_noise(
 
 
 def _derive_errors(state: PreparationState, errors: NDArray[np.float32]) -> None:
-    """Errors of inputs that are slopes of other inputs: slopes of their errors."""
+    """Errors of inputs that are slopes of other inputs, in place: slopes of their errors."""
     sources = [s.source for s in state.model.inputs]
     for i, source in enumerate(sources):
         origin = source.removesuffix("_dot")
@@ -175,17 +171,17 @@ def _derive_errors(state: PreparationState, errors: NDArray[np.float32]) -> None
 
 
 def has_pitch_rate(model: Model) -> bool:
-    """Whether a model has a state of its own for pitch rate."""
+    """Whether pitch rate is a state of a model."""
     return any(s.source == PITCH_RATE for s in model.states)
 
 
 def feedback_restored(state: PreparationState) -> PreparationState:
-    """Controls with what follows the motion put back, and steps as measured, where the model pitches or that is asked of any.
+    """Controls with their part that follows the motion restored, and steps as measured, where the preparation says so.
 
-    A piece in which a control was not measured at every sample stays as it is.
+    A piece in which a control was not measured at every sample stays unchanged.
     """
-    wanted = has_pitch_rate(state.model) or state.preparation.every_axis
-    if not (state.preparation.denoise and state.preparation.feedback and wanted):
+    applies = has_pitch_rate(state.model) or state.preparation.every_axis
+    if not (state.preparation.denoise and state.preparation.feedback and applies):
         return state
     state = replace(state, follows=np.zeros_like(state.u))
     for i, signal in enumerate(state.model.inputs):
@@ -204,7 +200,7 @@ def feedback_restored(state: PreparationState) -> PreparationState:
 def _restore_feedback(
     state: PreparationState, i: int, column: Array, pieces: Sequence[tuple[int, int]], level: float
 ) -> Array:
-    """Change one control, and its errors, in place; what is still taken off it, over all pieces."""
+    """Restore one control and draw its errors, in place; return measured less restored values over all pieces."""
     assert state.errors is not None
     assert state.follows is not None
     u, states, errors = state.u, state.states, state.errors

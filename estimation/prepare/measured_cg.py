@@ -1,8 +1,8 @@
-"""Centre of gravity as a history: fuel out of a tank ahead, a load that is dropped, where a flight has a column `cg_x` [m].
+"""Centre of gravity as a history, as fuel leaves a forward tank or a load is dropped, where a flight has a column `cg_x` [m].
 
-It says how far the CG lies ahead of the aircraft file's. Derivatives stay about the file's; moments about the CG of the moment
-are those and the arm times the force, Cm + cg_x/c CZ and Cn - cg_x/b CY, and what vanes and accelerometers show is carried
-there; coefficients go by the flow at the file's, where it turns with the aircraft. Inertia stays the file's.
+cg_x is the distance of the CG ahead of the aircraft file's. Derivatives stay about the file's CG; moments about the present CG
+add arm times force, Cm + cg_x/c CZ and Cn - cg_x/b CY. Readings of vanes and accelerometers are transferred to the present CG,
+while coefficients depend on the flow at the file's CG, which differs by the rotation. Inertia stays the file's.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,13 +25,13 @@ ARMS: Mapping[str, tuple[str, str, str]] = {"Cm": ("+", "c", "CZ"), "Cn": ("-", 
 FLOW: Mapping[str, str] = {f"{c}_alpha": f" + {c}_alpha*cg_x*q/V" for c in ("CL", "Cm")} | {
     f"{c}_beta": f" - {c}_beta*cg_x*r/V" for c in ("CY", "Cl", "Cn")
 }
-"""Derivative by an angle -> what it makes of the angle at the file's CG beyond that at the CG of the moment."""
+"""Derivative by a flow angle -> its addend for the difference between the angle at the file's CG and at the present one."""
 
 
 def cg_history(flight: Flight, span: float) -> NDArray[np.float64]:
-    """(N,) [m] ahead of the aircraft file's CG, zero for a flight without such a column; between readings by lines.
+    """(N,) distance [m] of the CG ahead of the aircraft file's, on straight lines between readings; zero without such a column.
 
-    Raises DataError for one further off than a tenth of the span.
+    Raises DataError for one beyond FARTHEST_CG of the span.
     """
     if not flight.measured(COLUMN):
         return np.zeros(len(flight))
@@ -47,9 +47,9 @@ def cg_history(flight: Flight, span: float) -> NDArray[np.float64]:
 
 
 def with_cg_history(model: Model, flights: Sequence[Flight]) -> tuple[Model, tuple[Flight, ...], tuple[str, ...]]:
-    """The model with moments about the flights' own CG, the flights with their motion there, and a note that says so; all as they
-    were where no flight has a column for it, or the model no line for such a moment and its force. Raises as `cg_history`."""
-    moments = [m for m in ARMS if _has_arm(model, m)]
+    """The model with moments about the measured CG, the flights with their motion there, and a note; all unchanged where no
+    flight has such a column, or the model has no line for such a moment and its force. Raises as `cg_history`."""
+    moments = [m for m in ARMS if _has_moment_and_force(model, m)]
     if not any(f.measured(COLUMN) for f in flights):
         return model, tuple(flights), ()
     if not moments or "b" not in model.constants:
@@ -70,8 +70,8 @@ def with_cg_history(model: Model, flights: Sequence[Flight]) -> tuple[Model, tup
     symbols = {*model.state_names, *model.input_names, *lines}
     for derivative, addend in FLOW.items():
         line = derivative.partition("_")[0]
-        turning = names_in(addend[3:]) - {COLUMN, derivative}
-        if line in lines and derivative in names_in(lines[line]) and turning <= symbols:
+        rate_and_speed = names_in(addend[len(" + ") :]) - {COLUMN, derivative}
+        if line in lines and derivative in names_in(lines[line]) and rate_and_speed <= symbols:
             lines[line] += addend
     signal = Signal(
         COLUMN, "m", "of the centre of gravity ahead of the aircraft file's, as it was in flight", computed=True
@@ -81,7 +81,7 @@ def with_cg_history(model: Model, flights: Sequence[Flight]) -> tuple[Model, tup
         inputs=(*model.inputs, signal),
         equations=tuple(f"{name} = {text}" for name, text in {**lines, **new_lines}.items()),
     )
-    moved = tuple(
+    at_present_cg = tuple(
         f.with_columns(**{COLUMN: h}, **at_moved_cg(f.columns, f.time, h))
         for f, h in zip(flights, histories, strict=True)
     )
@@ -90,11 +90,11 @@ def with_cg_history(model: Model, flights: Sequence[Flight]) -> tuple[Model, tup
         f"centre of gravity as measured, {least:+.3g} to {greatest:+.3g} m ahead of the aircraft file's; derivatives are about"
         " the file's"
     )
-    return changed, moved, (note,)
+    return changed, at_present_cg, (note,)
 
 
 def at_stated_cg(model: Model) -> Model:
-    """The model for flights to come, about the aircraft file's CG; a history has its place again where such a flight is given."""
+    """The model for other flights, about the aircraft file's CG."""
     if COLUMN not in model.input_names:
         return model
     lines = {n: text for n, text in model.definitions.items() if n not in map(_about_cg, ARMS)}
@@ -105,7 +105,7 @@ def at_stated_cg(model: Model) -> Model:
     return replace(model, inputs=inputs, equations=tuple(f"{name} = {text}" for name, text in lines.items()))
 
 
-def _has_arm(model: Model, moment: str) -> bool:
+def _has_moment_and_force(model: Model, moment: str) -> bool:
     _, length, force = ARMS[moment]
     return moment in model.definitions and force in model.definitions and length in model.constants
 

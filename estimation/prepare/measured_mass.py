@@ -1,7 +1,6 @@
-"""Mass as a history: fuel that is burnt, where a flight has a column `mass` [kg].
+"""Mass as a history, as fuel burns, where a flight has a column `mass` [kg].
 
-Every verb that holds a model against flights takes it. Inertia stays that of the aircraft file: nothing in a flight says how
-it went.
+Every verb that compares a model with flights uses it. Inertia stays that of the aircraft file, because no flight records it.
 """
 
 from collections.abc import Sequence
@@ -23,13 +22,13 @@ from groundstation.flight import Flight
 SYMBOL = "m"  # of the mass in built-in models
 _LINES = (line.partition(" = ") for line in (*LATERAL_AERODYNAMICS, *LONGITUDINAL_AERODYNAMICS))
 OF_MASS = frozenset((name, text) for name, _, text in _LINES if SYMBOL in names_in(text))
-"""Lines of built-in models in which m is the aircraft's mass whatever its value."""
+"""Lines of built-in models, in which m is the aircraft's mass whatever its value."""
 
 
 def mass_history(flight: Flight, stated: float) -> NDArray[np.float64]:
-    """(N,) [kg] of a flight, the stated one where it has no such column; between fuel readings by lines.
+    """(N,) mass of a flight [kg], on straight lines between readings; the stated one where the flight has no such column.
 
-    Raises DataError for a mass that is none, or more than twice or less than half of the stated one.
+    Raises DataError for a mass that is not above zero, or further than a factor FARTHEST_MASS from the stated one.
     """
     if not flight.measured(COLUMN):
         return np.full(len(flight), stated)
@@ -51,12 +50,12 @@ def mass_history(flight: Flight, stated: float) -> NDArray[np.float64]:
 def with_mass_history(
     model: Model, flights: Sequence[Flight], aircraft: Aircraft
 ) -> tuple[Model, tuple[Flight, ...], tuple[str, ...]]:
-    """The model with the flights' own mass in its equations, the flights with it in every sample, and a note that says so.
+    """The model with the measured mass in its equations, the flights with it at every sample, and a note.
 
-    A flight without such a column has the stated mass. All as they were where none has it, or m is not known to be the mass: what
-    a model of one's own calls m may be anything. Raises as `mass_history`.
+    A flight without such a column has the stated mass. All are unchanged where no flight has it, or where m may be something
+    else, as it may be in a user's model. Raises as `mass_history`.
     """
-    if not _holds_mass(model, aircraft) or not any(f.measured(COLUMN) for f in flights):
+    if not _has_mass(model, aircraft) or not any(f.measured(COLUMN) for f in flights):
         return model, tuple(flights), ()
     stated = model.constants[SYMBOL]
     histories = [mass_history(f, stated) for f in flights]
@@ -64,15 +63,15 @@ def with_mass_history(
     replaced = {n: renamed(text, SYMBOL, COLUMN) for n, text in model.definitions.items() if SYMBOL in names_in(text)}
     signal = Signal(COLUMN, "kg", "mass as it was in flight", computed=True)
     changed = model.plus(replaced=replaced, inputs=[signal])
-    # what takes one number for the whole flight takes its mean
+    # code that needs one number for the flight uses the mean
     changed = replace(changed, constants={**model.constants, SYMBOL: float(np.mean(np.concatenate(histories)))})
     note = f"mass as measured, {least:.5g} to {greatest:.5g} kg, in place of {stated:.5g} kg; inertia is the aircraft file's"
     with_mass = tuple(f.with_columns(mass=h) for f, h in zip(flights, histories, strict=True))
     return changed, with_mass, (note,)
 
 
-def _holds_mass(model: Model, aircraft: Aircraft) -> bool:
-    """Whether m is the mass: that of the aircraft's file, or in a line of a built-in model."""
+def _has_mass(model: Model, aircraft: Aircraft) -> bool:
+    """Whether m is the mass: that of the aircraft file, or one in a line of a built-in model."""
     lines = {(name, text) for name, text in model.definitions.items() if SYMBOL in names_in(text)}
     return SYMBOL in model.constants and bool(
         lines if model.constants[SYMBOL] == aircraft.mass else lines.intersection(OF_MASS)
@@ -80,8 +79,7 @@ def _holds_mass(model: Model, aircraft: Aircraft) -> bool:
 
 
 def at_mean_mass(model: Model) -> Model:
-    """The model for flights to come: its equations with one mass, the mean of those it was used on; a history has its place again
-    where such a flight is given."""
+    """The model for other flights: its equations with one mass, the mean over the flights it was used on."""
     if COLUMN not in model.input_names or SYMBOL not in model.constants:
         return model
     inputs = tuple(s for s in model.inputs if s.name != COLUMN)

@@ -1,7 +1,7 @@
-"""A flight prepared for one model, step by step: each step takes a half prepared flight and gives it with its findings.
+"""Preparation of a flight for one model in steps; each adds its notes.
 
-Integration never crosses a gap in time, a segment border or a stretch in which a needed input was not measured. NaN in
-a measured output is simply not counted.
+Integration never crosses a gap in time, a segment border or a stretch in which a needed input was not measured. A NaN in a
+measured output does not count.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,17 +22,17 @@ from groundstation.flight.arrays import Mask, true_runs
 from groundstation.flight.findings import Finding, FindingKind, unknown_columns, without_repeats
 
 LONGEST_BRIDGE = 3  # missing input samples that a straight line may bridge
-FLAT = 1e-12
+FLAT = 1e-12  # range of an output that does not move
 
 FlightsToFit = Flight | FlightData | Sequence[Flight | FlightData]
-"""One flight or several, prepared already or not."""
+"""One flight or several, prepared or not."""
 
 
 def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -> FlightData:
-    """Columns of `flight` as inputs, outputs and starting states of `model`.
+    """Columns of `flight` as inputs, outputs and initial states of `model`.
 
-    Raises MissingColumnError naming the columns that the model needs and the flight lacks, DataError when no stretch
-    long enough is left.
+    Raises MissingColumnError naming the columns that the model needs and the flight lacks, DataError for implausible columns or
+    where no stretch is long enough.
     """
     state = PreparationState(model, preparation, ConditionedFlight(flight, {}, ()))
     for step in STEPS:
@@ -41,7 +41,7 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
 
 
 def prepare_all(model: Model, flights: FlightsToFit, preparation: Preparation = AS_USUAL) -> list[FlightData]:
-    """Flights prepared for a model, those that are so already taken as they are."""
+    """Flights prepared for a model; prepared ones as they are. DataError where there is none."""
     listed = [flights] if isinstance(flights, Flight | FlightData) else list(flights)
     if not listed:
         raise DataError("no flight given: at least one is needed")
@@ -49,7 +49,7 @@ def prepare_all(model: Model, flights: FlightsToFit, preparation: Preparation = 
 
 
 def columns_required(state: PreparationState) -> PreparationState:
-    """Refuse a flight that lacks what the model needs; of the import's note on unknown columns, those the model knows go."""
+    """Refuse a flight that lacks columns of the model; remove the model's columns from the import's note on unknown columns."""
     model, notes = state.model, []
     model_columns = {s.source for s in (*model.states, *model.inputs, *model.outputs)}
     for note in state.flight.notes:
@@ -64,27 +64,27 @@ def columns_required(state: PreparationState) -> PreparationState:
 
 
 def measurements_conditioned(state: PreparationState) -> PreparationState:
-    """Wild values taken out, repeats of slow and stuck sensors marked."""
+    """Wild values removed, repeats of slow and stuck sensors marked."""
     model = state.model
     starts = [s.start for s in model.states if isinstance(s.start, str)]
     columns = [*(s.source for s in (*model.inputs, *model.outputs, *model.states) if not s.computed), *starts]
     conditioned = condition_columns(state.flight, columns, keep_held=state.preparation.keep_held)
-    return replace(state, conditioned=conditioned, notes=state.noted(conditioned.notes))
+    return replace(state, conditioned=conditioned, notes=(*state.notes, *conditioned.notes))
 
 
 def units_plausible(state: PreparationState) -> PreparationState:
-    """Refuse columns of another unit or sign."""
+    """Refuse columns with another unit or sign than the model's."""
     notes: list[Finding] = []
     refuse_impossible(state.flight, (*state.model.inputs, *state.model.states), state.model.outputs, notes)
-    return replace(state, notes=state.noted(notes))
+    return replace(state, notes=(*state.notes, *notes))
 
 
 def gaps_cut(state: PreparationState) -> PreparationState:
-    """Pieces without a gap, a segment border or a long hole in an input."""
+    """Pieces without a gap in time, a segment border or a long hole in an input."""
     flight, notes = state.flight, list[Finding]()
     usable = np.ones(len(flight), bool)
     for signal in (s for s in state.model.inputs if not state.missing_optional(s)):
-        way = None if signal.source in flight.columns else way_to(flight, signal.source)
+        way = None if flight.measured(signal.source) else way_to(flight, signal.source)
         for source in (c for c in (way.needs if way else (signal.source,)) if c in flight.columns):
             holes = _long_holes(~np.isfinite(flight[source]), flight.segment)
             if holes.any():
@@ -97,11 +97,11 @@ def gaps_cut(state: PreparationState) -> PreparationState:
         text = f"{len(short)} stretches shorter than {SHORTEST_SEGMENT} samples left out ({sum(short)} samples)"
         notes.append(Finding(FindingKind.LEFT_OUT, text))
     pieces = tuple((a, b) for a, b in runs if b - a >= SHORTEST_SEGMENT)
-    return replace(state, pieces=pieces, notes=state.noted(notes))
+    return replace(state, pieces=pieces, notes=(*state.notes, *notes))
 
 
 def _long_holes(missing: Mask, segment: np.ndarray) -> Mask:  # type: ignore[type-arg]
-    """Missing samples that may not be bridged: runs longer than LONGEST_BRIDGE, or at the end of a segment."""
+    """(N,) missing samples that are not bridged: runs longer than LONGEST_BRIDGE, or at an end of a segment."""
     holes = np.zeros_like(missing)
     for a, b in true_runs(missing):
         at_border = a == 0 or b == missing.size or segment[a - 1] != segment[b]
@@ -110,7 +110,7 @@ def _long_holes(missing: Mask, segment: np.ndarray) -> Mask:  # type: ignore[typ
 
 
 def outputs_compared(state: PreparationState) -> PreparationState:
-    """Measured outputs (samples, ny), NaN where nothing is compared; DataError where none of them moves."""
+    """Measured outputs (samples, ny), NaN where not compared; DataError where none of them moves."""
     model, flight, notes = state.model, state.flight, list[Finding]()
     z = np.full((len(flight), len(model.outputs)), np.nan)
     absent = []
@@ -134,11 +134,11 @@ def outputs_compared(state: PreparationState) -> PreparationState:
         raise DataError(
             f"{flight.name}: none of the outputs of model {model.name} moves; nothing can be estimated from it"
         )
-    return replace(state, z=z, absent=tuple(absent), notes=state.noted(notes))
+    return replace(state, z=z, absent=tuple(absent), notes=(*state.notes, *notes))
 
 
 def states_smoothed(state: PreparationState) -> PreparationState:
-    """Measured states (samples, nx) without their noise, NaN where a state is not measured."""
+    """Measured states (samples, nx), de-noised, NaN where a state is not measured."""
     flight, model = state.flight, state.model
     states = np.full((len(flight), len(model.states)), np.nan)
     sources = [s.source if flight.measured(s.source) else s.start for s in model.states]
@@ -170,7 +170,7 @@ STEPS: tuple[Callable[[PreparationState], PreparationState], ...] = (
 
 
 def _flight_data(state: PreparationState) -> FlightData:
-    """The prepared flight; DataError where no piece is left."""
+    """The prepared flight; DataError where it has no piece."""
     flight, u, z = state.flight, state.u, state.z
     segments = tuple(
         Segment(a, flight.time[a:b], np.ascontiguousarray(u[a:b]), np.ascontiguousarray(z[a:b]), _first_state(state, a))
@@ -204,7 +204,7 @@ def _flight_data(state: PreparationState) -> FlightData:
 
 
 def _first_state(state: PreparationState, row: int) -> Array:
-    """(nx,) guess of the state at a sample: a number at which the model holds it, as measured, or the model's start."""
+    """(nx,) initial state at a sample: a number at which the model holds it, else as measured, else the model's start or zero."""
     x0 = np.zeros(len(state.model.states))
     for i, signal in enumerate(state.model.states):
         start = float(signal.start) if isinstance(signal.start, int | float) else 0.0

@@ -1,4 +1,4 @@
-"""Which flights, and which stretches of them, one call works on."""
+"""The flights, and the stretches of them, that a call works on."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +13,7 @@ from groundstation.flight.stretches import airborne, is_times, stretches_where
 
 
 def unique_names(flights: Sequence[Flight]) -> list[Flight]:
-    """Flights with names of their own, so that no result hides another."""
+    """Flights with unique names, so that no result hides another."""
     counts: dict[str, int] = {}
     result = []
     for flight in flights:
@@ -24,7 +24,7 @@ def unique_names(flights: Sequence[Flight]) -> list[Flight]:
 
 
 def spans_of(text: str) -> dict[str, tuple[float, float]]:
-    """Each stretch of `2:12,15:25`, as it is written -> (begin, end) [s]; EstimationError where they make no sense."""
+    """Text of each stretch of `2:12,15:25` -> (begin, end) [s]; EstimationError where it cannot be read or stretches overlap."""
     spans: dict[str, tuple[float, float]] = {}
     for part in text.split(","):
         begin, _, end = part.partition(":")
@@ -41,9 +41,9 @@ def spans_of(text: str) -> dict[str, tuple[float, float]]:
 
 
 def select_segments(flight: Flight, text: str | None) -> Flight:
-    """The stretches of a flight, by times `2:12,15:25` [s], by a mode or by a condition (`groundstation.flight.stretches`), as
-    segments; without a text all of it, but what a record holds of standing, rolling and landing. EstimationError or FlightError
-    where they make no sense."""
+    """Stretches of a flight as segments: by times `2:12,15:25` [s], by a mode or by a condition
+    (`groundstation.flight.stretches`); without a text, all but standing, taxiing and landing. EstimationError or FlightError for
+    a text that cannot be used."""
     if text is None:
         phase = airborne(flight)
         return cut(flight, np.where(phase.flying, flight.segment, -1), (phase.text,)) if phase.stood else flight
@@ -67,7 +67,7 @@ def select_segments(flight: Flight, text: str | None) -> Flight:
 
 
 def cut(flight: Flight, label: NDArray[np.int64], notes: Sequence[str] = ()) -> Flight:
-    """The samples of a flight that have a label, each label a segment."""
+    """The samples of a flight whose label is 0 or more, each label a segment."""
     keep = label >= 0
     part = flight.part(keep)
     return Flight.build(
@@ -81,7 +81,7 @@ def cut(flight: Flight, label: NDArray[np.int64], notes: Sequence[str] = ()) -> 
 
 
 def flights_of_segments(flight: Flight) -> list[Flight]:
-    """Every segment as a flight of its own, named <flight>.1, <flight>.2 ..."""
+    """Every segment as a flight, named <flight>.1, <flight>.2 ...; the flight itself where it has one segment."""
     parts = flight.segments
     if len(parts) == 1:
         return [flight]

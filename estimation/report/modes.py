@@ -35,7 +35,10 @@ class EigenMode:
 def state_matrix(model: Model, values: Mapping[str, float], state: Array, inputs: Array) -> Array:
     """(nx, nx) Jacobian df/dx at one point. values: every parameter; state (nx,), inputs (nu,)."""
     traced = trace(model.structure)
-    p = [*(values[n] for n in model.parameter_names), *(model.constants[n] for n in model.structure.constants_kept)]
+    p = [
+        *(values[n] for n in model.parameter_names),
+        *(model.constants[n] for n in model.structure.remaining_constants),
+    ]
     entries = np.asarray(traced.rates_jacobian(state, inputs, p)[1]).ravel()
     rows, columns = traced.patterns["f_x"]
     A = np.zeros((len(model.states), len(model.states)))

@@ -1,47 +1,48 @@
-"""What de-noising takes off a control besides noise: the part that follows the motion, and the corners of its steps.
+"""What de-noising removes from a control besides noise: feedback from the motion, and the corners of its steps.
 
-The hand of a pilot or an autopilot steers against the motion. De-noising a control by itself takes such small motion for noise
-where it is no larger than that. It is not: it goes with a rate or an angle, and an estimate finds what is missing of it among the
-derivatives of that motion (a c172p whose elevator holds its attitude, 0.05 deg of noise: a quarter of the feedback of pitch rate
-taken off, and `Cm_q` 13 % too large for it). Between steps a control is a straight line in every stretch, the motion times gains,
-and noise: linear regression. What follows the motion is then taken off before de-noising and put back after it.
+A pilot or an autopilot steers against the motion. De-noising a control by itself removes this feedback wherever it is no larger
+than the noise. The estimates then make up for it in the derivatives of that motion (a c172p whose elevator holds its attitude,
+with 0.05 deg of noise: a quarter of the feedback from pitch rate was lost, and `Cm_q` came out 13 % too large). Between steps a
+control is, in every stretch, a straight line plus gains times the motion plus noise, so linear regression finds the gains. The
+feedback is subtracted before de-noising and added again after it.
 
-Taking noise off also rounds the corners of steps a little: there the smoothed course is no nearer the truth than the
-measured one (0.077 against 0.069 deg rms on flights of the second truth, away from steps 0.033 against 0.070), and it errs to
-one side, late by a hundredth of a sample. An elevator turns so light a body so fast that pitch rate shows even that, and it
-looks like a lag of the elevator or a moment that goes with the rate of angle of attack. From three samples before a step to
-six behind it, 0.15 and 0.3 s at the most, the measured value is taken; everywhere would be too much: the noise of a quiet control
-looks like play, which takes it off (with as many samples at 5 Hz three sets in seven of nothing hidden were named so).
+De-noising also rounds the corners of steps. There the smoothed control is no nearer the truth than the measured one (0.077
+against 0.069 deg rms on simulated flights, away from steps 0.033 against 0.070), and it is late by a hundredth of a sample. An
+elevator turns so light a body so fast that pitch rate shows even that: it looks like a lag of the elevator, or like a moment due
+to the rate of angle of attack. So measured values are used from three samples before a step to six behind it, at most 0.15 and
+0.3 s. They are not used everywhere, because the noise of a quiet control looks like play (with six samples at 5 Hz, three of
+seven simulated sets of flights without play were said to have it).
 """
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.signals.denoise import denoise_many
+from estimation.signals.denoise import THIRD_DIFFERENCE, denoise_many
 from groundstation.flight.arrays import true_runs
 
 Array = NDArray[np.float64]
-FEWEST = 100  # differences that tell a level to a tenth
-CORNER, TAIL = (
-    3,
-    6,
-)  # samples before and behind the one before a step, that its rounding and the tail of a servo reach at the most
-BEFORE, BEHIND = 0.15, 0.3  # s: the same of a servo of 35 ms
+FEWEST = 100  # third differences: they give a noise level to a tenth of itself
+# Reach around the sample before a step: its rounding by de-noising, and the settling of a servo of 35 ms; the shorter counts.
+CORNER, TAIL = 3, 6  # samples
+BEFORE, BEHIND = 0.15, 0.3  # s
 
 
 def step_reach(interval: float) -> range:
-    """Samples of so many seconds, from the one before a step: its rounded corner, and the tail of a servo."""
+    """Offsets from the sample before a step to those that its rounded corner and the servo's settling reach. interval: [s]."""
     samples_before, samples_behind = (math.ceil(seconds / interval - 1e-6) for seconds in (BEFORE, BEHIND))
     return range(-min(samples_before, CORNER), min(samples_behind, TAIL) + 1)
 
 
 def near_steps(values: Array, noise: float, step: float, around: range) -> NDArray[np.bool_]:
-    """(N,) whether a sample of a de-noised control (N,) lies by a change of more than `step` times its noise: `around` the one
-    before it."""
+    """(N,) samples of a de-noised control (N,) near a step, a change between two samples of more than `step` times `noise`.
+
+    around: offsets from the sample before the step.
+    """
     moves = np.flatnonzero(np.abs(np.diff(values)) > step * noise)
     mask = np.zeros(values.size, dtype=bool)
     for shift in around:
@@ -50,34 +51,36 @@ def near_steps(values: Array, noise: float, step: float, around: range) -> NDArr
 
 
 def noise_between_steps(values: Array, step_mask: NDArray[np.bool_], level: float) -> float:
-    """Standard deviation of the noise of a control (N,) away from its steps, by its third differences; `level`, by all of them,
-    where that leaves too few. Steps and servo make up to a third of all of them large, and their median a fifth too large."""
+    """Standard deviation of the noise of a control (N,) by its third differences away from steps; `level` where too few are left.
+
+    Steps and servo enlarge up to a third of all third differences, and so their median (`level`) by a fifth.
+    """
     third = np.diff(values, 3)
     calm = ~(step_mask[:-3] | step_mask[1:-2] | step_mask[2:-1] | step_mask[3:]) & np.isfinite(third)
-    return float(np.sqrt(np.mean(third[calm] ** 2) / 20.0)) if np.count_nonzero(calm) >= FEWEST else level
+    return float(np.sqrt(np.mean(third[calm] ** 2) / THIRD_DIFFERENCE)) if np.count_nonzero(calm) >= FEWEST else level
 
 
 def with_raw_steps(
     smooth: Array, measured: Array, noise: float, step: float, interval: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """The de-noised control with its measured values by its steps, and where they were taken. All (N,), measured NaN where
-    nothing was. interval: of the samples [s]."""
+    """The de-noised control with its measured values near steps, and where those were used. All (N,); measured: NaN where
+    missing; interval: of the samples [s]."""
     step_mask = near_steps(smooth, noise, step, step_reach(interval)) & np.isfinite(measured)
     return np.where(step_mask, np.nan_to_num(measured), smooth), step_mask
 
 
-STRETCH = 40  # samples that a straight line covers at most: 20 tell half as much of slow feedback, 60 no more
-SHORTEST = 6  # samples between steps that say anything of a gain
-STEP = 4.0  # noises: one in 15 000 samples of noise alone is a larger change
-AROUND = range(-2, 5)  # samples from the one before a step: corner and tail of a servo belong to the step
-CHANCE = 1e-3  # an F ratio that chance makes so seldom is feedback
-DEPENDENT = 1e-6  # of the largest: directions of the motion that are told apart
+STRETCH = 40  # samples under one straight line: 20 would show half as much of slow feedback, 60 no more
+SHORTEST = 6  # samples between steps from which a gain can be estimated
+STEP = 4.0  # times the noise: noise alone makes a larger change in one of 15 000 samples
+AROUND = range(-2, 5)  # samples from the one before a step: corner and settling belong to the step
+CHANCE = 1e-3  # probability: feedback is accepted where noise alone would make so large an F ratio less often
+DEPENDENT = 1e-6  # of the largest singular value: directions of the motion below this cannot be separated
 
 
 @dataclass(frozen=True)
 class Gains:
-    """gains: (2 motions,) of the motion now and a sample before; roots: (2 motions, k), whose products with normal numbers are
-    the errors of the gains."""
+    """gains: (2 motions,) by which a control follows the motion now and one sample before; roots: (2 motions, k) a factor of
+    their covariance, roots @ roots.T."""
 
     gains: Array
     roots: Array
@@ -85,30 +88,31 @@ class Gains:
 
 @dataclass(frozen=True)
 class ControlStretch:
-    """A stretch of one record. values: (N,) the control with its noise; smooth: (N,) without; motion: (N, motions) without."""
+    """A stretch of one record. values: (N,) the measured control; smooth, motion: (N,) and (N, motions) de-noised."""
 
     values: Array
     smooth: Array
     motion: Array
 
     def regressors(self) -> Array:
-        """(N, 2 motions): now and one sample before, for a servo is late."""
+        """(N, 2 motions): the motion now and one sample before, because a servo is late."""
         return np.column_stack([self.motion, np.concatenate([self.motion[:1], self.motion[:-1]])])
 
     def following(self, fitted: Gains) -> Array:
-        """(N,) what of the control follows the motion, about its mean."""
+        """(N,) the part of the control that follows the motion, about its mean."""
         x = self.regressors()
         return np.asarray((x - x.mean(axis=0)) @ fitted.gains)
 
 
 def feedback_gains(pieces: Sequence[ControlStretch], noise: float) -> Gains | None:
-    """Gains by which a control follows the motion in all pieces of a record; None where that may be chance. noise: of it."""
+    """Gains by which a control follows the motion in all pieces of a record; None where noise explains it. noise: of the
+    control."""
     from scipy.special import fdtrc
 
     stretches = [stretch for piece in pieces for stretch in _stretches(piece, noise)]
     if not stretches:
         return None
-    y, x = np.concatenate([v for v, _ in stretches]), np.concatenate([m for _, m in stretches])
+    y, x = (np.concatenate(parts) for parts in zip(*stretches, strict=True))
     size = np.sqrt(np.mean(x**2, axis=0))
     size[size == 0.0] = 1.0
     u, s, vt = np.linalg.svd(x / size, full_matrices=False)
@@ -128,29 +132,28 @@ def feedback_gains(pieces: Sequence[ControlStretch], noise: float) -> Gains | No
 def with_feedback(
     piece: ControlStretch, fitted: Gains, noise: float, draws: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """The control of a piece (N,) without its noise, with what follows the motion; and (draws, N) what may be wrong with it."""
+    """(N,) the de-noised control of a piece with its feedback, and (draws, N) draws of its remaining error."""
     x = piece.regressors()
     x = x - x.mean(axis=0)
     follows = x @ fitted.gains
-    rest = denoise_many([piece.values - follows], noise=noise, draws=draws, rng=rng)[0]
+    remainder = denoise_many([piece.values - follows], noise=noise, draws=draws, rng=rng)[0]
     if not draws:
-        return rest.values + follows, rest.errors
-    gain_errors = (
-        x @ fitted.roots
-    ).T  # what another gain adds, less what de-noising makes of the rest that this leaves
-    denoised = denoise_many([piece.values - follows - o for o in gain_errors], noise=noise)
-    by_gains = np.array([o + a.values - rest.values for o, a in zip(gain_errors, denoised, strict=True)])
-    return rest.values + follows, rest.errors + rng.standard_normal((draws, len(gain_errors))) @ by_gains
+        return remainder.values + follows, remainder.errors
+    # what a change of a gain adds to the feedback, and how it changes the de-noised remainder
+    feedback_changes = (x @ fitted.roots).T
+    denoised = denoise_many([piece.values - follows - change for change in feedback_changes], noise=noise)
+    by_gains = np.array([c + d.values - remainder.values for c, d in zip(feedback_changes, denoised, strict=True)])
+    return remainder.values + follows, remainder.errors + rng.standard_normal((draws, len(by_gains))) @ by_gains
 
 
 def _stretches(piece: ControlStretch, noise: float) -> Iterator[tuple[Array, Array]]:
-    """Control (n,) and regressors (n, 2 motions) of each stretch between steps, less their straight lines."""
+    """Control (n,) and regressors (n, 2 motions) of each stretch between steps, their straight lines subtracted."""
     x = piece.regressors()
     for a, b in true_runs(~near_steps(piece.smooth, noise, STEP, AROUND)):
         if b - a < SHORTEST:
             continue
         ends = np.linspace(a, b, max(1, round((b - a) / STRETCH)) + 1).round().astype(int)
-        for first, end in zip(ends[:-1], ends[1:], strict=True):
+        for first, end in pairwise(ends):
             line = np.vander(np.linspace(-1.0, 1.0, end - first), 2)
             basis = np.linalg.qr(line)[0]
             y, m = piece.values[first:end], x[first:end]

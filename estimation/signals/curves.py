@@ -1,11 +1,11 @@
 """Curves through samples: Fourier transforms of sampled histories on any grid of frequencies, and monotone cubics.
 
-X(w) = integral from 0 to T of x(t) exp(-j w t) dt. Samples are joined by a curve, which is taken on a finer even grid
-and summed by the trapezoidal rule, at evenly spaced frequencies by the chirp z transform (L. R. Rabiner, R. W. Schafer,
+X(w) = integral from 0 to T of x(t) exp(-j w t) dt. A curve through the samples is evaluated on a finer even grid and
+integrated by the trapezoidal rule, at evenly spaced frequencies by the chirp z transform (L. R. Rabiner, R. W. Schafer,
 C. M. Rader, IEEE Trans. Audio Electroacoust. 17(2), 1969; E. A. Morelli, Journal of Aircraft 34(3), 1997, for flight
-data). Steps may be of any length: what counts is the curve. A cubic spline through 20 Hz samples is off by (w h)^4 /
-720, 0.1 % at 3 Hz. A monotone cubic never overshoots, so that an edge stays where it is (slopes after Fritsch and Butland, SIAM
-J. Sci. Stat. Comput. 5, 1984).
+data). The samples need not be evenly spaced. A cubic spline through 20 Hz samples is off by (w h)^4 / 720, 0.1 % at 3 Hz. A
+monotone cubic never overshoots, so that an edge stays where it is (slopes after Fritsch and Butland, SIAM J. Sci. Stat. Comput.
+5, 1984).
 """
 
 import numpy as np
@@ -15,7 +15,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FINER = 6
-"""Points of the fine grid in one sample: the trapezoid's end errors are (w h / 6)^2 / 12, 0.2 % of an end at 3 Hz and 20 Hz."""
+"""Points of the fine grid per sample: the trapezoidal rule errs by (w h / 6)^2 / 12 of the value at each end, 0.2 % at 3 Hz and
+20 Hz."""
 FEWEST = 4  # samples that a cubic needs
 
 
@@ -27,12 +28,12 @@ def fine_times(time: Array) -> Array:
 
 
 def curve_through(time: Array, values: Array, times: Array, *, edges: bool = False) -> Array:
-    """Values at the times `times` (M,) of the curve through the finite samples of `values` (N,).
+    """Values at `times` (M,) of the curve through the finite samples of `values` (N,).
 
     edges: a monotone cubic that never overshoots (a control surface), else a cubic spline. All NaN for fewer than FEWEST samples.
     """
     measured = np.isfinite(values)
-    if int(measured.sum()) < FEWEST:
+    if measured.sum() < FEWEST:
         return np.full(times.shape, np.nan)
     from scipy.interpolate import CubicSpline, PchipInterpolator  # here: every simulation imports this module
 
@@ -43,7 +44,7 @@ def curve_through(time: Array, values: Array, times: Array, *, edges: bool = Fal
 
 
 def finite_transform(values: Array, step: float, first: float, spacing: float, count: int) -> Complex:
-    """(count, columns) transforms of `values` (M, columns) taken every `step` [s] from time zero on.
+    """(count, columns) transforms of `values` (M, columns), one every `step` [s] from time zero on.
 
     Frequencies first + k spacing [rad/s]; unit: that of the values times s.
     """
@@ -66,8 +67,8 @@ def longest_hole(time: Array, values: Array) -> float:
 
 
 def inner_slopes(chord: Array, step: Array) -> Array:
-    """(N - 2, n) slopes at the samples but the first and the last, zero at a peak. chord: (N - 1, n) of each interval; step:
-    (N - 1, 1) its length."""
+    """(N - 2, n) slopes at the inner samples, zero at a peak. chord: (N - 1, n) slope of each interval; step: (N - 1, 1) its
+    length."""
     chord_in, chord_out = chord[:-1], chord[1:]
     same_sign = chord_in * chord_out > 0.0
     w1, w2 = 2.0 * step[1:] + step[:-1], step[1:] + 2.0 * step[:-1]

@@ -1,13 +1,12 @@
-"""Noise off the measured inputs without touching an edge.
+"""De-noising of measured signals that leaves edges sharp.
 
-Output error takes its inputs for truth, so jitter on a potentiometer becomes coloured residuals and false names. The
-method: the signal is piecewise polynomial (straight for controls, parabolic for motion variables) with unknown break
-points; the estimate is the mean over all segmentations weighted by their probability (exact forward and backward
-recursions; Fearnhead 2006, Statistics and Computing 16, 203-213, with Gaussian noise of known variance), and draws are made by
-running the recursion backwards. A sharp edge gets a break with probability near one and stays where it was; a quiet stretch is
-averaged over its whole length.
+Output error takes its inputs for exact, so noise on a potentiometer becomes coloured residuals and false findings. Method: the
+signal is piecewise polynomial (straight for controls, parabolic for motion variables) with unknown break points. The estimate
+is the mean over all segmentations, weighted by their probability (exact forward and backward recursions; Fearnhead 2006,
+Statistics and Computing 16, 203-213, with Gaussian noise of known variance). Running the recursion backwards gives draws. A sharp
+edge gets a break with probability near one and stays where it was; a quiet stretch is averaged over its length.
 
-The noise level comes from the signal itself (`noise_level`), so nothing need be known of the sensor.
+The noise level is estimated from the signal (`noise_level`), so nothing need be known of the sensor.
 """
 
 from collections.abc import Sequence
@@ -20,10 +19,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LONGEST_PIECE = 80  # samples; longer quiet stretches are joined from pieces, at little cost in noise
-LEAST = 5  # third differences, for a level to be told
-IN_A_ROW = 40  # of them with nothing missing, for those across what is missing to be left out
-QUIET = 3e-4  # of the range of a signal: noise below this is left alone
-ROUNDING = 1e-12  # of its size: a constant behind a filter is no noisy signal, and takes no draws from those that are
+LEAST = 5  # third differences: fewer give no noise level
+IN_A_ROW = 40  # third differences within gap-free samples: with so many, those across gaps are not used
+SHORTEST = 8  # samples of a signal that is de-noised
+QUIET = 3e-4  # of the range of a signal: noise below this stays
+ROUNDING = 1e-12  # of the size of a signal: a filtered constant has only rounding, which must not use up random numbers
+NORMAL_MEDIAN = 0.6744897501960817  # median of |x| of a standard normal x
+THIRD_DIFFERENCE = 20.0  # variance of the third difference of unit white noise: squares of 1 -3 3 -1
 BLOCK = 640  # samples of a long signal treated at once
 RESCALE = 12  # steps between rescalings of the recursions
 ROWS = 24  # blocks treated at once
@@ -32,9 +34,9 @@ BREAK_RATE = 1.0 / 25.0  # prior probability of a break at a sample
 
 @dataclass(frozen=True, slots=True)
 class Denoised:
-    """values: (N,) the signal without its noise; noise: estimated standard deviation; removed: rms of what was taken.
+    """values: (N,) the de-noised signal; noise: estimated standard deviation; removed: rms of measured less de-noised values.
 
-    errors: (draws, N), what may still be wrong with `values`: draws from the posterior less its mean.
+    errors: (draws, N) draws of the remaining error of `values`, from the posterior about its mean.
     """
 
     values: Array
@@ -46,9 +48,8 @@ class Denoised:
 def noise_level(values: Array) -> float:
     """Standard deviation of the white part of a sampled signal, robust against edges and manoeuvres.
 
-    Median of absolute third differences over samples in a row, scaled for Gaussian noise (sum of squares of
-    1 -3 3 -1 is 20). Zero for a signal without noise. values: (N,), NaN where not measured: of four in a row where these are
-    enough, or else of those that were measured, as if they were in a row.
+    Median of absolute third differences, scaled for Gaussian noise; zero for a signal without noise. values: (N,), NaN where
+    not measured. Where too few third differences are free of gaps, the measured samples count as consecutive.
     """
     third = np.abs(np.diff(values, 3))
     third = third[np.isfinite(third)]
@@ -56,7 +57,7 @@ def noise_level(values: Array) -> float:
         third = np.abs(np.diff(values[np.isfinite(values)], 3))
     if third.size < LEAST:
         return 0.0
-    return float(np.median(third) / 0.6744897501960817 / np.sqrt(20.0))
+    return float(np.median(third) / NORMAL_MEDIAN / np.sqrt(THIRD_DIFFERENCE))
 
 
 def denoise(values: Array, *, order: int = 1, noise: float | None = None) -> Denoised:
@@ -72,12 +73,14 @@ def denoise_many(
     draws: int = 0,
     rng: np.random.Generator | None = None,
 ) -> list[Denoised]:
-    """`denoise` of several signals; those of equal length cost together little more than one.
+    """`denoise` of several signals; signals of equal length together cost little more than one.
 
-    draws: how many `errors` to draw with `rng`; all zero for a signal that is left alone.
+    draws: how many `errors` to draw with `rng`; all zero for a signal too quiet to be de-noised.
     """
     sigmas = [noise_level(v) if noise is None else noise for v in signals]
-    noisy = [i for i, (v, s) in enumerate(zip(signals, sigmas, strict=True)) if v.size >= 8 and s > _least_noise(v)]
+    noisy = [
+        i for i, (v, s) in enumerate(zip(signals, sigmas, strict=True)) if v.size >= SHORTEST and s > _least_noise(v)
+    ]
     result = [Denoised(v.copy(), s, 0.0, np.zeros((draws, v.size))) for v, s in zip(signals, sigmas, strict=True)]
     smooth = _in_blocks([signals[i] / sigmas[i] for i in noisy], order, draws, rng or np.random.default_rng(0))
     for (row, errors), i in zip(smooth, noisy, strict=True):
@@ -88,14 +91,16 @@ def denoise_many(
 
 
 def _least_noise(values: Array) -> float:
-    """Standard deviation of noise from which a signal is made smooth. values: (N,) finite."""
+    """Standard deviation of noise from which a signal is de-noised. values: (N,) finite."""
     return max(QUIET * float(np.ptp(values)), ROUNDING * float(np.abs(values).max(initial=0.0)))
 
 
 def _in_blocks(signals: Sequence[Array], order: int, draws: int, rng: np.random.Generator) -> list[tuple[Array, Array]]:
-    """Piecewise means of signals of any lengths, and errors: long ones in overlapping blocks, equal blocks together."""
+    """Posterior mean (N,) and errors (draws, N) of each signal: long ones in overlapping blocks, blocks of equal length
+    together."""
     result = [(np.empty_like(v), np.empty((draws, v.size))) for v in signals]
-    blocks: dict[int, list[tuple[int, int, int, int]]] = {}  # length -> (signal, start, first kept, end kept)
+    # length of the block -> (signal, start of the block, first and end of the samples used)
+    blocks: dict[int, list[tuple[int, int, int, int]]] = {}
     for i, v in enumerate(signals):
         for start, stop, first, end in _blocks(v.size):
             blocks.setdefault(stop - start, []).append((i, start, first, end))
@@ -111,7 +116,7 @@ def _in_blocks(signals: Sequence[Array], order: int, draws: int, rng: np.random.
 
 
 def _blocks(size: int) -> list[tuple[int, int, int, int]]:
-    """(start, stop, first kept, end kept) of blocks that overlap by the longest piece on both sides."""
+    """(start, stop, first and end of the samples used) of blocks that overlap by the longest piece on both sides."""
     if size <= 2 * BLOCK:
         return [(0, size, 0, size)]
     starts = [*range(0, size - BLOCK, BLOCK - 2 * LONGEST_PIECE), size - BLOCK]
@@ -120,21 +125,21 @@ def _blocks(size: int) -> list[tuple[int, int, int, int]]:
 
 
 def _piecewise_mean(y: Array, order: int, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Posterior mean (signals, N) of piecewise polynomials in unit noise, and draws less the mean (draws, signals, N)."""
+    """Posterior mean (signals, N) of piecewise polynomials in unit noise, and draws about it (draws, signals, N)."""
     signals, count = y.shape
     longest = min(LONGEST_PIECE, count)
-    fits = Fits(y, order, longest)
+    fits = _PieceFits(y, order, longest)
     log_stay, log_break = np.log1p(-BREAK_RATE), np.log(BREAK_RATE)
-    prior = log_break + np.arange(longest) * log_stay  # of a piece of each length, given that it begins
-    # score[e, :, n-1]: of the piece of n samples that ends before e. `weight` has, behind it and backwards in time,
-    # that of the one that begins there.
-    # Raised by 1/2 per sample, the usual loss of a good fit, so that the recursions stay within double precision.
+    prior = log_break + np.arange(longest) * log_stay  # log prior of a piece of each length, given its start
+    # score[e, :, n-1] belongs to the piece of n samples that ends before e. `weight` has the same for the forward recursion, and
+    # behind it, backwards in time, for the backward one. 1/2 per sample, the mean loss of a good fit, is added so that the
+    # recursions stay within double precision.
     score = fits.evidence + (prior + 0.5 * np.arange(1, longest + 1))
     weight = np.zeros((count, 2 * signals, longest))
     np.exp(score[1:], out=weight[:, :signals])
     for n in range(1, longest + 1):
         weight[n - 1 :, signals:, n - 1] = weight[n - 1 :, :signals, n - 1][::-1]
-    sums = _recursion(weight)  # in one loop over the samples
+    sums = _recursion(weight)
     forward, backward = sums[:, :signals], sums[::-1, signals:]
     mean = fits.average(forward, backward, score)
     return mean, fits.draw(forward, score, draws, rng) - mean if draws else np.zeros((0, *mean.shape))
@@ -161,7 +166,7 @@ def _recursion(weight: Array) -> Array:
     return result
 
 
-class Fits:
+class _PieceFits:
     """Least-squares polynomials on every stretch y[:, e-n:e] up to `longest` samples, from running sums.
 
     y: (signals, N) in units of the noise. evidence: (N+1, signals, longest), log evidence of the stretch of n samples that
@@ -174,15 +179,15 @@ class Fits:
         terms = order + 1
         self.offset = np.median(y, axis=1, keepdims=True)
         w = y - self.offset
-        # amplitude prior: coefficients wide compared with the data, so that its size hardly matters
+        # prior of the coefficients: wide compared with the data, so that its width hardly matters
         width = float(np.max(np.maximum(10.0, 3.0 * np.std(w, axis=1))))
         time = np.arange(count) - 0.5 * count
         zero = np.zeros((signals, 1))
         sums = [np.concatenate([zero, np.cumsum(w * time**k, axis=1)], axis=1) for k in range(terms)]
         square = np.concatenate([zero, np.cumsum(w**2, axis=1)], axis=1)
-        self.evidence = by_length(count + 1, signals, longest)
-        self.moments: list[list[Array]] = []  # of every length: terms of (signals, stretches)
-        self.local: list[list[Array]] = []  # coefficients, alike
+        self.evidence = _by_length(count + 1, signals, longest)
+        self.moments: list[list[Array]] = []  # by length, then by term: (signals, stretches)
+        self.local: list[list[Array]] = []  # coefficients, in the same order
         grams = _grams(longest, order) + np.eye(terms) / width**2
         self.inverses: Array = np.asarray(np.linalg.inv(grams), np.float64)
         constants = -0.5 * np.linalg.slogdet(grams)[1] - terms * np.log(width)
@@ -199,8 +204,8 @@ class Fits:
     def average(self, forward: Array, backward: Array, score: Array) -> Array:
         """Mean over segmentations of the fitted curves, (signals, N).
 
-        Each stretch adds its polynomial between its ends: coefficients in common time, entered at one end and taken
-        out at the other, summed up once.
+        Each stretch adds its polynomial between its ends: its coefficients, in common time, are added at one end and
+        subtracted at the other; one cumulative sum then gives all values.
         """
         count, signals = forward.shape[0] - 1, forward.shape[1]
         change = np.zeros((self.order + 2, signals, count + 1))
@@ -210,7 +215,7 @@ class Fits:
             log_p = forward[: count - n + 1] + score[n:, :, n - 1] + backward[n:] - evidence
             p = np.exp(np.minimum(log_p, 0.0)).T
             centre = time[: count - n + 1] + 0.5 * (n - 1)
-            common = _common(self.local[n - 1], centre, 0.5 * (n - 1) if n > 1 else 1.0)
+            common = _in_common_time(self.local[n - 1], centre, 0.5 * (n - 1) if n > 1 else 1.0)
             for k, entry in enumerate([p, *(p * c for c in common)]):
                 change[k, :, : count - n + 1] += entry
                 change[k, :, n:] -= entry
@@ -235,28 +240,30 @@ class Fits:
         time = np.arange(count) - 0.5 * count
         change = np.zeros((count + 1, draws * signals, terms))
         signal, end = np.tile(np.arange(signals), draws), np.full(draws * signals, count)
-        live = np.arange(end.size)
-        while live.size:
-            e, s = end[live], signal[live]
+        unfinished = np.arange(end.size)  # draws that have not reached the first sample
+        while unfinished.size:
+            e, s = end[unfinished], signal[unfinished]
             log_p = padded[e[:, None] + self.longest - lengths, s[:, None]] + score[e, s] - forward[e, s][:, None]
             cumulative = np.cumsum(np.exp(log_p), axis=1)
-            n = 1 + np.sum(cumulative < rng.random(live.size)[:, None] * cumulative[:, -1:], axis=1)
+            n = 1 + np.sum(cumulative < rng.random(unfinished.size)[:, None] * cumulative[:, -1:], axis=1)
             n = np.minimum(n, self.longest)
             begin = e - n
-            white = rng.standard_normal((live.size, terms))
+            white = rng.standard_normal((unfinished.size, terms))
             local = np.einsum("rij,rj->ri", inverses[n - 1], moments[n - 1, begin, s])
             local += np.einsum("rij,rj->ri", roots[n - 1], white)
-            entry = np.stack(_common(local.T, time[begin] + 0.5 * (n - 1), np.where(n > 1, 0.5 * (n - 1), 1.0)), axis=1)
-            change[begin, live] += entry
-            change[e, live] -= entry
-            end[live] = begin
-            live = live[begin > 0]
+            entry = np.stack(
+                _in_common_time(local.T, time[begin] + 0.5 * (n - 1), np.where(n > 1, 0.5 * (n - 1), 1.0)), axis=1
+            )
+            change[begin, unfinished] += entry
+            change[e, unfinished] -= entry
+            end[unfinished] = begin
+            unfinished = unfinished[begin > 0]
         running = np.cumsum(change[:-1], axis=0)
         value = sum(running[:, :, k] * time[:, None] ** k for k in range(terms))
         return np.asarray(value).T.reshape(draws, signals, count) + self.offset
 
 
-def _common(local: Sequence[Array] | Array, centre: Array, half: float | Array) -> list[Array]:
+def _in_common_time(local: Sequence[Array] | Array, centre: Array, half: float | Array) -> list[Array]:
     """Coefficients in common time of polynomials in (t - centre) / half. local: (terms, stretches, ...)."""
     shift = centre / half
     if len(local) == 1:
@@ -270,8 +277,8 @@ def _common(local: Sequence[Array] | Array, centre: Array, half: float | Array) 
     ]
 
 
-def by_length(rows: int, signals: int, longest: int) -> Array:
-    """(rows, signals, longest) of -inf, laid out so that all stretches of one length lie together."""
+def _by_length(rows: int, signals: int, longest: int) -> Array:
+    """(rows, signals, longest) of -inf, in memory by length."""
     return np.moveaxis(np.full((longest, rows, signals), -np.inf), 0, 2)
 
 

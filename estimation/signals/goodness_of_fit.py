@@ -21,12 +21,13 @@ Array = NDArray[np.float64]
 THEIL_LIMIT = 0.3
 """Theil's coefficient above which a channel without noise does not match: the upper end of what the literature calls good,
 0.25 to 0.3."""
+FEWEST_PAIRS = 3  # of samples: two always lie on a line
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelFit:
-    """Match of one channel; see the module head. samples: finite pairs counted. noise: Theil's coefficient that the noise of the
-    measurement alone leaves a perfect model, told by the measurement and not by the model."""
+    """Match of one channel; see the module head. samples: finite pairs. noise: Theil's coefficient of a perfect model, which
+    measurement noise alone makes, estimated from the measurement."""
 
     r2: float
     theil: float
@@ -39,7 +40,7 @@ class ChannelFit:
     noise: float = 0.0
 
     def limit(self, limit: float) -> float:
-        """What Theil's coefficient may be where `limit` is what the misfit beyond the noise may be: squares of both add."""
+        """Largest acceptable Theil's coefficient. limit: for the misfit beyond the noise; squares of both add."""
         return float(np.hypot(limit, self.noise))
 
     def matches(self, limit: float) -> bool:
@@ -47,18 +48,16 @@ class ChannelFit:
         return self.theil <= self.limit(limit)
 
     def to_json(self) -> dict[str, float | int | None]:
-        return {name: _plain(getattr(self, name)) for name in self.__dataclass_fields__}
-
-
-def _plain(value: float) -> float | int | None:
-    return value if isinstance(value, int) or np.isfinite(value) else None
+        """Every field by name; JSON knows no NaN, so None stands for it."""
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {name: value if np.isfinite(value) else None for name, value in values.items()}
 
 
 def channel_fit(measured: Array, predicted: Array) -> ChannelFit:
-    """Fit of one channel; (N,) each, samples where either is NaN left out. All NaN when fewer than 3 remain."""
+    """Fit of one channel; (N,) each, pairs with a NaN left out. All NaN for fewer than FEWEST_PAIRS."""
     both_measured = np.isfinite(measured) & np.isfinite(predicted)
     z, y = measured[both_measured], predicted[both_measured]
-    if z.size < 3:
+    if z.size < FEWEST_PAIRS:
         nan = float("nan")
         return ChannelFit(nan, nan, nan, nan, nan, nan, nan, int(z.size))
     e = z - y
@@ -105,4 +104,5 @@ def whiteness(residual: Array) -> float:
 
 
 def to_json(fit: Mapping[str, ChannelFit]) -> dict[str, Any]:
+    """The fit of every channel, for JSON."""
     return {name: f.to_json() for name, f in fit.items()}

@@ -2,9 +2,9 @@
 
 Transforms of residuals v at different frequencies are independent and complex Gaussian with variance T S(w) (P. Whittle
 1953; Klein and Morelli, 2nd ed., chapter 7): J = sum over outputs and frequencies of log S + |v|^2 / (T S). As in the
-time domain, the level of S is what fits best at every point (relaxation); its `shape` over frequency is given.
-Unknowns: shared parameters, local ones flight by flight, then of each segment the differences between its ends and a
-slow drift of each output.
+time domain, the level of S is the one that fits best at every point (relaxation); its `shape` over frequency is given.
+Unknowns: shared parameters, local ones flight by flight, then for each segment the differences of the states between its ends
+and a slow drift of each output.
 """
 
 from collections.abc import Sequence
@@ -23,8 +23,7 @@ from estimation.signals.curves import Complex
 
 @dataclass
 class FrequencyPoint(LikelihoodPoint):
-    """v: (bins, ny) residuals per flight and segment, over the root of T, NaN where nothing is compared; responses:
-    the model's."""
+    """v: (bins, ny) residuals by flight and segment, over the root of T, NaN where not compared; responses: of the model."""
 
     v: list[list[Complex]] = field(default_factory=list)
     responses: list[list[SpectralResponse]] = field(default_factory=list)
@@ -32,8 +31,8 @@ class FrequencyPoint(LikelihoodPoint):
 
 @dataclass(frozen=True)
 class SegmentRows:
-    """One segment in units of its noise, real and imaginary parts as rows. residual: (rows,); by_parameter: (rows, n);
-    nuisance: (rows, k)."""
+    """One segment in units of its noise, real parts over imaginary ones. residual: (rows,); by_parameter: (rows, n); nuisance:
+    (rows, k)."""
 
     residual: Array
     by_parameter: Array
@@ -41,7 +40,7 @@ class SegmentRows:
 
 
 class FrequencyProblem(OutputErrorProblem):
-    """See the module head. shapes: per flight and segment (bins, ny), S relative to its level; flat where none are given."""
+    """See the module head. shapes: by flight and segment (bins, ny), S relative to its level; flat where none are given."""
 
     def __init__(
         self,
@@ -61,17 +60,18 @@ class FrequencyProblem(OutputErrorProblem):
         self.shapes = shapes or [[np.ones(s.z.shape) for s in flight] for flight in self.stretches]
 
     def shaped(self, shapes: Sequence[Sequence[Array]]) -> "FrequencyProblem":
-        """The same problem with other shapes of the noise."""
+        """The problem with other shapes of the noise."""
         return FrequencyProblem(
             self.flights, self.simulator, self.band, drift=self.drift, stretches=self.stretches, shapes=shapes
         )
 
     def begin(self, values: dict[str, float]) -> Array:
-        """Unknowns at parameter values, ends as measured and no drift."""
+        """Unknowns at parameter values, without differences between ends and without drift."""
         zero = np.zeros(len(self.free_states))
         return self.pack(values, [[zero] * len(f.segments) for f in self.flights])
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> FrequencyPoint:
+        """Cost, residuals and responses; the cost is inf where a response is not finite."""
         v: list[list[Complex]] = []
         responses: list[list[SpectralResponse]] = []
         for i, flight in enumerate(self.stretches):
@@ -90,11 +90,11 @@ class FrequencyProblem(OutputErrorProblem):
                 v[-1].append(residual)
                 responses[-1].append(response)
         level = self._levels(v)
-        cost = self._likelihood(v, level) + self._prior_cost(unknowns)
+        cost = float(np.sum(self.counts() * np.log(level))) + self._prior_cost(unknowns)
         return FrequencyPoint(cost, [], [], np.diag(level), [], v, responses)
 
     def counts(self) -> Array:
-        """(ny,) complex numbers compared; a mean counts half."""
+        """(ny,) number of complex values compared; a mean counts half."""
         weights = [s.compared * _weights(s.omega)[:, None] for flight in self.stretches for s in flight]
         return np.asarray(sum(s.sum(axis=0) for s in weights), float)
 
@@ -105,16 +105,13 @@ class FrequencyProblem(OutputErrorProblem):
             for transform, shape, stretch in zip(flight, shapes, stretches, strict=True):
                 power = np.nan_to_num(np.abs(transform) ** 2 / shape)
                 total += np.sum(_weights(stretch.omega)[:, None] * power, axis=0)
-        floor = DEFINITELY_ZERO**2 * self._span()
+        floor = DEFINITELY_ZERO**2 * self._measured_power()
         return np.asarray(np.maximum(total / np.maximum(self.counts(), 0.5), floor))
 
-    def _span(self) -> Array:
-        """(ny,) mean power of what was measured, which residuals of an exact fit are compared with."""
+    def _measured_power(self) -> Array:
+        """(ny,) mean power of the measured outputs, which sets the least level of S."""
         power = [np.abs(np.nan_to_num(s.z[1:])) ** 2 / s.duration for flight in self.stretches for s in flight]
         return np.asarray(np.maximum(np.concatenate(power).mean(axis=0), 1e-300))
-
-    def _likelihood(self, v: list[list[Complex]], level: Array) -> float:
-        return float(np.sum(self.counts() * np.log(level)))
 
     # ------------------------------------------------------------------------------------------------ steps
     def response(self, unknowns: Array, flight: int, segment: int, du: Array, du_mid: Array) -> Array:
@@ -123,18 +120,18 @@ class FrequencyProblem(OutputErrorProblem):
         part = self.flights[flight].segments[segment]
         return self.simulator.response(part, self.values(unknowns, flight), part.x0, du, du_mid)
 
-    def _size(self, point: FrequencyPoint, flight: int, segment: int) -> Array:
-        """(bins, ny) what residuals are multiplied by to have real and imaginary parts of size one."""
+    def _scale(self, point: FrequencyPoint, flight: int, segment: int) -> Array:
+        """(bins, ny) factor that gives residuals real and imaginary parts of unit variance."""
         shape, omega = self.shapes[flight][segment], self.stretches[flight][segment].omega
         return np.asarray(np.sqrt(2.0 * _weights(omega))[:, None] / np.sqrt(shape * np.diag(point.R)))
 
     def in_noise(self, changes: Complex, point: FrequencyPoint, flight: int, segment: int) -> Array:
-        """(rows, k) transforms of changes of the outputs (bins, ny, k) in units of the noise, as `Rows` has them."""
-        size = self._size(point, flight, segment) / np.sqrt(self.stretches[flight][segment].duration)
-        return _real(changes * size[:, :, None], point.v[flight][segment])
+        """(rows, k) transforms of changes of the outputs (bins, ny, k) in units of the noise, as in `SegmentRows`."""
+        scale = self._scale(point, flight, segment) / np.sqrt(self.stretches[flight][segment].duration)
+        return _real(changes * scale[:, :, None], point.v[flight][segment])
 
     def rows(self, point: FrequencyPoint, flight: int, segment: int) -> SegmentRows:
-        """One segment in units of its noise at a point."""
+        """One segment in units of its noise at a point evaluated with derivatives."""
         stretch = self.stretches[flight][segment]
         response, v = point.responses[flight][segment], point.v[flight][segment]
         nuisance = response.by_ends
@@ -142,7 +139,7 @@ class FrequencyProblem(OutputErrorProblem):
             drift = stretch.drift[:, None, None] * np.eye(self.ny)
             nuisance = np.concatenate([nuisance, drift], axis=2)
         return SegmentRows(
-            _real(v * self._size(point, flight, segment), v),
+            _real(v * self._scale(point, flight, segment), v),
             self.in_noise(response.by_parameter, point, flight, segment),
             self.in_noise(nuisance, point, flight, segment),
         )
@@ -162,7 +159,7 @@ class FrequencyProblem(OutputErrorProblem):
 
 
 def _weights(omega: Array) -> Array:
-    """(bins,) 1, and one half for the mean, which is real."""
+    """(bins,) weight of each bin: 1, and one half for the mean, which is real."""
     return np.where(omega > 0.0, 1.0, 0.5)
 
 

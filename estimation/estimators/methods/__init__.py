@@ -1,1 +1,1 @@
-"""One file for each estimator that comes with Sideslip; a file put here is found by itself (`estimators.registry`)."""
+"""One file for each estimator of Sideslip; `estimators.registry` finds new files here by itself."""

@@ -1,4 +1,4 @@
-"""`ls`: equation error by least squares, all terms or those that a partial F ratio finds."""
+"""`ls`: equation error by least squares, with all terms or those that partial F ratios select."""
 
 from typing import TYPE_CHECKING
 

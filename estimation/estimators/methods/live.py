@@ -1,4 +1,4 @@
-"""`live`: the recursive estimator that also runs on board and at the ground, over a file, with its history."""
+"""`live`: the recursive estimator of aircraft and ground station, over a recorded flight, with its history."""
 
 from typing import TYPE_CHECKING
 

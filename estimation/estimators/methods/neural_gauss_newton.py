@@ -1,6 +1,6 @@
 """`ngn` and `ngn-improved`: the two forms of Neural Gauss-Newton; the networks of several flights are trained side by side."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from estimation.estimators.estimator import Estimator, Extra, Look, Task
 
@@ -10,31 +10,27 @@ if TYPE_CHECKING:
 
 
 def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estimator:
+    """The estimator of one form of Neural Gauss-Newton."""
+
+    def settings(task: Task) -> dict[str, Any]:
+        extras = task.extras
+        return {
+            "model": task.model,
+            "improved": improved,
+            "device": task.device,
+            "bootstraps": extras.bootstrap or None,
+            "seed": extras.seed,
+        }
+
     def fit(task: Task) -> "Result":
         from estimation.estimators.neural_gauss_newton import estimate_ngn
 
-        return estimate_ngn(
-            task.aircraft,
-            task.repaired,
-            model=task.model,
-            improved=improved,
-            device=task.device,
-            bootstraps=task.extras.bootstrap or None,
-            seed=task.extras.seed,
-        )
+        return estimate_ngn(task.aircraft, task.repaired, **settings(task))
 
     def fit_each(task: Task) -> "list[Result]":
         from estimation.estimators.neural_gauss_newton import estimate_campaign
 
-        return estimate_campaign(
-            task.aircraft,
-            task.repaired,
-            model=task.model,
-            improved=improved,
-            device=task.device,
-            bootstraps=task.extras.bootstrap or None,
-            seed=task.extras.seed,
-        )
+        return estimate_campaign(task.aircraft, task.repaired, **settings(task))
 
     return Estimator(
         name,

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 
 
 def _fit(task: Task) -> "Result":
+    """Output error, then the profiles and the bootstrap that were requested."""
     from estimation.estimators.output_error import output_error
 
     flights, extras = task.data, task.extras

@@ -1,9 +1,9 @@
-"""Which models have a formulation, and which coefficients an axis has: how they follow from measured motion, and from parameters.
+"""Models with a Neural Gauss-Newton formulation, and the coefficients of each axis from measured motion and from parameters.
 
-Lateral: side force, rolling and yawing moment (REFERENCE, Neural Gauss-Newton). Longitudinal: lift, drag, pitching
-moment. SI, radians, body axes x forward, y right, z down; rates non-dimensional as p b/2V, q c/2V, r b/2V.
-All arrays are over samples; `inertial` gives forces and moments divided by reference area (and length): what a coefficient
-is once divided by dynamic pressure. Loads no network.
+Lateral: side force, rolling and yawing moment (The Aeronautical Journal (2018), pp 889-912). Longitudinal: lift, drag, pitching
+moment. SI, radians, body axes x forward, y right, z down; rates non-dimensional as p b/2V, q c/2V, r b/2V. All arrays are over
+samples. `inertial` gives coefficients times dynamic pressure: forces and moments divided by reference area (and length). This
+module does not import torch.
 """
 
 from collections.abc import Collection, Mapping
@@ -19,7 +19,7 @@ LATERAL, LONGITUDINAL = ("lateral", "lateral-simple"), ("longitudinal",)
 
 
 def unsupported_model(model: str, parameters: Collection[str] | None = None) -> str:
-    """Why a model of that name, and with those parameters, cannot be taken; empty where it can."""
+    """Why a model of that name and with those parameters cannot be used; empty where it can."""
     if model not in (*LATERAL, *LONGITUDINAL):
         models = "lateral, lateral-simple and longitudinal"
         return f"model {model}: Neural Gauss-Newton has a formulation for {models}; use method ml"
@@ -42,11 +42,11 @@ def dynamic_pressure(s: Signals) -> Array:
 class LateralAxis:
     """C_Y, C_l, C_n with the sixteen derivatives of the paper.
 
-    motion: what the network predicts, of which `optional` may be missing; accelerations: specific forces that it predicts beside;
-    angular_rates: rates whose increments carry the moments; columns: all that are needed; controls: those that may step; linear:
-    whether the coefficients are linear in the parameters. `inertial`: (N, 3) coefficients times dynamic pressure, from
-    accelerations, rates and their derivatives; `aerodynamic`: (N, 3) coefficients of the model, and their derivative (N, 3, n) by
-    the parameters.
+    motion: predicted by the network, `optional` of it may be missing; accelerations: specific forces that it predicts too;
+    angular_rates: rates whose increments determine the moments; columns: all that are needed; controls: those that may step;
+    linear: whether the coefficients are linear in the parameters. `inertial`: (N, 3) coefficients times dynamic pressure, from
+    accelerations, rates and their derivatives; `aerodynamic`: (N, 3) coefficients of the model, and their derivatives (N, 3, n)
+    by the parameters.
     """
 
     aircraft: Aircraft
@@ -59,14 +59,10 @@ class LateralAxis:
     controls: tuple[str, ...] = ("delta_a", "delta_r")
     coefficients: tuple[str, ...] = ("CY", "Cl", "Cn")
     linear: bool = True
-    parameters: tuple[str, ...] = (
-        "CY_0", "CY_beta", "CY_p", "CY_r", "CY_dr",
-        "Cl_0", "Cl_beta", "Cl_p", "Cl_r", "Cl_da", "Cl_dr",
-        "Cn_0", "Cn_beta", "Cn_p", "Cn_r", "Cn_dr",
-    )  # fmt: skip
+    parameters: tuple[str, ...] = LATERAL_DERIVATIVES
 
     def inertial(self, s: Signals, rate_derivatives: Signals) -> Array:
-        """Eq. 4 for C_Y; C_l and C_n from the moment equations of a body with Ixz (REFERENCE)."""
+        """C_Y by eq. 4 of the paper; C_l and C_n by the moment equations of a body with Ixz."""
         a = self.aircraft
         p, q, r = s["p"], s["q"], s["r"]
         p_dot, r_dot = rate_derivatives["p"], rate_derivatives["r"]
@@ -89,7 +85,7 @@ class LateralAxis:
 
 @dataclass(frozen=True)
 class LongitudinalAxis:
-    """C_L, C_D, C_m; drag polar C_D = CD_0 + CD_k C_L^2. Fields as of `LateralAxis`."""
+    """C_L, C_D, C_m; drag polar C_D = CD_0 + CD_k C_L^2. Fields as in `LateralAxis`."""
 
     aircraft: Aircraft
     name: str = "longitudinal"
@@ -100,10 +96,8 @@ class LongitudinalAxis:
     columns: tuple[str, ...] = ("alpha", "theta", "q", "V", "p", "r", "ax", "az", "thrust", "rho", "delta_e")
     controls: tuple[str, ...] = ("delta_e", "thrust")
     coefficients: tuple[str, ...] = ("CL", "CD", "Cm")
-    linear: bool = False  # the polar
-    parameters: tuple[str, ...] = (
-        "CL_0", "CL_alpha", "CL_q", "CL_de", "CD_0", "CD_k", "Cm_0", "Cm_alpha", "Cm_q", "Cm_de",
-    )  # fmt: skip
+    linear: bool = False  # because of the polar
+    parameters: tuple[str, ...] = LONGITUDINAL_DERIVATIVES
 
     def inertial(self, s: Signals, rate_derivatives: Signals) -> Array:
         """Lift and drag from specific force less thrust, turned to wind axes; C_m from the pitching equation."""
@@ -117,7 +111,7 @@ class LongitudinalAxis:
         return np.column_stack([lift, drag, moment / (a.area * a.chord)])
 
     def aerodynamic(self, s: Signals, theta: Array) -> tuple[Array, Array]:
-        """Linear but for the polar, whose derivative by the lift parameters is 2 k C_L times theirs."""
+        """Linear but for the polar, whose derivatives by the lift parameters are 2 k C_L times those of lift."""
         q_hat = s["q"] * self.aircraft.chord / (2 * s["V"])
         columns = np.column_stack([np.ones_like(q_hat), s["alpha"], q_hat, s["delta_e"]])
         lift = columns @ theta[0:4]
@@ -135,7 +129,7 @@ Axis = LateralAxis | LongitudinalAxis
 
 
 def axis_for(name: str, aircraft: Aircraft) -> Axis | None:
-    """The axis a model name stands for; None where Neural Gauss-Newton has no formulation."""
+    """The axis of a model name; None where Neural Gauss-Newton has no formulation."""
     if name in LATERAL:
         return LateralAxis(aircraft)
     if name in LONGITUDINAL:

@@ -3,22 +3,22 @@
 Published form: S. Das, R. A. Kuttieri, M. Sinha and R. Jategaonkar, Journal of Guidance, Control and Dynamics 33(1),
 2010, and The Aeronautical Journal (2018), pp 889-912. A network learns the motion one step ahead from motion and
 measured coefficients; then it is frozen, the coefficients come from the aerodynamic model, and Gauss-Newton finds the
-parameters that let it predict best. No equation of motion is solved.
+parameters with which it predicts best. No equation of motion is solved.
 
-Improved form: coefficients are means over an interval, a linear path goes round the hidden layer, and the normal equations are
-formed with instruments (`samples`), so that neither the derivative of a rate nor noise in the regressors makes the parameters
-small. An ensemble of networks is averaged.
+Improved form: coefficients are means over an interval, a linear path bypasses the hidden layer, and the normal equations are
+formed with instruments (`samples`), so that neither derivatives of rates nor noise in the regressors make the parameters too
+small. Estimates are means over an ensemble of networks.
 
-The Cramer-Rao bound of a frozen network takes the network for truth and its inputs for exact, and is far too small. The
-honest spread is from a block bootstrap (networks trained again on resampled blocks) together with the ensemble's.
+The Cramer-Rao bound of a frozen network takes the network and its inputs for exact, and is far too small. The corrected bound is
+from a block bootstrap (networks trained again on resampled blocks) and the spread of the ensemble.
 
-The histories of the result are the model's, simulated with the estimates like those of every other method: one-step predictions
-of a network follow any flight and say nothing about the parameters. They are in `extra` as prediction errors.
+The histories of the result are those of the model simulated with the estimates, as in every other method: one-step predictions
+of a network follow any flight and say nothing about the parameters. Their errors are in `extra`.
 """
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +30,15 @@ from estimation.estimators.gauss_newton import Status
 from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for, unsupported_model
 from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns, TrainingRows
 from estimation.estimators.neural_gauss_newton.network import one_thread, usable_device
-from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, solve_problems
+from estimation.estimators.neural_gauss_newton.samples import INTERVAL_S
+from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, NeuralSolution, solve_problems
 from estimation.estimators.neural_gauss_newton.training import NgnOptions, default_options
 from estimation.estimators.output_error import mean_of_locals
 from estimation.estimators.refits import PERCENTILES
 from estimation.estimators.regression_error import BOUNDS_LEAVE_OUT
 from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread, judge_status
 from estimation.estimators.uncertainty import judge_estimates
+from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.prepare.columns import with_derived
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
@@ -44,21 +46,18 @@ from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import Array, Flight
 from groundstation.flight.findings import Finding
 
-if TYPE_CHECKING:
-    from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, NeuralSolution
-
 
 def ngn_result(
     model: Model,
     flights: Sequence[Flight],
-    problem: "NeuralProblem",
-    solution: "NeuralSolution",
+    problem: NeuralProblem,
+    solution: NeuralSolution,
     settings: dict[str, object],
     bootstrap: bool,
 ) -> Result:
-    """Estimates with bounds and verdicts, simulated histories, and the training record in `extra`.
+    """The result of a problem: estimates with bounds and verdicts, simulated histories, and the training record in `extra`.
 
-    bootstrap: whether its replicates are wanted in the result.
+    bootstrap: include its replicates.
     """
     rows, unknowns = problem.rows, problem.unknowns
     model, data = without_absent_outputs(model, prepare_all(model, flights))
@@ -81,10 +80,10 @@ def ngn_result(
     )  # fmt: skip
 
 
-def _status(solution: "NeuralSolution", parameters: dict[str, Estimate]) -> tuple[Status, str]:
+def _status(solution: NeuralSolution, parameters: dict[str, Estimate]) -> tuple[Status, str]:
     if not np.all(np.isfinite(solution.theta)):
         return Status.DIVERGED, Status.DIVERGED.value
-    # A network that predicts no better than a mean is fed with coefficients it never saw.
+    # a network that predicts no better than the mean gets coefficients unlike those it was trained on
     if any(float(np.log(f.R).mean()) >= 0.0 for f in solution.fits):
         return Status.STALLED, Status.STALLED.value
     if not all(f.converged for f in solution.fits):
@@ -93,7 +92,7 @@ def _status(solution: "NeuralSolution", parameters: dict[str, Estimate]) -> tupl
 
 
 def _estimates(
-    model: Model, names: tuple[str, ...], solution: "NeuralSolution", index: NDArray[np.int64], data: list[FlightData]
+    model: Model, names: tuple[str, ...], solution: NeuralSolution, index: NDArray[np.int64], data: list[FlightData]
 ) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
     pick = np.ix_(index, index)
     blind = np.diag(solution.bound)[index] <= 0.0
@@ -106,10 +105,10 @@ def _fitted_flights(
     model: Model,
     data: list[FlightData],
     unknowns: FlightUnknowns,
-    solution: "NeuralSolution",
+    solution: NeuralSolution,
     notes: tuple[Finding, ...],
 ) -> tuple[tuple[FlightFit, ...], Array]:
-    """Each flight simulated at its estimates, with its local ones; and the (ny, ny) variances of the residuals."""
+    """Each flight simulated with its estimates, and with its local ones; and R (ny, ny) of the residuals, diagonal."""
     values = [
         {
             n: float(v)
@@ -128,8 +127,8 @@ def _fitted_flights(
     return tuple(flights), R
 
 
-def _bootstrap(names: tuple[str, ...], solution: "NeuralSolution", index: NDArray[np.int64]) -> Bootstrap | None:
-    """The replicates about the estimate, as other methods show theirs. index: of the names among the unknowns."""
+def _bootstrap(names: tuple[str, ...], solution: NeuralSolution, index: NDArray[np.int64]) -> Bootstrap | None:
+    """The replicates about the estimate; None for fewer than two. index: of the names among the unknowns."""
     deviations = solution.bootstrap[:, index]
     if len(deviations) < 2:
         return None
@@ -140,8 +139,8 @@ def _bootstrap(names: tuple[str, ...], solution: "NeuralSolution", index: NDArra
     return Bootstrap(names, replicates, spreads, 0)
 
 
-def _record(rows: TrainingRows, unknowns: FlightUnknowns, solution: "NeuralSolution") -> dict[str, Any]:
-    """How training went, and where the spread comes from."""
+def _record(rows: TrainingRows, unknowns: FlightUnknowns, solution: NeuralSolution) -> dict[str, Any]:
+    """Errors of training, and the parts of the spread."""
 
     def spread(values: Array) -> dict[str, float]:
         if len(values) < 2:
@@ -172,11 +171,11 @@ def estimate_ngn(
     bootstraps: int | None = None,
     seed: int | None = None,
 ) -> Result:
-    """Estimates over one flight or several together, in the same form as every other method's.
+    """Estimates over one flight or several together.
 
-    model: one of the built-in lateral or longitudinal ones (default: lateral), with parameters fixed or local as wished.
-    options: decide over `improved` where given (default: `default_options`), device (cpu, cuda or auto),
-    bootstraps and seed over what the options say; bootstraps asked for are in the result's `bootstrap`.
+    model: a built-in lateral or longitudinal one (default: lateral), with any parameters fixed or local. options: replace
+    `improved` where given (default: `default_options`); device (cpu, cuda or auto), bootstraps and seed replace those of the
+    options. Where bootstraps is given, the result has its `bootstrap`.
     Raises EstimationError for another model, MissingColumnError and DataError for a flight that cannot be used.
     """
     flight_list = [flights] if isinstance(flights, Flight) else list(flights)
@@ -194,9 +193,9 @@ def estimate_campaign(
     bootstraps: int | None = None,
     seed: int | None = None,
 ) -> list[Result]:
-    """As `estimate_ngn` for each flight by itself, with the networks of all flights trained side by side.
+    """`estimate_ngn` of each flight by itself, with the networks of all flights trained side by side.
 
-    Results are those of one flight after the other, within rounding.
+    Results equal those of one flight after the other, within rounding.
     """
     return _estimate(aircraft, [[f] for f in flights], model, improved, options, device, bootstraps, seed)
 
@@ -211,44 +210,38 @@ def _estimate(
     bootstraps: int | None,
     seed: int | None,
 ) -> list[Result]:
-    from estimation.models import load_model
-
+    """A result for each set of flights; arguments as of `estimate_ngn`."""
     ngn_model = load_model("lateral", aircraft) if model is None else model
     axis = axis_for(ngn_model.name, aircraft)
     if axis is None:
         raise EstimationError(unsupported_model(ngn_model.name))
-    opt = options or default_options(improved, axis.name)
-    opt = replace(
-        opt,
-        device=usable_device(opt.device if device is None else device),
-        bootstraps=opt.bootstraps if bootstraps is None else bootstraps,
-        seed=opt.seed if seed is None else seed,
+    base = options or default_options(improved, axis.name)
+    chosen = replace(
+        base,
+        device=usable_device(base.device if device is None else device),
+        bootstraps=base.bootstraps if bootstraps is None else bootstraps,
+        seed=base.seed if seed is None else seed,
     )
     with one_thread():
-        problems = [_problem(axis, ngn_model, flights, opt) for flights in sets]
-        solutions = solve_problems(problems, opt)
+        problems = [_problem(axis, ngn_model, flights, chosen) for flights in sets]
+        solutions = solve_problems(problems, chosen)
     return [
-        ngn_result(ngn_model, flights, p, s, _settings(p.rows, opt), bootstraps is not None)
+        ngn_result(ngn_model, flights, p, s, _settings(p.rows, chosen), bootstraps is not None)
         for flights, p, s in zip(sets, problems, solutions, strict=True)
     ]
 
 
 def _problem(axis: Axis, model: Model, flights: Sequence[Flight], options: NgnOptions) -> NeuralProblem:
-    unknowns = FlightUnknowns.of(model, axis, len(flights))
+    unknowns = FlightUnknowns.build(model, axis, len(flights))
     complete = [with_derived(f, axis.columns) for f in flights]
-    return NeuralProblem(
-        TrainingRows.build(axis, complete, "interval" if options.improved else "point"), unknowns, options
-    )
+    rows = TrainingRows.build(axis, complete, "interval" if options.improved else "point")
+    return NeuralProblem(rows, unknowns, options)
 
 
 def _settings(rows: TrainingRows, options: NgnOptions) -> dict[str, object]:
-    """What is needed to do it again."""
-    from estimation.estimators.neural_gauss_newton import samples
-
+    """What is needed to repeat the estimation."""
     smoothing = (
-        f"means over {samples.INTERVAL_S:g} s"
-        if options.improved
-        else "piecewise polynomials, derivatives of cubic splines"
+        f"means over {INTERVAL_S:g} s" if options.improved else "piecewise polynomials, derivatives of cubic splines"
     )
     return {
         "form": "interval" if options.improved else "point",

@@ -1,6 +1,6 @@
-"""Rows of one or several flights, and the unknowns that are shared or each flight's own.
+"""Training rows of one or several flights, and the unknowns, shared or local.
 
-The network is one for all flights; the aerodynamic parameters are shared but for those that the model calls local.
+All flights share the network, and the aerodynamic parameters but for those that are local in the model.
 """
 
 from collections.abc import Sequence
@@ -29,25 +29,27 @@ from groundstation.flight.findings import Finding, FindingKind
 
 Index = NDArray[np.int64]
 
-BLOCK_S = 1.0  # of the block bootstrap: longer than residuals remember (0.2 s), and thirty in a flight of half a minute
+BLOCK_S = 1.0  # of the block bootstrap: residuals are correlated over 0.2 s; half a minute has thirty blocks
+HELD_OUT_EVERY, HELD_OUT_FIRST = 8, 4  # blocks that validate a network: an eighth of them, spread over the flight
 
 
 @dataclass(frozen=True)
 class FlightUnknowns:
-    """Where each flight's parameters are among the unknowns.
+    """The place of each flight's parameters among the n unknowns.
 
-    names: of the unknowns, (n,), local ones as often as there are flights; base: (flights, axis parameters) values of
-    fixed parameters; index: (flights, axis parameters) place among the unknowns, -1 for fixed ones.
+    names: (n,) of the unknowns, local ones once for each flight; owner: (n,) flight of each unknown, -1 for shared ones; base:
+    (flights, axis parameters) values of fixed parameters; index: (flights, axis parameters) place among the unknowns, -1 for
+    fixed ones; start: (n,) values believed before flying.
     """
 
     names: tuple[str, ...]
-    owner: tuple[int, ...]  # flight of each unknown, -1 for shared ones
+    owner: tuple[int, ...]
     base: Array
     index: Index
-    start: Array  # (n,) what is believed before flying
+    start: Array
 
     @classmethod
-    def of(cls, model: Model, axis: Axis, flights: int) -> "FlightUnknowns":
+    def build(cls, model: Model, axis: Axis, flights: int) -> "FlightUnknowns":
         """Raises EstimationError where the model's parameters are not those of the axis."""
         mismatch = set(model.parameter_names) ^ set(axis.parameters)
         if mismatch:
@@ -77,12 +79,12 @@ class FlightUnknowns:
         return len(self.names)
 
     def of_flight(self, flight: int, values: Array) -> Array:
-        """(axis parameters,) values of one flight."""
+        """(axis parameters,) of one flight, from the values (n,) of the unknowns."""
         index = self.index[flight]
         return np.where(index >= 0, values[np.maximum(index, 0)], self.base[flight])
 
     def scatter(self, flight: int, slopes: Array) -> Array:
-        """(M, out, axis parameters) derivatives of a flight as (M, out, n) by the unknowns."""
+        """(M, out, n) derivatives by the unknowns, from those (M, out, axis parameters) of a flight."""
         index = self.index[flight]
         by_unknown = np.zeros((*slopes.shape[:2], self.size))
         by_unknown[:, :, index[index >= 0]] = slopes[:, :, index >= 0]
@@ -91,7 +93,8 @@ class FlightUnknowns:
 
 @dataclass(frozen=True)
 class TrainingRows:
-    """Everything the network is trained on. flight: of each stretch; step: sample interval [s]; held_out, block: (M,)."""
+    """All M rows on which a network is trained. flight: of each stretch; step: sample interval [s]; u, z: (M, in) and (M, out)
+    standardised; held_out: (M,) rows for validation; block: (M,) of the block bootstrap."""
 
     axis: Axis
     motion: tuple[str, ...]
@@ -123,18 +126,16 @@ class TrainingRows:
             stretch_list += flight_stretches
             owner += [i] * len(flight_stretches)
             notes += _unused(flight, flight_stretches)
-        standard = Standard.of(stretch_list)
+        standard = Standard.build(stretch_list)
         u = torch.as_tensor(np.vstack([standard.u(s.u) for s in stretch_list]))
         z = torch.as_tensor(np.vstack([standard.z(s.z) for s in stretch_list]))
         step = float(np.median([f.sample_interval for f in flights]))
         block = _blocks(stretch_list, step)
-        validation = torch.as_tensor(block % 8 == 4)
-        return cls(
-            axis, motion, tuple(stretch_list), tuple(owner), step, standard, u, z, validation, block, tuple(notes)
-        )
+        held_out = torch.as_tensor(block % HELD_OUT_EVERY == HELD_OUT_FIRST)
+        return cls(axis, motion, tuple(stretch_list), tuple(owner), step, standard, u, z, held_out, block, tuple(notes))
 
     def split(self, values: Array) -> list[Array]:
-        """(M, ...) values row by row, as one array for each stretch."""
+        """Values (M, ...) of all rows, as one array for each stretch."""
         return np.split(values, np.cumsum([len(s.u) for s in self.stretches])[:-1])
 
     def resampled(self, rng: np.random.Generator) -> Array:
@@ -144,12 +145,12 @@ class TrainingRows:
         return multiplicity[self.block].astype(float)
 
     def instruments(self) -> list[dict[str, Array]]:
-        """Signals without the noise of the measured ones, for every stretch."""
+        """Signals of every stretch that do not share the noise of the measured ones."""
         return predicted_signals(self.axis, list(self.stretches), self.motion, self.step)
 
 
 def _unused(flight: Flight, flight_stretches: Sequence[SampleStretch]) -> list[Finding]:
-    """A note where much of a flight cannot be used."""
+    """A note where more than COSTLY of a flight cannot be used."""
     covered = sum(len(s.u) + max(s.window, 1) for s in flight_stretches)
     if covered >= (1.0 - COSTLY) * len(flight):
         return []
@@ -163,7 +164,7 @@ def _unused(flight: Flight, flight_stretches: Sequence[SampleStretch]) -> list[F
 
 
 def _blocks(stretch_list: Sequence[SampleStretch], step: float) -> Index:
-    """(M,) number of the block each row lies in; blocks never reach over the end of a stretch."""
+    """(M,) number of each row's block; no block spans two stretches."""
     length = max(2, round(BLOCK_S / step))
     numbers, first = [], 0
     for s in stretch_list:

@@ -1,8 +1,8 @@
 """Gauss-Newton over the aerodynamic parameters with the network frozen.
 
-The coefficients among the network's inputs are replaced by the aerodynamic model's; what is minimised is the one-step
-prediction error weighted by R^-1, R from the residuals (relaxation). The Jacobian is exact: network by its inputs
-(autograd) times coefficients by parameters. Everything here is on the CPU: 64 fits of a flight take half a second.
+The coefficients among the network's inputs are those of the aerodynamic model; the one-step prediction error, weighted by R^-1
+with R from the residuals (relaxation), is minimised. The Jacobian is exact: network by its inputs (autograd) times coefficients
+by parameters. This runs on the CPU: 64 fits of a flight take half a second.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Standard:
-    """Means and standard deviations that inputs u and outputs z are standardised with."""
+    """Means and standard deviations with which inputs u and outputs z are standardised."""
 
     u_mean: Array
     u_std: Array
@@ -32,8 +32,8 @@ class Standard:
     z_std: Array
 
     @classmethod
-    def of(cls, stretches: Sequence[SampleStretch]) -> "Standard":
-        """From all rows; a constant column keeps its own unit."""
+    def build(cls, stretches: Sequence[SampleStretch]) -> "Standard":
+        """From all rows; a constant column keeps its unit."""
         u, z = np.vstack([s.u for s in stretches]), np.vstack([s.z for s in stretches])
         deviations = [np.where(v.std(axis=0) > 1e-12, v.std(axis=0), 1.0) for v in (u, z)]
         return cls(u.mean(axis=0), deviations[0], z.mean(axis=0), deviations[1])
@@ -49,7 +49,7 @@ class Standard:
 
 @dataclass(frozen=True)
 class FrozenFit:
-    """theta: (n,); information: (n, n); R: (n_out,) standardised residual variance; residuals: per stretch, standardised."""
+    """theta: (n,); information: (n, n); R: (out,) variance of the standardised residuals; residuals: (M, out) of each stretch."""
 
     theta: Array
     information: Array
@@ -60,9 +60,9 @@ class FrozenFit:
 
 
 class Regressors:
-    """The model's coefficients on one stretch, as functions of the parameters.
+    """The model's coefficients in one stretch, as functions of the parameters.
 
-    Where they are linear their slopes are worked out once, for all networks and steps.
+    Where they are linear, their slopes are computed once, for all networks and steps.
     """
 
     def __init__(self, axis: Axis, stretch: SampleStretch, signals: dict[str, Array]) -> None:
@@ -79,7 +79,7 @@ class Regressors:
 
 @dataclass(frozen=True)
 class Frozen:
-    """A trained network with its scaling, ready to predict rows of stretches."""
+    """A trained network with its scaling."""
 
     shape: NetworkShape
     weights: torch.Tensor
@@ -87,8 +87,8 @@ class Frozen:
 
     def residual_and_slope(self, stretch: SampleStretch, regressors: Regressors, theta: Array) -> tuple[Array, Array]:
         """Standardised residuals (M, out) and prediction slopes (M, out, n) with the model's coefficients."""
-        m = stretch.u.shape[1] - 3
         coefficients, d_theta = regressors(theta)
+        m = stretch.u.shape[1] - coefficients.shape[1]  # inputs that are motion
         u = torch.as_tensor(self.standard.u(np.column_stack([stretch.u[:, :m], coefficients])))
         outputs, d_u = input_slopes(self.shape, self.weights, u)
         slopes = (d_u[:, :, m:].numpy() / self.standard.u_std[m:]) @ d_theta
@@ -97,9 +97,12 @@ class Frozen:
 
 Predict = Callable[[Array], tuple[list[Array], list[Array]]]
 """theta -> standardised residuals (M, out) and prediction slopes (M, out, n) of every stretch."""
-Look = tuple[list[Array], list[Array], Array, float]
-"""The same at one theta, with R (out,) and the cost."""
+Evaluation = tuple[list[Array], list[Array], Array, float]
+"""Residuals and slopes of every stretch at one theta, R (out,) and the cost."""
 HALVINGS = 11  # of a step, down to a thousandth
+ROUNDING = 1e-9  # of the cost: a step may raise it by so much
+SETTLED = 1e-4  # squared length of a step in units of the Cramer-Rao bound: a hundredth of it
+RCOND = 1e-13  # of normal equations: directions with smaller singular values are not moved along
 
 
 def fit_parameters(
@@ -110,36 +113,37 @@ def fit_parameters(
     multiplicity: Sequence[Array] | None = None,
     iterations: int = 40,
 ) -> FrozenFit:
-    """Minimise the prediction error over theta from the best of `starts`, with step halving; converged when a step is settled.
+    """Minimise the prediction error over theta from the best of `starts`, with step halving, until a step has settled.
 
-    predict: residuals and slopes of every stretch; rows: of each stretch; multiplicity: weight of each row of each stretch.
+    predict: residuals and slopes of every stretch; rows: number in each stretch; multiplicity: weight of each row.
     """
     counts = [np.ones(n) for n in rows] if multiplicity is None else list(multiplicity)
     total = sum(float(c.sum()) for c in counts)
 
-    def look(t: Array) -> Look:
-        residuals, slopes = predict(t)
+    def evaluate(theta: Array) -> Evaluation:
+        residuals, slopes = predict(theta)
         R = residual_variance(residuals, counts)
         return residuals, slopes, R, 0.5 * total * float(np.log(R).sum())
 
-    def along(theta: Array, step: NDArray[np.floating[Any]], fraction: float) -> Look:
-        return look(theta + fraction * step)
+    def evaluate_along(theta: Array, step: NDArray[np.floating[Any]], fraction: float) -> Evaluation:
+        return evaluate(theta + fraction * step)
 
-    def not_above(limit: float, place: Look) -> bool:
-        return not place[3] > limit
+    def not_above(limit: float, evaluation: Evaluation) -> bool:
+        return not evaluation[3] > limit
 
-    theta, (residuals, slopes, R, cost) = min(((t, look(t)) for t in starts), key=lambda tried: tried[1][3])
+    theta, (residuals, slopes, R, cost) = min(((t, evaluate(t)) for t in starts), key=lambda candidate: candidate[1][3])
     converged, count = False, 0
     for _ in range(iterations):
         count += 1
         information, gradient = normal_equations(slopes, slopes, residuals, counts, R)
-        step = np.linalg.lstsq(information, gradient, rcond=1e-13)[0]
+        step = np.linalg.lstsq(information, gradient, rcond=RCOND)[0]
         converged = step_settled(step, information)
-        lowered = halve_until(partial(along, theta, step), partial(not_above, cost + 1e-9 * abs(cost)), HALVINGS)
-        if lowered is None:
+        limit = cost + ROUNDING * abs(cost)
+        accepted = halve_until(partial(evaluate_along, theta, step), partial(not_above, limit), HALVINGS)
+        if accepted is None:
             break
-        theta = theta + lowered[0] * step
-        residuals, slopes, R, cost = lowered[1]
+        theta = theta + accepted[0] * step
+        residuals, slopes, R, cost = accepted[1]
         if converged:
             break
     information, _ = normal_equations(slopes, slopes, residuals, counts, R)
@@ -155,9 +159,10 @@ def fit_with_instruments(
     multiplicity: Sequence[Array] | None = None,
     iterations: int = 40,
 ) -> FrozenFit:
-    """Root of sum of instrument' R^-1 residual, by Newton steps from `start` (instrumental variables).
+    """Root of the sum of instrument' R^-1 residual, by Newton steps from `start` (instrumental variables).
 
-    instrument: predicted slopes computed from signals that do not share the noise of those in `predict`.
+    instrument: like `predict`, from signals that do not share the noise of the measured ones. rows, multiplicity: as in
+    `fit_parameters`.
     """
     theta = start.copy()
     counts = [np.ones(n) for n in rows] if multiplicity is None else list(multiplicity)
@@ -166,12 +171,11 @@ def fit_with_instruments(
         count += 1
         residuals, slopes = predict(theta)
         _, instruments = instrument(theta)
-        matrix, right = normal_equations(instruments, slopes, residuals, counts, residual_variance(residuals, counts))
-        step = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
+        R = residual_variance(residuals, counts)
+        matrix, right = normal_equations(instruments, slopes, residuals, counts, R)
+        step = np.linalg.lstsq(matrix, right, rcond=RCOND)[0]
         theta = theta + step
-        converged = step_settled(
-            step, normal_equations(slopes, slopes, residuals, counts, residual_variance(residuals, counts))[0]
-        )
+        converged = step_settled(step, normal_equations(slopes, slopes, residuals, counts, R)[0])
         if converged:
             break
     residuals, slopes = predict(theta)
@@ -181,15 +185,15 @@ def fit_with_instruments(
 
 
 def step_settled(step: NDArray[np.floating[Any]], information: Array) -> bool:
-    """Whether a step is less than a hundredth of the Cramer-Rao bound, in every direction of parameter space.
+    """Whether a step is less than a hundredth of the Cramer-Rao bound in every direction.
 
-    Relative to the parameters themselves it would never be, where the data hardly sees one.
+    A test relative to the parameters would never pass for one that the data hardly sees.
     """
-    return bool(step @ information @ step < 1e-4)
+    return bool(step @ information @ step < SETTLED)
 
 
 def residual_variance(residuals: Sequence[Array], counts: Sequence[Array]) -> Array:
-    """(out,) mean squared residual over weighted rows."""
+    """(out,) mean squared residual over rows weighted by `counts`."""
     total = sum(float(c.sum()) for c in counts)
     summed = sum((c[:, None] * r**2).sum(axis=0) for c, r in zip(counts, residuals, strict=True))
     return np.maximum(np.asarray(summed) / total, 1e-16)
@@ -198,7 +202,8 @@ def residual_variance(residuals: Sequence[Array], counts: Sequence[Array]) -> Ar
 def normal_equations(
     instruments: Sequence[Array], slopes: Sequence[Array], residuals: Sequence[Array], counts: Sequence[Array], R: Array
 ) -> tuple[Array, Array]:
-    """Sum of left' R^-1 slope and left' R^-1 residual over all rows; left are the slopes, or instruments for them."""
+    """Sums over all rows of instrument' R^-1 slope (n, n) and instrument' R^-1 residual (n,); the slopes may be their own
+    instruments."""
     n = slopes[0].shape[2]
     matrix, right = np.zeros((n, n)), np.zeros(n)
     for a, s, r, c in zip(instruments, slopes, residuals, counts, strict=True):

@@ -1,6 +1,6 @@
 """A small feed-forward network as pure functions of one flat weight vector, so that ensembles train side by side.
 
-One hidden layer of tanh, linear output, optionally a linear path beside it (`skip`). Everything is standardised outside.
+One hidden layer of tanh, linear output, optionally a linear path beside it (`skip`). Callers standardise inputs and outputs.
 Shapes: inputs (samples, n_in), outputs (samples, n_out), weights (n_weights,) or (nets, n_weights) for an ensemble.
 """
 
@@ -16,7 +16,7 @@ from estimation.errors import EstimationError
 
 
 def usable_device(name: str) -> str:
-    """`name` if torch can compute there, `auto` meaning a GPU where there is one; EstimationError otherwise."""
+    """The device of that name if torch can use it; `auto` is a GPU where there is one. EstimationError otherwise."""
     if name == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
     try:
@@ -36,7 +36,7 @@ def usable_device(name: str) -> str:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Sums in the same order on every machine, so that the same seed gives the same bits; as it was before afterwards."""
+    """One thread of torch within: sums in the same order on every machine, so that the same seed gives the same bits."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -66,10 +66,10 @@ class NetworkShape:
         if self.skip:
             sizes.append(self.outputs * self.inputs)
         parts = torch.split(w, sizes, dim=-1)
-        lead = w.shape[:-1]
-        linear = parts[4].reshape(*lead, self.outputs, self.inputs) if self.skip else None
-        first = parts[0].reshape(*lead, self.hidden, self.inputs)
-        return first, parts[1], parts[2].reshape(*lead, self.outputs, self.hidden), parts[3], linear
+        networks = w.shape[:-1]  # none, or the networks of an ensemble
+        linear = parts[4].reshape(*networks, self.outputs, self.inputs) if self.skip else None
+        first = parts[0].reshape(*networks, self.hidden, self.inputs)
+        return first, parts[1], parts[2].reshape(*networks, self.outputs, self.hidden), parts[3], linear
 
 
 def initial_weights(shape: NetworkShape, generator: torch.Generator, nets: int = 1) -> Tensor:
@@ -104,9 +104,9 @@ def weight_normal_equations(
     """J'WJ (nets, n_weights, n_weights) and J'W(z - output) (nets, n_weights), J being the output's derivative by weights.
 
     w: (nets, n_weights); u: (samples, in) or (nets, samples, in); z alike; weight: (nets, samples). J itself, of samples
-    times outputs rows, is never formed. With one hidden layer its row for output o is [W2[o, h] F, phi in the place of
-    o], F being the tanh slopes times the inputs and phi what the output layer sees, so that all sums over samples are
-    F'F, F'phi and phi'phi. Autograd gives the same (tested).
+    times outputs rows, is never formed. With one hidden layer its row for output o is [W2[o, h] F, phi in the place of o], with F
+    the tanh slopes times the inputs and phi the inputs of the output layer, so that all sums over samples are F'F, F'phi and
+    phi'phi. Autograd gives the same (tested).
     """
     first, b1, second, b2, linear = shape.split(w)
     nets, ones = w.shape[0], torch.ones_like(u[..., :1])
@@ -123,14 +123,18 @@ def weight_normal_equations(
     weighted = F * weight.unsqueeze(-1)
     outer = second.mT @ second  # (nets, hidden, hidden)
     across, wide = shape.inputs + 1, phi.shape[-1]
-    corner = (F.mT @ weighted).reshape(nets, shape.hidden, across, shape.hidden, across)
-    corner = (corner * outer[:, :, None, :, None]).reshape(nets, F.shape[-1], F.shape[-1])
-    side = (weighted.mT @ phi).reshape(nets, shape.hidden, across, 1, wide)
-    side = (side * second.mT[:, :, None, :, None]).reshape(nets, F.shape[-1], shape.outputs * wide)
+    first_block = (F.mT @ weighted).reshape(nets, shape.hidden, across, shape.hidden, across)
+    first_block = (first_block * outer[:, :, None, :, None]).reshape(nets, F.shape[-1], F.shape[-1])
+    cross_block = (weighted.mT @ phi).reshape(nets, shape.hidden, across, 1, wide)
+    cross_block = (cross_block * second.mT[:, :, None, :, None]).reshape(nets, F.shape[-1], shape.outputs * wide)
     gram = phi.mT @ (phi * weight.unsqueeze(-1))
     eye = torch.eye(shape.outputs, dtype=w.dtype, device=w.device)
-    foot = (eye[None, :, None, :, None] * gram[:, None, :, None, :]).reshape(nets, side.shape[-1], side.shape[-1])
-    matrix = torch.cat([torch.cat([corner, side], dim=-1), torch.cat([side.mT, foot], dim=-1)], dim=-2)
+    last_block = (eye[None, :, None, :, None] * gram[:, None, :, None, :]).reshape(
+        nets, cross_block.shape[-1], cross_block.shape[-1]
+    )
+    matrix = torch.cat(
+        [torch.cat([first_block, cross_block], dim=-1), torch.cat([cross_block.mT, last_block], dim=-1)], dim=-2
+    )
     backpropagated = (residual @ second).unsqueeze(-1)  # (nets, samples, hidden, 1)
     right_first = (F.reshape(*backpropagated.shape[:-1], across) * backpropagated).sum(dim=1).flatten(1)
     right = torch.cat([right_first, (residual.mT @ phi).flatten(1)], dim=-1)
@@ -139,7 +143,7 @@ def weight_normal_equations(
 
 
 def _flat_order(shape: NetworkShape) -> Tensor:
-    """Place of each flat weight among [(hidden, in + 1), (out, what the output layer sees)] of the normal equations."""
+    """Place of each flat weight among [(hidden, in + 1), (out, inputs of the output layer)] of the normal equations."""
     across = shape.inputs + 1
     wide = shape.hidden + 1 + (shape.inputs if shape.skip else 0)
     first = torch.arange(shape.hidden * across).reshape(shape.hidden, across)
@@ -151,9 +155,9 @@ def _flat_order(shape: NetworkShape) -> Tensor:
 
 
 def input_slopes(shape: NetworkShape, w: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-    """Output (samples, out) and its exact derivative by the inputs (samples, out, in), one net, by autograd.
+    """Output (samples, out) of one network and its exact derivative by the inputs (samples, out, in), by autograd.
 
-    Samples do not see each other, so one pass back over as many copies of them as there are outputs gives all rows.
+    Samples are independent, so one backward pass over one copy of them for each output gives all rows.
     """
     copies = u.expand(shape.outputs, -1, -1).clone().requires_grad_(True)
     outputs = forward(shape, w, copies)

@@ -1,19 +1,19 @@
-"""Training and estimation samples from a flight: the published one-step form, and the interval form; instruments.
+"""Training and estimation samples from a flight, in the published one-step form and in the interval form; instruments.
 
 Published form (`point`): inputs motion(k) and coefficients at k, outputs motion(k+1) and acceleration(k+1). The
-coefficients need p_dot and r_dot at k, from the spline through the rates without their noise. With a roll mode as fast as
-a sample is long that derivative is too small and too early, and the rolling-moment derivatives come out 3-15 % low.
+coefficients need p_dot and r_dot at k, from the spline through the de-noised rates. Where the time constant of the roll mode is
+about a sample interval, that derivative is too small and too early, and the rolling-moment derivatives come out 3-15 % low.
 
-Interval form: the coefficient that carries the motion from k to k+n is its mean over the interval, and the mean of a
-moment is exactly the increment of angular momentum, so no derivative is taken: C_l = [Ixx dp - Ixz dr - ...] / (n dt
-mean(q) S b). The model's coefficients are averaged in the same way.
+Interval form: the coefficient that moves the aircraft from k to k+n is its mean over the interval, and the mean of a moment is
+exactly the increment of angular momentum, so no derivative is needed: C_l = [Ixx dp - Ixz dr - ...] / (n dt mean(q) S b). The
+model's coefficients are averaged in the same way.
 
-Noise in the signals they are computed from would still make every derivative too small (errors in variables). An instrument is a
-signal that moves like the regressor but does not share its noise: here the motion that a linear one-step predictor, fitted to the
-de-noised flight, gives when it runs by itself driven by the measured controls, restarted every RESTART_S. It need not be exact,
-only alike and independent: what is not alike costs spread, never bias. Refined instrumental variables: Young (2011), Recursive
-Estimation and Time-Series Analysis, ch. 6-7. Tried and left: the trained network itself as the predictor. Its errors grow from
-step to step outside the data it was trained on, and the estimates scatter three to ten times more.
+Noise in the signals would still make every derivative too small (errors in variables). An instrument is a signal that moves like
+the regressor but does not share its noise: here the motion of a linear one-step predictor, fitted to the de-noised flight and
+driven by the measured controls alone, restarted every RESTART_S. It need not be exact, only similar and independent: a
+difference costs spread, never bias. Refined instrumental variables: Young (2011), Recursive Estimation and Time-Series Analysis,
+ch. 6-7. The trained network itself as predictor was worse: its errors grow from step to step outside its training data, and the
+estimates scatter three to ten times more.
 """
 
 from collections.abc import Sequence
@@ -32,18 +32,18 @@ from groundstation.flight.arrays import true_runs
 
 Form = Literal["point", "interval"]
 
-INTERVAL_S = 0.2
-SHORTEST = 20  # samples in a stretch that is worth using
-COSTLY = 0.1  # of a flight's samples
+INTERVAL_S = 0.2  # of the interval form
+RESTART_S = 3.0  # of the predictor of instruments
+SHORTEST = 20  # samples in a stretch that is used
+COSTLY = 0.1  # of a flight's samples: a column that would exclude more is left out
 
 
 @dataclass(frozen=True)
 class SampleStretch:
     """Samples of one gap-free stretch.
 
-    u: (M, n_motion + 3) measured inputs; z: (M, n_outputs) outputs; first: index in the flight of each row. signals:
-    what the model's coefficients are computed from; smooth: the same without noise; window: samples averaged over, 0 for
-    the published form.
+    u: (M, n_motion + 3) measured inputs; z: (M, n_outputs) outputs; first: index in the flight of each row; signals: from which
+    the model's coefficients are computed; smooth: the same de-noised; window: samples averaged over, 0 for the published form.
     """
 
     u: Array
@@ -54,9 +54,9 @@ class SampleStretch:
     window: int
 
     def model_coefficients(self, axis: Axis, theta: Array, s: dict[str, Array]) -> tuple[Array, Array]:
-        """(M, 3) coefficients with parameters theta and their derivative (M, 3, n), averaged like the measured ones.
+        """(M, 3) coefficients with parameters theta and their derivatives (M, 3, n), averaged like the measured ones.
 
-        s: measured signals, the same without noise, or instruments.
+        s: signals, measured or de-noised, or instruments.
         """
         value, slope = axis.aerodynamic(s, theta)
         if self.window == 0:
@@ -70,22 +70,21 @@ class SampleStretch:
 def window_mean(values: Array, steps: int) -> Array:
     """Mean of the cubic spline through samples k .. k+steps, (M, ...) from (M + steps, ...).
 
-    A roll mode is as fast as a 20 Hz sample is long: with straight lines between the samples (trapezoidal rule) the
-    roll derivatives come out 1 % and the yaw derivatives 0.5-0.9 % too large on flights without noise, with the spline
-    0.1 %.
+    The time constant of a roll mode is about a 20 Hz sample interval: by the trapezoidal rule, on flights without noise, roll
+    derivatives come out 1 % and yaw derivatives 0.5-0.9 % too large, with the spline 0.1 %.
     """
     integral = CubicSpline(np.arange(len(values)), values, axis=0).antiderivative()(np.arange(len(values)))
     return np.asarray(integral[steps:] - integral[:-steps]) / steps
 
 
 def require_columns(axis: Axis, flight: Flight) -> None:
-    """MissingColumnError naming what the axis must have and the flight has not."""
+    """MissingColumnError naming the columns that the axis requires and the flight lacks."""
     required = [c for c in axis.columns if c not in axis.optional]
     flight.require(required, f"Neural Gauss-Newton, {axis.name} axis")
 
 
 def missing_optional(axis: Axis, flights: Sequence[Flight]) -> tuple[str, ...]:
-    """Motion variables that the network has to do without: those that would cost some flight a tenth of its samples."""
+    """Optional motion variables to leave out: those that would exclude COSTLY of the samples of some flight."""
     required = [c for c in axis.columns if c not in axis.optional]
 
     def costs(flight: Flight, column: str) -> bool:
@@ -98,10 +97,8 @@ def missing_optional(axis: Axis, flights: Sequence[Flight]) -> tuple[str, ...]:
 
 
 def training_stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -> list[SampleStretch]:
-    """All usable stretches: cut at gaps in time and wherever a needed column has no value.
-
-    Raises DataError when nothing long enough is left.
-    """
+    """All usable stretches, cut at gaps in time and where a needed column is not measured. DataError where none is long
+    enough."""
     columns = [c for c in axis.columns if c not in axis.optional or c in motion]
     table = np.column_stack([flight[c] for c in columns])
     complete = np.asarray(np.isfinite(table).all(axis=1))
@@ -127,7 +124,7 @@ def _stretch(
 
 
 def _point(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: tuple[str, ...]) -> SampleStretch:
-    """The published form: values and spline derivatives at each sample, of signals with their noise taken off."""
+    """The published form: values and spline derivatives of de-noised signals at each sample."""
     dt = float(np.median(np.diff(time)))
     s = _without_noise(axis, raw, motion=1)
     steps = np.arange(len(time))
@@ -138,10 +135,9 @@ def _point(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: t
 
 
 def _without_noise(axis: Axis, raw: dict[str, Array], motion: int) -> dict[str, Array]:
-    """Every signal with its noise taken off and its edges kept: straight pieces for controls, pieces of the order
-    `motion` for the rest.
+    """Signals de-noised with sharp edges: straight pieces for controls, pieces of order `motion` for the others.
 
-    Parabolas follow motion better, and the interval form has them. In the published form they leave so much noise in the
+    Parabolas follow motion better, and the interval form uses them. In the published form they leave so much noise in the
     derivatives of the rates that Cn_r scatters by 15 % from flight to flight; with straight pieces it is 7 %.
     """
     smooth = dict(raw)
@@ -158,11 +154,11 @@ def _interval(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion
     dt = float(np.median(np.diff(time)))
     steps = max(1, min(round(INTERVAL_S / dt), len(time) // 4))
     smooth = _without_noise(axis, raw, motion=2)
-    none = {c: np.zeros(len(time)) for c in axis.angular_rates}
+    no_derivatives = {c: np.zeros(len(time)) for c in axis.angular_rates}
     increments = {c: (raw[c][steps:] - raw[c][:-steps]) / (steps * dt) for c in axis.angular_rates}
     zeros = {c: np.zeros(len(time) - steps) for c in raw}
-    # inertial loads are linear in the rate derivatives: mean of the rest, plus what the exact increments carry
-    loads = window_mean(axis.inertial(raw, none), steps) + axis.inertial(zeros, increments)
+    # inertial loads are linear in the rate derivatives: the mean of the other terms, plus those of the exact increments
+    loads = window_mean(axis.inertial(raw, no_derivatives), steps) + axis.inertial(zeros, increments)
     u = np.column_stack(
         [*(raw[c][:-steps] for c in motion), loads / window_mean(dynamic_pressure(raw), steps)[:, None]]
     )
@@ -171,20 +167,17 @@ def _interval(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion
     return SampleStretch(u, z, first + np.arange(len(u)), raw, smooth, steps)
 
 
-RESTART_S = 3.0
-
-
 def predicted_signals(
     axis: Axis, stretches: list[SampleStretch], motion: tuple[str, ...], step: float
 ) -> list[dict[str, Array]]:
-    """Signals of each stretch with the motion replaced by the prediction. step: sample interval [s]."""
+    """De-noised signals of each stretch with the motion replaced by that of the predictor. step: sample interval [s]."""
     tables = [_table(axis, s, motion) for s in stretches]
     inputs = np.vstack([t[0][:-1] for t in tables])
     drives = np.vstack([t[1] for t in tables])
     targets = np.vstack([t[0][1:] for t in tables])
     regressors = np.hstack([inputs, drives])
     scale = np.where(regressors.std(axis=0) > 0, regressors.std(axis=0), 1.0)
-    map_ = np.linalg.lstsq(regressors / scale, targets, rcond=1e-8)[0] / scale[:, None]
+    predictor = np.linalg.lstsq(regressors / scale, targets, rcond=1e-8)[0] / scale[:, None]
     block = max(2, round(RESTART_S / step))
     result = []
     for stretch, (x, drive) in zip(stretches, tables, strict=True):
@@ -196,10 +189,10 @@ def predicted_signals(
             rows, state = rows[keep], state[keep]
             if not rows.size:
                 break
-            state = np.hstack([state, drive[rows]]) @ map_
+            state = np.hstack([state, drive[rows]]) @ predictor
             rows = rows + 1
-            fresh = ~np.isin(rows, starts)
-            predicted[rows[fresh]] = state[fresh]
+            inside = ~np.isin(rows, starts)  # a restart begins from the de-noised motion
+            predicted[rows[inside]] = state[inside]
         result.append({**stretch.smooth, **{c: predicted[:, i] for i, c in enumerate(motion)}})
     return result
 

@@ -1,9 +1,9 @@
-"""From rows to estimates with their spread: for one problem, or for a campaign of many side by side.
+"""Estimates with their spread from training rows, for one problem or for many side by side.
 
-A problem is a flight, or several flights with shared parameters. Three rounds of training, each over all problems at
-once so that a batch fills the machine: networks that are judged by held-out blocks; the chosen ones trained on with all
-rows; the networks of the block bootstrap. Between them the parameters are fitted problem by problem. What a problem
-gets depends on its rows and the seed alone, not on the company it is in (but for rounding).
+A problem is a flight, or several flights with shared parameters. There are three rounds of training, each over all problems at
+once so that a batch fills the machine: candidate networks, judged by held-out blocks; the best of them, trained further on all
+rows; the networks of the block bootstrap. In between the parameters are fitted problem by problem. Results of a problem depend
+on its rows and the seed alone, not on the other problems (but for rounding).
 """
 
 from collections.abc import Sequence
@@ -28,14 +28,15 @@ from estimation.estimators.neural_gauss_newton.training import Job, NgnOptions, 
 
 Array = NDArray[np.float64]
 
-SEEDS = 2**63  # torch takes smaller ones; that of a campaign is a digest
-FEW_STEPS = 3  # of the parameters in a bootstrap: it starts at the solution
+SEEDS = 2**63  # torch takes smaller seeds; that of a campaign is a digest
+BOOTSTRAP_STREAM = 64  # of random numbers, beside the seed
+FEW_STEPS = 3  # of the parameters in a bootstrap, which starts at the solution
 
 
 @dataclass(frozen=True)
 class NeuralSolution:
-    """theta: (n,) estimates; bound, spread: (n, n) covariances, Cramer-Rao and bootstrap with ensemble; members:
-    (ensemble, n) and bootstrap: (bootstraps, n) estimates, the latter less those of the network they began with."""
+    """theta: (n,) estimates; bound, spread: (n, n) covariances, Cramer-Rao, and of bootstrap and ensemble; members: (ensemble, n)
+    estimates; bootstrap: (bootstraps, n) estimates minus those of the network from which each started."""
 
     theta: Array
     bound: Array
@@ -47,7 +48,7 @@ class NeuralSolution:
 
 
 class NeuralProblem:
-    """One set of rows with its unknowns, ready to be fitted with any network."""
+    """One set of rows with its unknowns, to be fitted with any network."""
 
     def __init__(self, rows: TrainingRows, unknowns: FlightUnknowns, options: NgnOptions) -> None:
         self.rows, self.unknowns, self.options = rows, unknowns, options
@@ -62,10 +63,11 @@ class NeuralProblem:
             self.instruments = [Regressors(rows.axis, s, i) for s, i in predicted]
 
     def job(self, weight: torch.Tensor, start: torch.Tensor) -> Job:
+        """Training of one network on all rows, weighted."""
         return Job(self.shape, self.rows.u, self.rows.z, weight, start)
 
     def predict(self, frozen: Frozen, regressors: Sequence[Regressors]) -> Predict:
-        """Residuals and slopes of all stretches by the unknowns."""
+        """Function of the unknowns that gives residuals and slopes of all stretches."""
 
         def predict(theta: Array) -> tuple[list[Array], list[Array]]:
             residuals, slopes = [], []
@@ -81,10 +83,10 @@ class NeuralProblem:
 
     @cached_property
     def regression(self) -> Array:
-        """(n,) parameters with which the model's coefficients come nearest to the measured ones.
+        """(n,) parameters with which the model's coefficients are nearest to the measured ones.
 
-        A network knows nothing of coefficients unlike those of the flight: from beliefs of another aircraft there is no way
-        back to them.
+        A network was not trained on coefficients unlike those of the flight, so a fit from beliefs of another aircraft would not
+        find these.
         """
 
         def coefficients(theta: Array) -> tuple[list[Array], list[Array]]:
@@ -100,7 +102,7 @@ class NeuralProblem:
         return fit_parameters(coefficients, self.counts, [self.unknowns.start]).theta
 
     def fit(self, weights: torch.Tensor) -> FrozenFit:
-        """Gauss-Newton with one frozen network; in the improved form from there to the root with instruments."""
+        """Gauss-Newton with one frozen network; in the improved form then the root with instruments."""
         frozen = Frozen(self.shape, weights, self.rows.standard)
         smooth = self.predict(frozen, self.smooth)
         fitted = fit_parameters(smooth, self.counts, [self.unknowns.start, self.regression])
@@ -111,7 +113,7 @@ class NeuralProblem:
         )
 
     def refit(self, weights: torch.Tensor, start: Array, multiplicity_of_rows: Array) -> Array:
-        """(n,) parameters with another network on resampled rows, a few steps from a solution."""
+        """(n,) parameters with another network on resampled rows, by a few steps from a solution."""
         frozen = Frozen(self.shape, weights, self.rows.standard)
         multiplicity = self.rows.split(multiplicity_of_rows)
         if not self.instruments:
@@ -142,22 +144,22 @@ def solve_problems(problems: Sequence[NeuralProblem], options: NgnOptions) -> li
     retrained = iter(train_jobs(jobs, short, options.device))
     solutions = []
     for problem, nets, fits, rows in zip(problems, trained, fitted, multiplicities, strict=True):
-        spread = [
+        deviations = [
             problem.refit(next(retrained)[0], fits[k % len(fits)].theta, row) - fits[k % len(fits)].theta
             for k, row in enumerate(rows)
         ]
-        bootstrap = np.array(spread).reshape(-1, problem.unknowns.size)
+        bootstrap = np.array(deviations).reshape(-1, problem.unknowns.size)
         solutions.append(_solution(fits, nets, bootstrap))
     return solutions
 
 
 def generator_of(seed: int, member: int) -> torch.Generator:
-    """The draws of one network of an ensemble; seed: any whole number from 0."""
+    """Random numbers of one network of an ensemble; seed: any integer from 0."""
     return torch.Generator().manual_seed((1000 * seed + member) % SEEDS)
 
 
 def _trained(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[list[Trained]]:
-    """Networks of every problem's ensemble: chosen among restarts by the held-out blocks, trained on with all rows."""
+    """The ensemble of every problem: the best restarts by the held-out blocks, trained further on all rows."""
     training, members = options.training, max(1, options.ensemble)
     tries = members * training.restarts
     jobs = []
@@ -172,12 +174,12 @@ def _trained(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[lis
         for member in range(members):
             first = i * tries + member * training.restarts
             best_nets.append(_best(problem, candidates[first : first + training.restarts]))
-    everything = [
+    final_jobs = [
         problem.job(torch.ones(len(problem.rows.u), dtype=torch.float64), best_nets[i * members + k][0])
         for i, problem in enumerate(problems)
         for k in range(members)
     ]
-    finished = train_jobs(everything, training, options.device)
+    finished = train_jobs(final_jobs, training, options.device)
     return [
         [
             Trained(
@@ -194,15 +196,15 @@ def _trained(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[lis
 def _best(problem: NeuralProblem, candidates: Sequence[tuple[torch.Tensor, int]]) -> tuple[torch.Tensor, int, float]:
     """Weights, iterations and held-out error of the network that predicts held-out rows best."""
     rows = problem.rows
-    judged = rows.held_out.double() if rows.held_out.any() else torch.ones(len(rows.u), dtype=torch.float64)
-    errors = [mean_square(problem.shape, w, rows.u, rows.z, judged) for w, _ in candidates]
+    validation = rows.held_out.double() if rows.held_out.any() else torch.ones(len(rows.u), dtype=torch.float64)
+    errors = [mean_square(problem.shape, w, rows.u, rows.z, validation) for w, _ in candidates]
     lowest = int(np.nanargmin(errors))
     return *candidates[lowest], errors[lowest]
 
 
 def _bootstrap_weights(problem: NeuralProblem, options: NgnOptions) -> Array:
     """(bootstraps, M) how often each row is drawn."""
-    rng = np.random.default_rng([options.seed, 64])
+    rng = np.random.default_rng([options.seed, BOOTSTRAP_STREAM])
     multiplicities = [problem.rows.resampled(rng) for _ in range(options.bootstraps)]
     return np.array(multiplicities).reshape(options.bootstraps, len(problem.rows.u))
 

@@ -11,14 +11,16 @@ from torch import Tensor
 
 from estimation.estimators.neural_gauss_newton.network import NetworkShape, forward, weight_normal_equations
 
+FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-10  # times the mean diagonal of the normal equations
+LESS, MORE = 3.0, 4.0  # divisor of the damping after a step that lowers the cost, and factor after one that does not
 TRIES = 8  # dampings of one step before a network counts as trained
 LARGEST_BATCH_ROWS = {"cpu": 40_000, "cuda": 1_000_000}  # of all networks of a batch: 0.1 and 2 GB while training
-ENOUGH = 1e-7  # part of the cost that a step must gain
+ENOUGH = 1e-7  # of the cost: a network is trained when a step gains less
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingOptions:
-    """How to train. decay: weight of the sum of squared weights in the cost (standardised data, summed residuals)."""
+    """How to train. decay: factor of the sum of squared weights in the cost (standardised data, summed squares)."""
 
     iterations: int = 60
     restarts: int = 2
@@ -27,7 +29,7 @@ class TrainingOptions:
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """A trained network: weights (n_weights,), mean squared standardised error on training and held-out rows."""
+    """A trained network: weights (n_weights,), mean squared standardised errors on training and held-out rows."""
 
     weights: Tensor
     training_error: float
@@ -50,8 +52,8 @@ class Job:
 def train_jobs(jobs: Sequence[Job], options: TrainingOptions, device: str = "cpu") -> list[tuple[Tensor, int]]:
     """Weights (n_weights,) of every network, on the CPU, and the iterations it took.
 
-    Networks of one shape are trained side by side, in batches that fill the device. They do not see each other: each is
-    what it would be alone, within rounding.
+    Networks of one shape are trained side by side, in batches that fill the device. They are independent: each becomes what it
+    would be alone, within rounding.
     """
     trained: list[tuple[Tensor, int]] = []
     for batch in _batches(jobs, LARGEST_BATCH_ROWS[torch.device(device).type]):
@@ -88,7 +90,7 @@ def _batches(jobs: Sequence[Job], largest: int) -> Iterator[list[Job]]:
 
 
 def _padded(values: Tensor, length: int) -> Tensor:
-    """Zeros appended to `length` rows; rows of zero weight count for nothing."""
+    """Values with zeros appended to `length` rows; their weight is zero too."""
     missing = length - values.shape[0]
     return torch.cat([values, values.new_zeros(missing, *values.shape[1:])]) if missing else values
 
@@ -106,19 +108,19 @@ def levenberg_marquardt(
 ) -> tuple[Tensor, Tensor]:
     """Gauss-Newton on the weights of many networks side by side, each with a damping of its own.
 
-    Damping falls on success and rises on failure; a network is done when a step gains less than 1e-7 of its cost, or
-    none helps. weights: (nets, M) row multiplicities; starts: (nets, n_weights); u, z: shared (M, ...) or each net's own
+    Damping falls on success and rises on failure; a network is trained when a step gains less than ENOUGH of its cost, or none
+    helps. weights: (nets, M) row multiplicities; starts: (nets, n_weights); u, z: shared (M, ...) or each net's own
     (nets, M, ...). Returns weights (nets, n_weights) and iterations (nets,).
     """
     w = starts.clone()
-    damping = torch.full((len(w),), 1e-2, dtype=w.dtype, device=w.device)
+    damping = torch.full((len(w),), FIRST_DAMPING, dtype=w.dtype, device=w.device)
     cost = _costs(shape, w, u, z, weights, options.decay)
     iterations = torch.zeros(len(w), dtype=torch.int64, device=w.device)
     active = torch.arange(len(w), device=w.device)
     for _ in range(options.iterations):
         if not len(active):
             break
-        rows = _Batch.of(u, z, weights, active)
+        rows = _Batch.build(u, z, weights, active)
         matrix, right = weight_normal_equations(shape, w[active], rows.u, rows.z, rows.weights)
         matrix.diagonal(dim1=1, dim2=2).add_(options.decay)
         right -= options.decay * w[active]
@@ -136,7 +138,9 @@ def levenberg_marquardt(
             lowered = new < cost[nets]
             gain[pending[lowered]] = ((cost[nets] - new) / cost[nets])[lowered]
             w[nets[lowered]], cost[nets[lowered]] = trial[lowered], new[lowered]
-            damping[nets] = torch.where(lowered, torch.clamp(damping[nets] / 3.0, min=1e-10), damping[nets] * 4.0)
+            damping[nets] = torch.where(
+                lowered, torch.clamp(damping[nets] / LESS, min=LEAST_DAMPING), damping[nets] * MORE
+            )
         iterations[active[gain >= 0]] += 1
         active = active[gain >= ENOUGH]
     return w, iterations
@@ -151,7 +155,7 @@ class _Batch:
     weights: Tensor
 
     @classmethod
-    def of(cls, u: Tensor, z: Tensor, weights: Tensor, nets: Tensor) -> "_Batch":
+    def build(cls, u: Tensor, z: Tensor, weights: Tensor, nets: Tensor) -> "_Batch":
         return cls(u, z, weights).only(nets) if len(nets) < len(weights) else cls(u, z, weights)
 
     def only(self, nets: Tensor) -> "_Batch":
@@ -171,7 +175,7 @@ def _damped_step(matrix: Tensor, right: Tensor, damping: Tensor) -> Tensor:
 
 
 def _costs(shape: NetworkShape, w: Tensor, u: Tensor, z: Tensor, weights: Tensor, decay: float) -> Tensor:
-    """(nets,) weighted sum of squared errors with the decay of the weights."""
+    """(nets,) weighted sum of squared errors plus the decay term."""
     return (weights[:, :, None] * (z - forward(shape, w, u)) ** 2).sum(dim=(1, 2)) + decay * (w**2).sum(dim=1)
 
 
@@ -180,7 +184,7 @@ class NgnOptions:
     """improved: the interval form with a linear path; instruments: normal equations with instruments.
 
     hidden: neurons; ensemble: networks of different seeds whose estimates are averaged; bootstraps: networks of the
-    block bootstrap (0: no honest spread, the Cramer-Rao bound stands alone); device: cpu, cuda or auto, for training.
+    block bootstrap (0: the spread is the Cramer-Rao bound); device: cpu, cuda or auto, for training.
     """
 
     improved: bool = False
@@ -195,13 +199,13 @@ class NgnOptions:
 
 
 def default_options(improved: bool, axis: str = "lateral") -> NgnOptions:
-    """What the study found best. The published form's networks differ more, so it takes more of them.
+    """The best options of a study on simulated flights. Networks of the published form differ more, so it averages more of them.
 
-    Longitudinal: lift follows angle of attack so closely that instruments carry too little of what is left.
+    Longitudinal: lift follows angle of attack so closely that instruments have too little independent motion.
     """
     if improved and axis == "lateral":
         return NgnOptions(improved=True, instruments=True)
-    steady = TrainingOptions(restarts=1, decay=1e-2)
+    strong_decay = TrainingOptions(restarts=1, decay=1e-2)
     if improved:
-        return NgnOptions(improved=True, hidden=4, training=steady)
-    return NgnOptions(training=steady, ensemble=4)
+        return NgnOptions(improved=True, hidden=4, training=strong_decay)
+    return NgnOptions(training=strong_decay, ensemble=4)

@@ -17,7 +17,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.fit.whitener import Whitener
 from estimation.gap.records.flight_records import FlightRecord, starting_state
 from estimation.models.base import Model, ParameterRole
-from estimation.models.dependence import asked_for
+from estimation.models.dependence import names_used
 from estimation.signals.curves import half_way, inner_slopes
 
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
@@ -156,7 +156,7 @@ class LikelihoodProblem:
     def asked(self) -> frozenset[str]:
         """Names that the equations ask for with the dormant terms at rest."""
         dormant = (p for p in self.model.parameters if p.role is ParameterRole.DORMANT and p.fixed)
-        return asked_for(self.model, {p.name for p in dormant if p.start == 0.0})
+        return names_used(self.model, {p.name for p in dormant if p.start == 0.0})
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:

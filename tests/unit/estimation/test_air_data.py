@@ -269,3 +269,18 @@ def test_density_of_altitude_counts_a_measured_temperature_unless_it_is_a_board_
         flight = Flight.build("f", time, columns | {"temperature": np.full(40, temperature)})
         made = with_derived(flight, ["rho"])["rho"]
         assert made == pytest.approx(pressure / (287.053 * used), rel=1e-4)
+
+
+def test_a_segment_without_altitude_has_no_density_and_the_others_have() -> None:
+    from estimation.prepare.columns import with_derived
+
+    time = np.arange(80) / 20
+    segment = np.repeat([0, 1], 40)
+    altitude = np.where(segment == 0, 300.0, np.nan)
+    speed = np.where(segment == 0, 15.0 + np.sin(time), np.nan)
+    flight = with_derived(
+        Flight.build("f", time, {"altitude": altitude, "V": speed}, segment=segment), ["rho", "V_dot"]
+    )
+    for column in ("rho", "V_dot"):
+        assert np.isfinite(flight[column][segment == 0]).all()
+        assert np.isnan(flight[column][segment == 1]).all()

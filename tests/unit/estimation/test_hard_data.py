@@ -191,7 +191,7 @@ SMALL = {"states": "['p']", "outputs": "['p']", "inputs": "['delta_a']", "parame
     [
         ({"states": "'p'"}, "L_p*p", "must be a list"),
         ({"constants": "3"}, "L_p*p", "must be a table"),
-        ({"outputs": "['p', 'p']"}, "L_p*p", "stands there twice"),
+        ({"outputs": "['p', 'p']"}, "L_p*p", "listed twice"),
         ({"parameters": "[{name=3}]"}, "L_p*p", "must be text"),
         ({"parameters": "[{name='L_p', unit=2020-01-01}]"}, "L_p*p", "unit = .* must be text"),
         ({"inputs": "[{name='delta_a', control='yes'}]"}, "L_p*p", "must be true or false"),
@@ -272,6 +272,8 @@ def test_density_comes_from_pressure_and_temperature_before_the_standard_atmosph
     found, notes = density_found(flight, altitude=height)
     assert found == pytest.approx(0.81913, abs=3e-5)  # ICAO Doc 7488, geopotential height
     assert "rho derived from altitude" in notes
+    found, notes = density_found(flight, altitude=height, rho=np.full(len(flight), np.nan))
+    assert found == pytest.approx(0.81913, abs=3e-5)  # an empty column counts as absent
 
 
 def test_the_temperature_of_a_warm_board_is_not_taken_for_that_of_the_air(made_flights: list[Flight]) -> None:

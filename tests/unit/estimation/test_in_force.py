@@ -3,7 +3,7 @@
 import pytest
 
 from estimation.models.base import Parameter, Signal
-from estimation.models.dependence import asked_for, names_in_force
+from estimation.models.dependence import names_in_force, names_used
 from tests.unit.estimation.gap.roll import ROLL
 
 
@@ -35,8 +35,8 @@ def test_a_control_of_dormant_terms_only_is_not_asked_for() -> None:
         terms={"p_dot": "L_de*delta_e"},
         outputs={"p": "shown"},
     )
-    assert "delta_e" in asked_for(model, set())
-    assert "delta_e" in asked_for(model, {"k_p"})
-    assert "delta_e" in asked_for(model, {"L_de"})
-    assert "delta_e" not in asked_for(model, {"L_de", "k_p"})
-    assert {"p", "delta_a", "L_p"} <= asked_for(model, {"L_de", "k_p"})
+    assert "delta_e" in names_used(model, set())
+    assert "delta_e" in names_used(model, {"k_p"})
+    assert "delta_e" in names_used(model, {"L_de"})
+    assert "delta_e" not in names_used(model, {"L_de", "k_p"})
+    assert {"p", "delta_a", "L_p"} <= names_used(model, {"L_de", "k_p"})

@@ -10,6 +10,7 @@ from estimation.engine.simulate import Simulator
 from estimation.estimators.filter_error import filter_error, gain_law
 from estimation.estimators.input_path import SURE_OF_WAY, InputPath, clocked_controls, with_paths
 from estimation.estimators.output_error import OutputErrorOptions, output_error
+from estimation.estimators.refits import parametric_bootstrap
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import InputTransform, Parameter
@@ -67,6 +68,15 @@ def test_derivatives_by_the_way_between_samples_are_those_of_differences() -> No
     column = motion.dy[:, :, simulator.free.index("b")]
     assert np.abs(column).max() > 0.01
     assert column == pytest.approx((up - down) / 2e-4, abs=1e-5 * np.abs(column).max() + 1e-9)
+
+
+def test_a_bootstrap_is_of_the_parameters_of_the_model_alone() -> None:
+    flights, _ = fly(Case(rate=10.0, servo=0.05, noise=NOISE), np.random.default_rng(3), seeds=1)
+    result = output_error(LATERAL, flights)
+    assert result.extra["input_paths"]
+    bootstrap = parametric_bootstrap(LATERAL, flights, result, 10, np.random.default_rng(1))
+    assert bootstrap.names == tuple(result.parameters)
+    assert len(bootstrap.estimates) == 10
 
 
 @pytest.mark.parametrize(("rate", "servo"), [(10.0, 0.05), (20.0, 0.032)])

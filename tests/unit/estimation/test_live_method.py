@@ -144,6 +144,9 @@ def test_the_pitching_plane_does_without_the_lateral_motion() -> None:
     found = estimate_recursively(load_model("longitudinal", craft), [bare], craft).parameters["Cm_de"]
     there = estimate_recursively(load_model("longitudinal", craft), [flight], craft).parameters["Cm_de"]
     assert abs(found.estimate - there.estimate) < there.std_coloured
+    empty = flight.with_columns(**{n: np.full(len(flight), np.nan) for n in lateral})
+    unmeasured = estimate_recursively(load_model("longitudinal", craft), [empty], craft).parameters["Cm_de"]
+    assert unmeasured.estimate == found.estimate
 
 
 @pytest.mark.parametrize("which", ["lateral", "lateral-simple", "longitudinal", "six-dof"])

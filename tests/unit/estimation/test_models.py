@@ -177,7 +177,7 @@ def test_output_changes_chain() -> None:
 
 def test_a_parameter_may_take_the_place_of_a_constant() -> None:
     model = load_model("lateral", "cdfp").plus(parameters=[Parameter("Ixz", "kg m2", 0.008)])
-    assert "Ixz" not in model.structure.constants_kept
+    assert "Ixz" not in model.structure.remaining_constants
     assert "Ixz" in model.free_names
 
 

@@ -343,7 +343,7 @@ def test_fixed_parameter_stays(made_flights):
     model = load_model("lateral", AIRCRAFT).fixed(CY_p=-0.05)
     result = estimate_ngn(AIRCRAFT, made_flights[0], model=model, options=NgnOptions(ensemble=1, bootstraps=0))
     assert "CY_p" not in result.parameters
-    assert FlightUnknowns.of(model, LateralAxis(AIRCRAFT), 1).base[0, 2] == -0.05
+    assert FlightUnknowns.build(model, LateralAxis(AIRCRAFT), 1).base[0, 2] == -0.05
 
 
 def test_campaign_gives_what_flights_give_one_by_one(made_flights):

@@ -10,6 +10,7 @@ from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.prepare.flight_data import FOR_REGRESSION
 from estimation.prepare.pipeline import prepare_all
+from groundstation.flight import Flight
 from tests.studies.random_aeroplanes import MAIN, Situation, fly
 from tests.unit.estimation.test_structure import craft_and_file
 
@@ -44,3 +45,19 @@ def test_where_the_answer_cannot_be_flown_the_bounds_are_said_to_be_none() -> No
     bare = equation_error(model, data)
     runaway = replace(bare, flights=tuple(replace(f, outputs=np.full_like(f.outputs, np.inf)) for f in bare.flights))
     assert BOUNDS_LEAVE_OUT in with_regression_errors(runaway, data).text
+
+
+def test_a_sensor_that_is_stuck_throughout_a_stretch_leaves_that_stretch_out() -> None:
+    craft, file = craft_and_file()
+    model = load_model("lateral", file)
+    (flight,) = fly(craft, Situation("plain"), np.random.default_rng(4503), 1, 14.0)
+    stuck = np.arange(len(flight)) >= len(flight) - 60
+    bank = np.where(stuck, flight["phi"][-60], flight["phi"])
+    data = prepare_all(
+        model,
+        Flight.build("stuck", flight.time, {**flight.columns, "phi": bank}, segment=stuck.astype(int)),
+        FOR_REGRESSION,
+    )
+    assert not np.isfinite(data[0].segments[1].z[:, model.output_names.index("phi")]).any()
+    bare = equation_error(model, data)
+    assert BOUNDS_LEAVE_OUT not in with_regression_errors(bare, data).text
