@@ -1,4 +1,4 @@
-"""Keys of finished work, by content: everything that affects a number enters, and nothing else; no names, paths or order."""
+"""Keys of finished work: digests of all that affects its numbers, and of nothing else (no names, paths or order)."""
 
 import hashlib
 import json
@@ -45,8 +45,10 @@ SOURCE_SUFFIXES = (".py", ".c", ".toml")
 
 @cache
 def versions() -> Mapping[str, str]:
-    """Version of each library that affects a number; `compiler`: of the equations (without one, sums have another order, which
-    changes 1e-12 of a number); `code`: a digest of SOURCES_OF_RESULTS."""
+    """Library -> version; `compiler`: the one that compiles the equations; `code`: digest of SOURCES_OF_RESULTS.
+
+    Without a compiler sums are taken in another order, which changes a number by 1e-12.
+    """
     libraries = {name: _version(name) for name in LIBRARIES}
     return {**libraries, "compiler": Path(compiler() or "none").name, "code": digest_of_files(SOURCES_OF_RESULTS)}
 
