@@ -214,7 +214,7 @@ def _reconstructed(
     motion = np.full_like(measured, np.nan)
     spread = _expected_difference(problem, index)
     innovations = []
-    for record, run in problem.whole_runs(index, p, runs):
+    for record, run in problem.full_runs(index, p, runs):
         innovations.append(run.normalised.copy())  # the rest of a run is not kept
         rows = slice(record.first, record.first + len(record.time))
         measured[rows] = record.z

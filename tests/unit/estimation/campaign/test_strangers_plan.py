@@ -16,7 +16,7 @@ import pytest
 import sideslip
 from daq.utilities import limits
 from estimation.campaign.plan import plan_from, read_plan
-from estimation.campaign.sources import _pieces, entries_of, fetched
+from estimation.campaign.sources import _chunks, entries_of, fetched
 from estimation.campaign.tasks import CampaignError
 
 TRAP = "from pathlib import Path\nPath('sprung').write_text('x')\nclass Model: pass\nOWN = 1\n"
@@ -200,8 +200,8 @@ def test_what_drips_or_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch)
     stream = Dripping()
     monkeypatch.setattr(time, "monotonic", lambda: stream.seconds)
     with pytest.raises(CampaignError, match="21 bytes in 21 s"):
-        b"".join(_pieces(cast(IO[bytes], stream), "http://x/y.csv"))
+        b"".join(_chunks(cast(IO[bytes], stream), "http://x/y.csv"))
     monkeypatch.setattr(limits, "DATA_BYTES", 100)
     with pytest.raises(CampaignError, match="longer than the 100 bytes"):
-        b"".join(_pieces(io.BytesIO(bytes(101)), "http://x/y.csv"))
-    assert b"".join(_pieces(io.BytesIO(bytes(100)), "http://x/y.csv")) == bytes(100)
+        b"".join(_chunks(io.BytesIO(bytes(101)), "http://x/y.csv"))
+    assert b"".join(_chunks(io.BytesIO(bytes(100)), "http://x/y.csv")) == bytes(100)
