@@ -1,14 +1,14 @@
-"""What noise of measured inputs adds to a predicted bound.
+"""The part of noisy measured inputs in a predicted bound.
 
-A Cramer-Rao bound supposes that inputs are exact. A flight's surfaces, airspeed, angle of attack and pitch are measured:
-their noise passes through the aircraft into the residuals, where it is coloured and larger than the sensors' own. The
-motion is therefore prepared as a flight would be, with noise on its inputs, some hundred times; what the outputs then differ
-by, d, has the covariance D between samples, and the estimates scatter by
+A Cramer-Rao bound assumes exact inputs. The surfaces, airspeed, angle of attack and pitch of a flight are measured: their noise
+passes through the aircraft into the residuals, where it is coloured and larger than that of the sensors. So the motion is
+prepared DRAWS times like a flight, each time with other noise on its inputs. The differences d of the outputs have the covariance
+D between samples, and the estimates have the covariance
 
     M^-1 (S' W (R + D) W S) M^-1,    M = S' W S,    W = (R + D_0)^-1
 
-with the sensitivities S of outputs to parameters and initial states, the sensors' noise R, and D_0 the part of D within a
-sample, which is what maximum likelihood sees of it (R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed.,
+with the sensitivities S of outputs to parameters and initial states, the noise R of the sensors, and D_0 the part of D within a
+sample, to which maximum likelihood fits its noise (R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed.,
 section 4.10: errors in inputs; the form is that of an M-estimator, P. J. Huber 1967).
 """
 
@@ -26,15 +26,14 @@ from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import Array, Flight
 
 DRAWS = 50
-"""Flights with noisy inputs: the standard deviation that they add is known to 10 %."""
+"""Flights with noisy inputs: from these, the added standard deviation is known to 10 %."""
 LEAST_DRAWS = 20
-"""Of a long manoeuvre, whose flights take longer to prepare: 16 %."""
+"""For a long manoeuvre, whose flights take longer to prepare: 16 %."""
 USUAL_SAMPLES = 400  # 20 s at 20 Hz
-LEAST_OWN = 0.25
-"""Of the variance of a channel's residuals, at least the share that is its sensor's own: below, the noise supposed of the
-inputs is too large rather than the sensor perfect."""
+LEAST_SENSOR_SHARE = 0.25
+"""Least share of the sensor in the variance of a channel's residuals: with less, the noise assumed of the inputs is too large."""
 INPUT_NOISE = {**NOISE, "thrust": 0.15, "V_dot": 0.0, "rho": 0.0}
-"""Noise of the inputs where no estimate says better, 1 sigma; air density is computed, not measured sample by sample."""
+"""Noise of the inputs where no estimate gives one, 1 sigma; air density is computed, not measured sample by sample."""
 SURFACE_NOISE = math.radians(0.07)
 """Of a potentiometer read with 12 bits, 1 sigma [rad]."""
 
@@ -42,10 +41,10 @@ SURFACE_NOISE = math.radians(0.07)
 def expected_errors(
     bench: DesignSetting, motion: PredictedMotion, bounds: Mapping[str, float], seed: int, draws: int = DRAWS
 ) -> dict[str, float]:
-    """Standard deviation that estimates from this motion will have with all sensors noisy, by parameter.
+    """Parameter -> standard deviation of estimates from this motion with all sensors noisy.
 
-    bounds: Cramer-Rao bounds with exact inputs; infinite ones stay so. draws: flights with noisy inputs; of a manoeuvre of more
-    than 20 s fewer, at least LEAST_DRAWS. Raises EstimationError where the model leaves all bounds.
+    bounds: Cramer-Rao bounds with exact inputs; infinite ones stay infinite. draws: flights with noisy inputs; fewer, but at
+    least LEAST_DRAWS, for a manoeuvre of more than USUAL_SAMPLES. Raises EstimationError where the model diverges.
     """
     rng = np.random.default_rng([seed, 21])
     simulator = Simulator.build(bench.model)
@@ -68,10 +67,12 @@ def expected_errors(
     return {n: float(std[i]) if math.isfinite(bounds[n]) else math.inf for i, n in enumerate(simulator.free)}
 
 
-def _sensor_noise(bench: DesignSetting, y: Array, shown: Array) -> Array:
-    """(ny, ny) noise of the sensors themselves. shown (ny,): variance that noisy inputs add."""
+def _sensor_noise(bench: DesignSetting, y: Array, from_inputs: Array) -> Array:
+    """(ny, ny) covariance R of the sensors. from_inputs (ny,): variance that noisy inputs add to the residuals."""
     variance = np.array([output_noise(bench, s, y[:, i]) ** 2 for i, s in enumerate(bench.model.outputs)])
-    return np.diag(np.maximum(variance - shown, LEAST_OWN * variance) if bench.noise_of_residuals else variance)
+    return np.diag(
+        np.maximum(variance - from_inputs, LEAST_SENSOR_SHARE * variance) if bench.noise_of_residuals else variance
+    )
 
 
 def _scatter(sensitivities: Array, sensor_noise: Array, error_covariance: Array, output_errors: list[Array]) -> Array:
@@ -90,7 +91,7 @@ def _scatter(sensitivities: Array, sensor_noise: Array, error_covariance: Array,
 
 
 def _flight(bench: DesignSetting, motion: PredictedMotion, rng: np.random.Generator | None) -> FlightData:
-    """The motion prepared for the model as a recorded flight would be; rng: noise on the inputs, or None for exact ones."""
+    """The motion prepared for the model like a recorded flight. rng: of the noise on the inputs, None for exact ones."""
     keep = sampled(bench, motion)
     columns = {}
     for signal in (*bench.model.inputs, *bench.model.states, *bench.model.outputs):
@@ -107,7 +108,7 @@ def _flight(bench: DesignSetting, motion: PredictedMotion, rng: np.random.Genera
 
 
 def input_noise(bench: DesignSetting, signal: Signal) -> float:
-    """Noise of one input's instrument, 1 sigma; 0 where nothing is known of it."""
+    """Noise of one input's instrument, 1 sigma; 0 where it is not known."""
     if signal.control:
         return bench.noise.get(signal.name, SURFACE_NOISE)
     return bench.noise.get(signal.name, INPUT_NOISE.get(signal.name, 0.0))

@@ -5,7 +5,7 @@ harmonics times their power, M = sum w_k M_k, and so is the power of every limit
 criterion of M under P_j <= 1 for every limit j is a convex problem. Its multiplicative algorithm: w_k <- w_k (d_k / price_k)^1/2,
 d_k the gain of the criterion by harmonic k, price_k = sum_j m_j P_jk (Titterington, Annals of Statistics 4 (1976) 132; Silvey,
 Titterington and Torsney, Commun. Statistics A7 (1978) 1379), with multipliers m_j that grow where a limit is exceeded.
-The result is then flown as it is: what counts is the motion of the model, not its linearisation.
+The result is then simulated: what counts is the motion of the model, not its linearisation.
 """
 
 import math
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from estimation.design.limits import Limits
 from estimation.design.predict import (
     INTEGRATION_STEP,
+    RANK,
     DesignInformation,
     DesignSetting,
     LimitUse,
@@ -34,19 +35,20 @@ Criterion = Callable[[Array], tuple[float, Array]]
 """Covariance of the relative errors (n, n) -> value to make small, and its derivative with respect to the covariance."""
 
 PROBE = math.radians(0.2)
-"""Amplitude of a single harmonic when its answer is looked at [rad]: small against every kink, large against rounding."""
-ROUNDS = 400
-RESOLUTION = 1e-4  # of the criterion, at which the multiplicative algorithm has come to rest
-WORST_POWER = 8  # p-norm over the relative bounds that stands for the worst of them
-LEAST_SHARE = 0.02  # of the power: below it a harmonic only costs peak
-UNEVEN_STARTS = 3  # of the search for phases where the power is uneven: such peaks do not get below GOOD_PEAK
-SHIFTS = 10  # zero crossings that are tried as beginnings of a wave
-SIZES = 12  # halvings when the size is fitted to the limits: to 1 in 4096, on the safe side
+"""Amplitude of a harmonic flown alone [rad]: small enough for linear motion, large against rounding."""
+ROUNDS = 400  # of the multiplicative algorithm
+RESOLUTION = 1e-4  # of the criterion: a round that changes it by less is the last
+WORST_POWER = 8  # exponent of the p-norm over the relative bounds that stands for the worst of them
+LEAST_SHARE = 0.02  # of the largest power: a harmonic with less only raises the peak
+UNEVEN_STARTS = 3  # of the search for phases of uneven power, whose peaks do not get below GOOD_PEAK
+SHIFTS = 10  # zero crossings that are tried as start of a wave
+SIZES = 12  # halvings in the search for the size at the limits: to 1 in 4096, below the limit
+LARGEST_SIZE = 1e3  # factor of that search
 
 
 @dataclass(frozen=True)
 class Designed:
-    """An input and what it does. commands: (N, nu) increments [rad] at INTEGRATION_STEP; waves: where it is a multisine."""
+    """An input with its motion and information. commands: (N, nu) increments [rad] at INTEGRATION_STEP; waves: of a multisine."""
 
     kind: str
     commands: Array
@@ -59,7 +61,7 @@ class Designed:
 def measure(
     bench: DesignSetting, limits: Limits, kind: str, commands: Array, waves: Sequence[Multisine] = ()
 ) -> Designed:
-    """Fly commands and weigh them."""
+    """Simulate commands: their motion, information and use of limits. EstimationError where the model diverges."""
     motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
     if not motion.reached:
         raise EstimationError(f"{kind}: the model leaves all bounds in this manoeuvre; make it smaller or shorter")
@@ -68,14 +70,15 @@ def measure(
 
 
 def fitted_size(bench: DesignSetting, limits: Limits, commands: Array) -> float:
-    """Largest factor, at most 1e3, at which commands keep inside every limit; by halving, because motion is not linear."""
+    """Largest factor, at most LARGEST_SIZE, at which commands stay within every limit; by halving, because motion is not
+    linear."""
 
     def inside(factor: float) -> bool:
         return _within_limits(bench, limits, factor * commands)
 
     peaks = np.abs(commands).max(axis=0)
     amplitudes_allowed = np.array([limits.amplitude_of(c) for c in bench.controls])
-    high = min(1e3, float(np.min(amplitudes_allowed / np.maximum(peaks, 1e-12))))
+    high = min(LARGEST_SIZE, float(np.min(amplitudes_allowed / np.maximum(peaks, 1e-12))))
     if inside(high):
         return high
     low = 0.0
@@ -86,7 +89,7 @@ def fitted_size(bench: DesignSetting, limits: Limits, commands: Array) -> float:
 
 
 def each_fitted(bench: DesignSetting, limits: Limits, commands: Array) -> Array:
-    """(nu,) factors that bring commands to the limits: all controls together first, then each further by itself."""
+    """(nu,) factors that bring commands to the limits: first all controls together, then each by itself."""
     factors = np.full(len(bench.controls), fitted_size(bench, limits, commands))
     for i in range(len(bench.controls)):
         low, high = 1.0, limits.amplitude_of(bench.controls[i]) / _peak(factors[i] * commands[:, i])
@@ -104,15 +107,15 @@ def _peak(values: Array) -> float:
 
 def _within_limits(bench: DesignSetting, limits: Limits, commands: Array) -> bool:
     motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
-    # a rounding above 1 where a control stands at its own limit
+    # a control at its limit may exceed it by rounding
     return motion.reached and all(u.share <= 1.0 + 1e-9 for u in limits_used(bench, limits, commands, motion))
 
 
 @dataclass(frozen=True)
 class Harmonics:
-    """Per harmonic k: (K,) control it belongs to, (K, n, n) information a unit power, (K, j) power in every limited signal.
+    """For each harmonic its control (K,), information per unit of power (K, n, n), and power in every limited signal (K, j).
 
-    The latter in units in which 1 is at the limit, were all power in one sine.
+    A power of 1 stands for a sine whose amplitude is the limit.
     """
 
     control: NDArray[np.int64]
@@ -122,7 +125,7 @@ class Harmonics:
 
 
 def look_at_harmonics(bench: DesignSetting, limits: Limits, period: float, band: tuple[float, float]) -> Harmonics:
-    """Fly every harmonic alone and small."""
+    """Simulate every harmonic alone and small."""
     time = np.arange(0.0, period, INTEGRATION_STEP)
     controls, matrices, power = [], [], []
     names: tuple[str, ...] = ()
@@ -140,7 +143,7 @@ def look_at_harmonics(bench: DesignSetting, limits: Limits, period: float, band:
 
 
 def allocate(harmonics: Harmonics, scale: Array, criterion: Criterion) -> Array:
-    """(K,) power of each harmonic at which the criterion of the relative covariance is least, no limited signal above 1."""
+    """(K,) power of each harmonic for the least criterion of the relative covariance, no limited signal above 1. scale: (n,)."""
     weights = 1.0 / harmonics.power.sum(axis=1)
     weights /= float((weights @ harmonics.power).max())
     multipliers = np.full(harmonics.power.shape[1], 1.0 / harmonics.power.shape[1])
@@ -148,7 +151,7 @@ def allocate(harmonics: Harmonics, scale: Array, criterion: Criterion) -> Array:
     last = math.inf
     for _ in range(ROUNDS):
         total_information = np.tensordot(weights, relative, axes=1)
-        covariance = np.linalg.pinv(total_information, rcond=1e-12, hermitian=True)
+        covariance = np.linalg.pinv(total_information, rcond=RANK, hermitian=True)
         value, slope = criterion(covariance)
         gain = np.einsum("ij,kji->k", covariance @ slope @ covariance, relative)
         weights = weights * np.sqrt(np.maximum(gain, 0.0) / (harmonics.power @ multipliers))
@@ -163,18 +166,18 @@ def allocate(harmonics: Harmonics, scale: Array, criterion: Criterion) -> Array:
 
 
 def d_optimal(covariance: Array) -> tuple[float, Array]:
-    """Logarithm of the volume of the ellipsoid of errors."""
+    """Criterion: logarithm of the determinant of the covariance."""
     sign, volume = np.linalg.slogdet(covariance)
     return (float(volume) if sign > 0 else math.inf), np.asarray(np.linalg.pinv(covariance, hermitian=True), float)
 
 
 def a_optimal(covariance: Array) -> tuple[float, Array]:
-    """Sum of the squared relative bounds."""
+    """Criterion: sum of the squared relative bounds."""
     return float(np.trace(covariance)), np.eye(len(covariance))
 
 
 def worst_of(chosen: NDArray[np.bool_]) -> Criterion:
-    """The largest of the chosen relative bounds, as a p-norm that has a derivative."""
+    """Criterion: the largest of the chosen relative bounds, as a p-norm, which has a derivative."""
 
     def criterion(covariance: Array) -> tuple[float, Array]:
         variance = np.where(chosen, np.diag(covariance), 0.0)
@@ -188,6 +191,7 @@ def worst_of(chosen: NDArray[np.bool_]) -> Criterion:
 
 
 def one_of(index: int) -> Criterion:
+    """Criterion: the squared relative bound of one parameter."""
 
     def criterion(covariance: Array) -> tuple[float, Array]:
         slope = np.zeros_like(covariance)
@@ -205,9 +209,9 @@ def multisine(
     rng: np.random.Generator,
     weights: Mapping[int, Array] | None = None,
 ) -> Designed:
-    """Orthogonal multisines on all controls, as large as the limits let them.
+    """Orthogonal multisines on all controls, as large as the limits allow.
 
-    weights: control -> (K,) power of its harmonics; None: flat, each control to its own amplitude's share.
+    weights: index of control -> (K,) power of its harmonics; None: equal powers, each control up to its amplitude.
     """
     harmonics_by_control = deal(len(bench.controls), period, band)
     waves = []
@@ -229,21 +233,22 @@ def multisine(
 
 
 def calmest_shifts(bench: DesignSetting, limits: Limits, waves: Sequence[Multisine], time: Array) -> list[Multisine]:
-    """The waves, each but the first shifted to the zero crossing at which the motion keeps furthest from its limits."""
+    """The waves, shifted in turn to the zero crossings at which the motion stays furthest within its limits."""
 
-    def pressed(tried: Sequence[Multisine]) -> float:
-        commands = total(tried, time)
+    def largest_share(waves: Sequence[Multisine]) -> float:
+        """Of any limit of the motion."""
+        commands = total(waves, time)
         motion = fly(bench, commands, float(time[-1]))
         if not motion.reached:
             return math.inf
         return max(u.share for u in limits_used(bench, limits, commands, motion) if u.name not in bench.controls)
 
     chosen_waves = list(waves)
-    if not limits.response or pressed(chosen_waves) <= 1.0:
+    if not limits.response or largest_share(chosen_waves) <= 1.0:
         return chosen_waves
     for i in range(len(chosen_waves)):
         variants = [v for shifted in from_zero(chosen_waves[i])[:SHIFTS] for v in (shifted, shifted.scaled(-1.0))]
-        chosen_waves[i] = min(variants, key=lambda v: pressed([*chosen_waves[:i], v, *chosen_waves[i + 1 :]]))
+        chosen_waves[i] = min(variants, key=lambda v: largest_share([*chosen_waves[:i], v, *chosen_waves[i + 1 :]]))
     return chosen_waves
 
 
@@ -257,10 +262,10 @@ def optimal(
     criterion: Callable[[tuple[str, ...]], Criterion],
     judge: Callable[[Designed], float],
 ) -> Designed:
-    """The multisine of optimal power, or the flat one where the motion itself shows that it tells more.
+    """The multisine of optimal power, or the one of equal powers where the simulated motion is better.
 
-    scale: parameter -> size that its error is measured by (parameters without one enter as they are, constants).
-    criterion: told the names, gives what to make small. judge: of what was flown.
+    scale: parameter -> size by which its error is measured; 1 for a parameter without one, such as a constant. criterion: names
+    of the parameters -> criterion to minimise. judge: of a simulated input, smaller is better.
     """
     harmonics = look_at_harmonics(bench, limits, period, band)
     sizes = np.array([abs(scale.get(n, 0.0)) for n in harmonics.names])
