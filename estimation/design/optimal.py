@@ -62,7 +62,7 @@ def measure(
     bench: DesignSetting, limits: Limits, kind: str, commands: Array, waves: Sequence[Multisine] = ()
 ) -> Designed:
     """Simulate commands: their motion, information and use of limits. EstimationError where the model diverges."""
-    motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
+    motion = fly(bench, commands)
     if not motion.reached:
         raise EstimationError(f"{kind}: the model leaves all bounds in this manoeuvre; make it smaller or shorter")
     limit_use = tuple(limits_used(bench, limits, commands, motion))
@@ -106,7 +106,7 @@ def _peak(values: Array) -> float:
 
 
 def _within_limits(bench: DesignSetting, limits: Limits, commands: Array) -> bool:
-    motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
+    motion = fly(bench, commands)
     # a control at its limit may exceed it by rounding
     return motion.reached and all(u.share <= 1.0 + 1e-9 for u in limits_used(bench, limits, commands, motion))
 
@@ -133,7 +133,7 @@ def look_at_harmonics(bench: DesignSetting, limits: Limits, period: float, band:
         for k in harmonics.tolist():
             commands = np.zeros((time.size, len(bench.controls)))
             commands[:, control] = PROBE * np.sin(2.0 * math.pi * k * time / period)
-            motion = fly(bench, commands, period)
+            motion = fly(bench, commands)
             harmonic_information = information(bench, motion)
             names = harmonic_information.names
             controls.append(control)
@@ -238,7 +238,7 @@ def calmest_shifts(bench: DesignSetting, limits: Limits, waves: Sequence[Multisi
     def largest_share(waves: Sequence[Multisine]) -> float:
         """Of any limit of the motion."""
         commands = total(waves, time)
-        motion = fly(bench, commands, float(time[-1]))
+        motion = fly(bench, commands)
         if not motion.reached:
             return math.inf
         return max(u.share for u in limits_used(bench, limits, commands, motion) if u.name not in bench.controls)

@@ -143,8 +143,8 @@ def _holding(bench: DesignSetting, control: str) -> str:
     return f" + {gain}*({signal} - ({bench.condition.trim_value(signal)!r}))"
 
 
-def fly(bench: DesignSetting, commands: Array, duration: float) -> PredictedMotion:
-    """The motion that commands (N, nu) [rad], increments at INTEGRATION_STEP over `duration` [s], would cause."""
+def fly(bench: DesignSetting, commands: Array) -> PredictedMotion:
+    """The motion caused by commands (N, nu) [rad], increments from trim at INTEGRATION_STEP."""
     model = driven_model(bench)
     time = np.arange(len(commands), dtype=np.float64) * INTEGRATION_STEP
     u = np.tile([bench.condition.trim_value(s.name) for s in model.inputs], (len(time), 1))

@@ -1,4 +1,4 @@
-"""A response with what was fitted to it and what that says: the whole answer, as lines, as JSON, as a page."""
+"""A frequency response with its fit and handling-quality numbers, as lines, as JSON and as a page."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ LINES = 16  # frequencies that the terminal shows
 
 @dataclass(frozen=True)
 class FrequencyResult:
-    """fit: None where none was asked for. numbers: of handling qualities."""
+    """fit: None where no form was given. numbers: of handling qualities."""
 
     response: FrequencyResponse
     fit: TransferFunction | None = None
@@ -53,7 +53,7 @@ def frequency_answer(response: FrequencyResponse, form: str | None, craft: Craft
 
 
 def judged(fit: TransferFunction) -> str:
-    """Whether to believe a fit."""
+    """Whether a fit is acceptable, in words."""
     if fit.cost > ACCEPTABLE:
         return (
             f"the form does not describe the data (cost {fit.cost:.0f}, acceptable up to {ACCEPTABLE:g}); fit "
@@ -63,11 +63,10 @@ def judged(fit: TransferFunction) -> str:
 
 
 def response_lines(result: FrequencyResult) -> Iterator[str]:
-    """What a person reads on the terminal."""
+    """Lines for the terminal."""
     r = result.response
-    conditioned_text = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
     yield (
-        f"{r.output} to {r.input}{conditioned_text}: {r.omega.size} frequencies from {r.omega[0]:.3g} to "
+        f"{r.output} to {r.input}{r.conditioned}: {r.omega.size} frequencies from {r.omega[0]:.3g} to "
         f"{r.omega[-1]:.3g} rad/s, {r.duration:.4g} s of data"
     )
     yield f"  {'rad/s':>8}{'magnitude':>12}{'+-':>10}{'phase [deg]':>13}{'+-':>8}{'coherence':>11}"
@@ -92,7 +91,7 @@ def _fit_lines(result: FrequencyResult, fit: TransferFunction) -> Iterator[str]:
     for name, p in fit.parameters.items():
         yield f"  {name:<12}{p.estimate:11.4g}{p.std:10.2g}{fit.cifer[name]:12.4g}  {p.unit}"
     for n in result.numbers:
-        bound = f" +- {n.std:.2g}" if n.std == n.std else ""
+        bound = "" if math.isnan(n.std) else f" +- {n.std:.2g}"
         level = "" if n.level is None else ", beyond level 3" if n.level > 3 else f", level {n.level}"
         unit = "" if n.unit == "1" else f" {n.unit}"
         yield f"  {n.name} = {n.value:.4g}{bound}{unit}: {n.definition} ({n.source}){level}"
@@ -112,15 +111,14 @@ def write_frequency_report(result: FrequencyResult, flights: Sequence[Flight], f
         Section("table", "Response in numbers", numbers, "Table"),
         Section("provenance_of_flights", "Provenance", [provenance_table(flights)], "Provenance"),
     ]
-    conditioned_text = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
     lengths = ", ".join(f"{w:.3g}" for w in r.windows)
-    lead = f"{', '.join(r.flights)}: {r.duration:.4g} s of data{conditioned_text}; windows of {lengths} s."
+    lead = f"{', '.join(r.flights)}: {r.duration:.4g} s of data{r.conditioned}; windows of {lengths} s."
     page = Page(f"Frequency response of {r.output} to {r.input}", lead, sections)
     return page.write(folder / "index.html", folder / "tables")
 
 
 def _fit_sections(result: FrequencyResult) -> list[Section]:
-    """The transfer function and what it says of handling qualities, where one was fitted."""
+    """The transfer function and its handling qualities, where one was fitted."""
     if result.fit is None:
         return []
     no_level = result.craft.why_no_level
@@ -136,7 +134,7 @@ def _fit_sections(result: FrequencyResult) -> list[Section]:
 
 
 def response_table(result: FrequencyResult) -> ReportTable:
-    """Every frequency kept."""
+    """All frequencies of the response."""
     r = result.response
     rows = tuple(
         (
@@ -167,8 +165,8 @@ def _fit_table(fit: TransferFunction) -> ReportTable:
         ("parameter", "estimate", "bound", "at the least CIFER cost", "unit"),
         rows,
         symbols=False,
-        note="Estimates and bounds by maximum likelihood over the random errors; the bound counts that neighbouring "
-        "frequencies share windows.",
+        note="Estimates and bounds by maximum likelihood over the random errors; the bound allows for neighbouring "
+        "frequencies, which share windows.",
     )
 
 

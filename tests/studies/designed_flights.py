@@ -112,7 +112,7 @@ def again(first: InputDesign, fits: Fits) -> InputDesign:
     bench = first.bench
     means = {n: float(np.mean(v)) for n, v in fits.estimates.items() if n in bench.values}
     changed = replace(bench, values={**bench.values, **means}, noise=fits.residuals, noise_of_residuals=True)
-    flown = fly(changed, first.best.commands, DURATION)
+    flown = fly(changed, first.best.commands)
     best = replace(first.best, motion=flown, information=information(changed, flown))
     return replace(first, bench=changed, best=best)
 

@@ -47,7 +47,7 @@ class TestPrediction:
     def test_trimmed_flight_stays_trimmed(self) -> None:
         model = load_model("longitudinal", AIRCRAFT)
         found = design(model, AIRCRAFT, DesignTask("doublet", 10.0, 16.0))
-        rest = fly(found.bench, np.zeros((250, 1)), 5.0)
+        rest = fly(found.bench, np.zeros((250, 1)))
         for name in model.state_names:
             assert np.ptp(rest.signals[name]) < 1e-6, name
         assert trimmed(model, AIRCRAFT, 16.0, 1.17).trim_value("alpha") == pytest.approx(
@@ -76,8 +76,8 @@ class TestPrediction:
             assert result.parameters[name].std == pytest.approx(std, rel=0.15), name
 
     def test_information_adds_and_scales(self, sines: InputDesign) -> None:
-        small = information(sines.bench, fly(sines.bench, 0.05 * sines.best.commands, 20.0))
-        smaller = information(sines.bench, fly(sines.bench, 0.025 * sines.best.commands, 20.0))
+        small = information(sines.bench, fly(sines.bench, 0.05 * sines.best.commands))
+        smaller = information(sines.bench, fly(sines.bench, 0.025 * sines.best.commands))
         assert small.std["Cl_p"] == pytest.approx(0.5 * smaller.std["Cl_p"], rel=0.02)
 
     def test_bounds_by_inverse_and_what_is_tied_is_infinite(self) -> None:
