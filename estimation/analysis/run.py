@@ -24,19 +24,20 @@ from groundstation.flight.marks import marks_of
 
 METHODS_MEASURED = ("ml", "fem", "ls")
 METHODS_RECONSTRUCTED = ("ml",)
-"""Where angles are reconstructed others take them for known, which they are not."""
+"""Where angles are reconstructed: the other methods would take them as exact."""
 STRUCTURES = ("test", "auto")
-"""How terms beside the model are treated: as it is, and where it is found to lack some, with those added."""
+"""Values of `--structure` in the order of trial: the model as it is, then with the terms that it lacks."""
 FEWEST_FOR_GAP = 2
-"""Flights, those held out included, of which one tells what another lacks."""
-MOST_NEXT = 12
+"""Flights, those held out included."""
+MOST_NEXT = 12  # steps that are proposed
 
 Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Given:
-    """flights: imported, to be estimated from; holdout: kept out of every fit; keys: of what the import of each depends on."""
+    """flights: imported, for the estimate; holdout: left out of every fit; keys: of the import of each; repeated: whether an
+    import was done in this run."""
 
     flights: tuple[Flight, ...]
     holdout: tuple[Flight, ...]
@@ -47,7 +48,7 @@ class Given:
 def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stages: Stages, tell: Tell) -> Analysis:
     """Everything after the import; writes `answer.json` and `index.html` into the folder of the stages.
 
-    aircraft: as `--aircraft`; aircraft_key: of what its file says. tell: told what is being done, and the share of the whole.
+    aircraft: as for `--aircraft`; aircraft_key: digest of its file. tell: takes the present step and the fraction done.
     """
     tell("contradictions", 0.15)
     parts = [without_failures(f) for f in (*given.flights, *given.holdout)]
@@ -76,16 +77,13 @@ def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stage
         if unknown_aircraft
         else _gap(training, holdout, estimate, aircraft, {"air": _keys(air), "estimate": stage.key}, stages, tell)
     )
-    repeated = [
-        n
-        for n, repeated_stage in (("import", given.repeated), ("air", any(s.repeated for _, s in air)))
-        if repeated_stage
-    ]
-    repeated += [
-        n
-        for n, s in (("without aircraft" if unknown_aircraft else "estimate", stage), ("gap", gap))
-        if s and s.repeated
-    ]
+    stages_repeated = {
+        "import": given.repeated,
+        "air": any(s.repeated for _, s in air),
+        "without aircraft" if unknown_aircraft else "estimate": stage.repeated,
+        "gap": gap is not None and gap.repeated,
+    }
+    repeated = [name for name, done in stages_repeated.items() if done]
     content = _content(given, training, contradicted, recipe_of_log, estimate, gap, without_file)
     answer = Analysis(content, _pages(stages.folder, estimate, gap), tuple(repeated))
     write_json(answer.to_json(), stages.folder / "answer.json")
@@ -99,7 +97,7 @@ def _keys(air: Sequence[tuple[Flight, Stage]]) -> list[str]:
 
 
 def _with_air(flight: Flight, key: Sequence[str], stages: Stages, tell: Tell) -> tuple[Flight, Stage]:
-    """The flight with reconstructed air data where no vane measured them and they can be had."""
+    """The flight with reconstructed air data where they were not measured and can be reconstructed; and that stage."""
     path = stages.path(f"air_{flight.name}.mcap")
     have = {c for c in flight.columns if flight.measured(c)}
     if have.issuperset(AIR) or not (have.issuperset(RECONSTRUCTION) and have & set(AIRSPEED)):
@@ -141,21 +139,21 @@ def _estimated(
         lacks = False
         for i, (model, structure) in enumerate((m, s) for m in models for s in STRUCTURES):
             if structure == "auto" and not lacks:
-                continue  # no term would help
+                continue  # no term is lacking
             tell(f"estimate of {model}", 0.35 + 0.3 * i / (len(STRUCTURES) * len(models)))
             answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1, structure=structure)
             recommendation = recommendation_of(answer.to_json())
             if recommendation.get("method", "none") != "none":
-                return _kept(answer, stages.folder, rejected)
+                return _written(answer, stages.folder, rejected)
             lacks = bool(recommendation.get("lacks"))
             rejected.append(f"{model}: {recommendation.get('why', 'nothing recommended')}")
             first = first or answer
-        return _kept(first, stages.folder, rejected[1:]) if first is not None else {}
+        return _written(first, stages.folder, rejected[1:]) if first is not None else {}
 
     return stages.run("estimate", {**key_content, "models": models}, work)
 
 
-def _kept(answer: Any, folder: Path, rejected: Sequence[str]) -> dict[str, Any]:
+def _written(answer: Any, folder: Path, rejected: Sequence[str]) -> dict[str, Any]:
     """The estimate as JSON, its page and its model as files."""
     answer.report(folder / "estimate")
     answer.save(folder / "model.toml")
@@ -171,7 +169,7 @@ def _gap(
     stages: Stages,
     tell: Tell,
 ) -> Stage | None:
-    """What the model lacks, where flights are enough and something is recommended that could lack it."""
+    """What the model lacks, where there are flights enough and an estimate is recommended."""
     if len(training) + len(holdout) < FEWEST_FOR_GAP or recommendation_of(estimate).get("method", "none") == "none":
         return None
     model = str((estimate or {}).get("model", RICHEST[1]))
@@ -209,14 +207,12 @@ def _content(
     gap: Stage | None,
     without_file: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    place = _where(training)
-    verdict = (
-        str(without_file["verdict"])
-        if without_file
-        else verdict_of(estimate, _no_model(training, recipe_of_log), contradicted)
-    )
     if estimate:
-        verdict = verdict_of(estimate, place, contradicted)
+        verdict = verdict_of(estimate, _where(training), contradicted)
+    elif without_file:
+        verdict = str(without_file["verdict"])
+    else:
+        verdict = _no_model(training, recipe_of_log)
     return {
         "version": 1,
         "flights": [_about(f) for f in given.flights],
@@ -282,7 +278,7 @@ def _next(
     gap: Stage | None,
     without_file: Mapping[str, Any] | None,
 ) -> list[str]:
-    """What a person can do, the most telling first."""
+    """Steps that a person can take, the most important first."""
     steps = [f"settle in {c['flight']}: {c['text']}" for c in contradicted if c.get("stops")]
     steps += list(without_file["next"]) if without_file else []
     if without_file and not any(m.able for m in recipe_of_log.models):
