@@ -42,9 +42,9 @@ def without_aircraft(
     ]
     modes = [m for model in models[:1] for m in _modes(flights, model, lines)]
     answers = ", ".join(
-        [*(["wind"] if wind else []), *(["natural motion"] if modes else []), "what the instruments say of each other"]
+        [*(["wind"] if wind else []), *(["natural motion"] if modes else []), "agreement of the instruments"]
     )
-    verdict = f"No derivatives without an aircraft file; {answers} can be told: {'; '.join(lines)}"
+    verdict = f"No derivatives without an aircraft file; {answers} can be found: {'; '.join(lines)}"
     return {
         "verdict": verdict, "lines": lines, "next": [f"for derivatives give {NEEDS}"],
         "compatibility": compatibility, "wind": wind, "modes": modes,

@@ -96,7 +96,7 @@ def group_rows(results: "pa.Table", keys: Sequence[str], starts: Starts = Mappin
         rows += outlier_rows(s, distances)
         inliers = s.part(~(distances > _limit(s)))
         for side in _sides(inliers, starts.get((s.label, s.method, s.parameter), ())):
-            rows += pooled_rows(side, apart=side is not inliers)
+            rows += pooled_rows(side, one_side=side is not inliers)
     return rows
 
 
@@ -155,8 +155,8 @@ def outlier_rows(s: ParameterSeries, distance: Array) -> Iterator[Row]:
         }
 
 
-def pooled_rows(s: ParameterSeries, *, apart: bool = False) -> Iterator[Row]:
-    """The pooled estimate with the scatter of the flights against their bounds. apart: these flights are one side of a step."""
+def pooled_rows(s: ParameterSeries, *, one_side: bool = False) -> Iterator[Row]:
+    """The pooled estimate with the scatter of the flights against their bounds. one_side: of a step."""
     if s.y.size < FEWEST_TO_POOL:
         return
     fit = pooling.pool(s.y, s.v)
@@ -167,8 +167,8 @@ def pooled_rows(s: ParameterSeries, *, apart: bool = False) -> Iterator[Row]:
         text = f"scatter is {scatter / bound:.1f} times the bounds: these are too small, or the flights differ"
     yield {
         **_group_columns(s),
-        "since": s.dates[0] if apart else None,
-        "until": s.dates[-1] if apart else None,
+        "since": s.dates[0] if one_side else None,
+        "until": s.dates[-1] if one_side else None,
         "kind": "pooled",
         "estimate": float(fit.b[0]),
         "std": float(fit.std[0]),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ORDER = ("flight", "source", "group", "key", "manoeuvre", "kind", "place", "parameter")
 CONDITIONS = ("flight", "source", "manoeuvre", "aircraft", "configuration", "date", "day", "mass", "cg", "group")
-"""Columns that the present plan states, whatever it said on the day of the work."""
+"""Columns that come from the present plan, which may have changed since the work."""
 BY_WORKER = ("aircraft", "manoeuvre", "group")
 """Those of them in which a worker's value replaces the plan's."""
 

@@ -172,7 +172,7 @@ def _filter_note(errors: dict[str, float]) -> tuple[str, ...]:
         return ()
     return (
         f"attitude is smoother than its gyro: it comes from a filter, whose slow errors ({', '.join(sizes)}) are allowed for; "
-        "no bias of ax or ay can be told much better than that much of gravity",
+        "a bias of ax or ay cannot be known much better than that share of gravity",
     )
 
 

@@ -80,7 +80,7 @@ class InputDesign:
     """The designed input, doublets of equal length under the same limits, and the sizes by which errors are measured."""
 
     task: DesignTask
-    bench: DesignSetting
+    setting: DesignSetting
     limits: Limits
     best: Designed
     doublets: Designed
@@ -100,7 +100,7 @@ class InputDesign:
 
     def _expected(self, designed: Designed) -> dict[str, float]:
         task = self.task
-        return expected_errors(self.bench, designed.motion, designed.information.std, task.seed, task.draws)
+        return expected_errors(self.setting, designed.motion, designed.information.std, task.seed, task.draws)
 
     @property
     def relative(self) -> dict[str, float]:
@@ -126,9 +126,9 @@ class InputDesign:
             Manoeuvre(
                 self.best.kind,
                 INTEGRATION_STEP,
-                {c: tuple(commands[:, i].tolist()) for i, c in enumerate(self.bench.controls)},
+                {c: tuple(commands[:, i].tolist()) for i, c in enumerate(self.setting.controls)},
                 aircraft=self.aircraft,
-                model=self.bench.model.name,
+                model=self.setting.model.name,
                 limits={u.name: {"used": u.used, "allowed": u.allowed} for u in self.best.used},
                 predicted={n: {"std": s} for n, s in std.items() if math.isfinite(s)},
                 about={
@@ -147,7 +147,7 @@ class InputDesign:
         return {
             "kind": self.best.kind,
             "time": self.best.motion.time.tolist(),
-            "inputs": {c: self.best.commands[:, i].tolist() for i, c in enumerate(self.bench.controls)},
+            "inputs": {c: self.best.commands[:, i].tolist() for i, c in enumerate(self.setting.controls)},
             "predicted": {
                 n: {
                     "std": finite_or_none(s),
@@ -167,7 +167,7 @@ class InputDesign:
     def peak_factors(self) -> dict[str, float]:
         """Relative peak factor of each control; of multisines over a period."""
         rows = self.best.commands[:-1] if self.best.waves else self.best.commands
-        return {c: relative_peak_factor(rows[:, i]) for i, c in enumerate(self.bench.controls)}
+        return {c: relative_peak_factor(rows[:, i]) for i, c in enumerate(self.setting.controls)}
 
 
 def relative_errors(std: Mapping[str, float], sizes: Mapping[str, float]) -> dict[str, float]:
@@ -191,23 +191,23 @@ def design(model: Model, aircraft: Aircraft, task: DesignTask, limits: Limits | 
     limits_allowed = limits or usual_limits()
     valued_model = with_values(model, task.values)
     condition = trimmed(valued_model, aircraft, task.speed, task.density)
-    bench = _bench(valued_model, condition, task)
+    setting = _setting(valued_model, condition, task)
     sizes = _sizes(valued_model, task)
     rng = np.random.default_rng([task.seed, 20])
-    doublets = pattern_set(bench, limits_allowed, "doublet", task.duration, sizes)
-    _refuse_untold(bench, doublets, task)
+    doublets = pattern_set(setting, limits_allowed, "doublet", task.duration, sizes)
+    _refuse_untold(setting, doublets, task)
     if task.kind == "doublet":
         chosen_design = doublets
     elif task.kind in PATTERNS:
-        chosen_design = pattern_set(bench, limits_allowed, task.kind, task.duration, sizes)
+        chosen_design = pattern_set(setting, limits_allowed, task.kind, task.duration, sizes)
     elif task.kind == "chirp":
-        chosen_design = chirp_set(bench, limits_allowed, task.duration, task.band)
+        chosen_design = chirp_set(setting, limits_allowed, task.duration, task.band)
     else:
-        chosen_design = _sines(bench, limits_allowed, task, sizes, rng, doublets)
-    return InputDesign(task, bench, limits_allowed, chosen_design, doublets, sizes, aircraft.name, condition.notes)
+        chosen_design = _sines(setting, limits_allowed, task, sizes, rng, doublets)
+    return InputDesign(task, setting, limits_allowed, chosen_design, doublets, sizes, aircraft.name, condition.notes)
 
 
-def _bench(model: Model, condition: Condition, task: DesignTask) -> DesignSetting:
+def _setting(model: Model, condition: Condition, task: DesignTask) -> DesignSetting:
     controls = task.controls or tuple(s.name for s in model.inputs if s.control)
     values = {p.name: p.start for p in model.parameters}
     return DesignSetting(
@@ -231,51 +231,52 @@ def _sizes(model: Model, task: DesignTask) -> dict[str, float]:
     return {n: sizes[n] for n in task.separate} if task.separate else sizes
 
 
-def _refuse_untold(bench: DesignSetting, doublets: Designed, task: DesignTask) -> None:
+def _refuse_untold(setting: DesignSetting, doublets: Designed, task: DesignTask) -> None:
     """Raise EstimationError for parameters that doublets on every control do not separate: no motion of these controls does."""
     std = doublets.information.std
     tied = [n for n in task.separate if math.isinf(std[n])]
     if tied:
         raise EstimationError(
-            f"{' and '.join(tied)}: no motion of {', '.join(bench.controls)} in model {bench.model.name} tells them from the "
-            "other parameters; design with a model of more controls (--model six-dof), or look on the bench"
+            f"{' and '.join(tied)}: no motion of {', '.join(setting.controls)} in model {setting.model.name} tells them from the "
+            "other parameters; design with a model of more controls (--model six-dof), or look on the setting"
         )
 
 
 def pattern_set(
-    bench: DesignSetting, limits: Limits, name: str, duration: float, sizes: Mapping[str, float]
+    setting: DesignSetting, limits: Limits, name: str, duration: float, sizes: Mapping[str, float]
 ) -> Designed:
     """A pattern REPEATS times on each control, one after the other, of the step width with the smallest worst relative bound."""
     time = np.arange(0.0, duration + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
-    slots = REPEATS * len(bench.controls)
+    slots = REPEATS * len(setting.controls)
     room = (duration - FIRST) / slots
     widths = [w for w in WIDTHS if len(PATTERNS[name]) * w + FIRST <= room] or [FILLED * room / len(PATTERNS[name])]
 
     def flown(width: float) -> Designed:
-        commands = np.zeros((time.size, len(bench.controls)))
+        commands = np.zeros((time.size, len(setting.controls)))
         for slot in range(slots):
-            i = slot % len(bench.controls)
-            control = bench.controls[i]
+            i = slot % len(setting.controls)
+            control = setting.controls[i]
             start = FIRST + slot * room
             commands[:, i] += pattern(name, time, start, width, limits.amplitude_of(control), limits.rate_of(control))
-        return measure(bench, limits, name, each_fitted(bench, limits, commands) * commands)
+        return measure(setting, limits, name, each_fitted(setting, limits, commands) * commands)
 
     return min(map(flown, widths), key=lambda d: max(relative_bounds(d, sizes).values()))
 
 
-def chirp_set(bench: DesignSetting, limits: Limits, duration: float, band: tuple[float, float]) -> Designed:
+def chirp_set(setting: DesignSetting, limits: Limits, duration: float, band: tuple[float, float]) -> Designed:
     """A sweep on each control, one after the other."""
     time = np.arange(0.0, duration + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
-    room = (duration - FIRST) / len(bench.controls)
+    room = (duration - FIRST) / len(setting.controls)
     columns = [
-        chirp(time, FIRST + i * room, SWEPT * room, band, limits.amplitude_of(c)) for i, c in enumerate(bench.controls)
+        chirp(time, FIRST + i * room, SWEPT * room, band, limits.amplitude_of(c))
+        for i, c in enumerate(setting.controls)
     ]
     commands = np.column_stack(columns)
-    return measure(bench, limits, "chirp", each_fitted(bench, limits, commands) * commands)
+    return measure(setting, limits, "chirp", each_fitted(setting, limits, commands) * commands)
 
 
 def _sines(
-    bench: DesignSetting,
+    setting: DesignSetting,
     limits: Limits,
     task: DesignTask,
     sizes: Mapping[str, float],
@@ -285,20 +286,22 @@ def _sines(
     """A multisine; of kind optimal, the best of optimal and flat multisines, doublets and 3-2-1-1s."""
     try:
         if task.kind == "multisine":
-            return multisine(bench, limits, task.duration, task.band, rng)
+            return multisine(setting, limits, task.duration, task.band, rng)
         choose, judge = _criterion(task, sizes)
-        steps = pattern_set(bench, limits, "3211", task.duration, sizes)
-        sines = [optimal(bench, limits, task.duration, band, rng, sizes, choose, judge) for band in _bands(bench, task)]
+        steps = pattern_set(setting, limits, "3211", task.duration, sizes)
+        sines = [
+            optimal(setting, limits, task.duration, band, rng, sizes, choose, judge) for band in _bands(setting, task)
+        ]
         return min((*sines, steps, doublets), key=judge)
     except ValueError as error:
         raise EstimationError(f"--time {task.duration:g}: {error}; give more time or a wider --band") from error
 
 
-def _bands(bench: DesignSetting, task: DesignTask) -> list[tuple[float, float]]:
+def _bands(setting: DesignSetting, task: DesignTask) -> list[tuple[float, float]]:
     """Bands that are tried for an optimal input: the one given, and narrower ones with two harmonics for each control. Where a
     limited signal answers low frequencies most, power near the top of the band is wasted."""
     low, high = task.band
-    fewest = 2 * len(bench.controls) / task.duration
+    fewest = 2 * len(setting.controls) / task.duration
     return [(low, f * high) for f in NARROWER if f == 1.0 or f * high - low > fewest]
 
 

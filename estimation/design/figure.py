@@ -25,7 +25,7 @@ def write_figure(input_design: InputDesign, path: Path) -> None:
 
 
 def _draw(page: Any, input_design: InputDesign) -> None:
-    controls, motion = input_design.bench.controls, input_design.best.motion
+    controls, motion = input_design.setting.controls, input_design.best.motion
     limited = [u for u in input_design.best.used if u.name in motion.signals and u.name not in controls]
     rows = len(controls) + len(limited)
     page.set_size_inches(8.5, 1.3 * rows + 2.6)

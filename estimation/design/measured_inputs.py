@@ -39,7 +39,7 @@ SURFACE_NOISE = math.radians(0.07)
 
 
 def expected_errors(
-    bench: DesignSetting, motion: PredictedMotion, bounds: Mapping[str, float], seed: int, draws: int = DRAWS
+    setting: DesignSetting, motion: PredictedMotion, bounds: Mapping[str, float], seed: int, draws: int = DRAWS
 ) -> dict[str, float]:
     """Parameter -> standard deviation of estimates from this motion with all sensors noisy.
 
@@ -47,31 +47,33 @@ def expected_errors(
     least LEAST_DRAWS, for a manoeuvre of more than USUAL_SAMPLES. Raises EstimationError where the model diverges.
     """
     rng = np.random.default_rng([seed, 21])
-    simulator = Simulator.build(bench.model)
-    values = {**bench.model.starts(), **bench.values}
-    x0 = np.array([bench.condition.trim_value(s.name) for s in bench.model.states])
-    run = simulator.run(_flight(bench, motion, None).segments[0], values, x0, sensitivities=True)
+    simulator = Simulator.build(setting.model)
+    values = {**setting.model.starts(), **setting.values}
+    x0 = np.array([setting.condition.trim_value(s.name) for s in setting.model.states])
+    run = simulator.run(_flight(setting, motion, None).segments[0], values, x0, sensitivities=True)
     if run.dy is None or not run.finite:
         raise EstimationError(
-            f"model {bench.model.name} leaves all bounds in this manoeuvre; make it smaller or shorter"
+            f"model {setting.model.name} leaves all bounds in this manoeuvre; make it smaller or shorter"
         )
     count = draws if len(run.y) <= USUAL_SAMPLES else max(LEAST_DRAWS, draws * USUAL_SAMPLES // len(run.y))
-    output_errors = [simulator.run(_flight(bench, motion, rng).segments[0], values, x0).y - run.y for _ in range(count)]
+    output_errors = [
+        simulator.run(_flight(setting, motion, rng).segments[0], values, x0).y - run.y for _ in range(count)
+    ]
     finite = [d for d in output_errors if np.isfinite(d).all()]
     if not finite:
         raise EstimationError(
-            f"model {bench.model.name} leaves all bounds where its inputs are as noisy as measured ones"
+            f"model {setting.model.name} leaves all bounds where its inputs are as noisy as measured ones"
         )
     error_covariance = np.mean([d.T @ d / len(d) for d in finite], axis=0)
-    std = _scatter(run.dy, _sensor_noise(bench, run.y, np.diag(error_covariance)), error_covariance, finite)
+    std = _scatter(run.dy, _sensor_noise(setting, run.y, np.diag(error_covariance)), error_covariance, finite)
     return {n: float(std[i]) if math.isfinite(bounds[n]) else math.inf for i, n in enumerate(simulator.free)}
 
 
-def _sensor_noise(bench: DesignSetting, y: Array, from_inputs: Array) -> Array:
+def _sensor_noise(setting: DesignSetting, y: Array, from_inputs: Array) -> Array:
     """(ny, ny) covariance R of the sensors. from_inputs (ny,): variance that noisy inputs add to the residuals."""
-    variance = np.array([output_noise(bench, s, y[:, i]) ** 2 for i, s in enumerate(bench.model.outputs)])
+    variance = np.array([output_noise(setting, s, y[:, i]) ** 2 for i, s in enumerate(setting.model.outputs)])
     return np.diag(
-        np.maximum(variance - from_inputs, LEAST_SENSOR_SHARE * variance) if bench.noise_of_residuals else variance
+        np.maximum(variance - from_inputs, LEAST_SENSOR_SHARE * variance) if setting.noise_of_residuals else variance
     )
 
 
@@ -90,25 +92,25 @@ def _scatter(sensitivities: Array, sensor_noise: Array, error_covariance: Array,
     return np.sqrt(np.diag(inverse @ middle @ inverse)) / scale
 
 
-def _flight(bench: DesignSetting, motion: PredictedMotion, rng: np.random.Generator | None) -> FlightData:
+def _flight(setting: DesignSetting, motion: PredictedMotion, rng: np.random.Generator | None) -> FlightData:
     """The motion prepared for the model like a recorded flight. rng: of the noise on the inputs, None for exact ones."""
-    keep = sampled(bench, motion)
+    keep = sampled(setting, motion)
     columns = {}
-    for signal in (*bench.model.inputs, *bench.model.states, *bench.model.outputs):
+    for signal in (*setting.model.inputs, *setting.model.states, *setting.model.outputs):
         values = motion.surfaces.get(signal.name, motion.signals.get(signal.name))
         columns[signal.source] = (
-            np.full(keep.size, bench.condition.trim_value(signal.name)) if values is None else values[keep]
+            np.full(keep.size, setting.condition.trim_value(signal.name)) if values is None else values[keep]
         )
     if rng is not None:
-        for signal in bench.model.inputs:
-            columns[signal.source] = columns[signal.source] + input_noise(bench, signal) * rng.standard_normal(
+        for signal in setting.model.inputs:
+            columns[signal.source] = columns[signal.source] + input_noise(setting, signal) * rng.standard_normal(
                 keep.size
             )
-    return prepare_all(bench.model, Flight.build("predicted", motion.time[keep], columns))[0]
+    return prepare_all(setting.model, Flight.build("predicted", motion.time[keep], columns))[0]
 
 
-def input_noise(bench: DesignSetting, signal: Signal) -> float:
+def input_noise(setting: DesignSetting, signal: Signal) -> float:
     """Noise of one input's instrument, 1 sigma; 0 where it is not known."""
     if signal.control:
-        return bench.noise.get(signal.name, SURFACE_NOISE)
-    return bench.noise.get(signal.name, INPUT_NOISE.get(signal.name, 0.0))
+        return setting.noise.get(signal.name, SURFACE_NOISE)
+    return setting.noise.get(signal.name, INPUT_NOISE.get(signal.name, 0.0))

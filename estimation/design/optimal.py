@@ -59,25 +59,25 @@ class Designed:
 
 
 def measure(
-    bench: DesignSetting, limits: Limits, kind: str, commands: Array, waves: Sequence[Multisine] = ()
+    setting: DesignSetting, limits: Limits, kind: str, commands: Array, waves: Sequence[Multisine] = ()
 ) -> Designed:
     """Simulate commands: their motion, information and use of limits. EstimationError where the model diverges."""
-    motion = fly(bench, commands)
+    motion = fly(setting, commands)
     if not motion.reached:
         raise EstimationError(f"{kind}: the model leaves all bounds in this manoeuvre; make it smaller or shorter")
-    limit_use = tuple(limits_used(bench, limits, commands, motion))
-    return Designed(kind, commands, motion, information(bench, motion), limit_use, tuple(waves))
+    limit_use = tuple(limits_used(setting, limits, commands, motion))
+    return Designed(kind, commands, motion, information(setting, motion), limit_use, tuple(waves))
 
 
-def fitted_size(bench: DesignSetting, limits: Limits, commands: Array) -> float:
+def fitted_size(setting: DesignSetting, limits: Limits, commands: Array) -> float:
     """Largest factor, at most LARGEST_SIZE, at which commands stay within every limit; by halving, because motion is not
     linear."""
 
     def inside(factor: float) -> bool:
-        return _within_limits(bench, limits, factor * commands)
+        return _within_limits(setting, limits, factor * commands)
 
     peaks = np.abs(commands).max(axis=0)
-    amplitudes_allowed = np.array([limits.amplitude_of(c) for c in bench.controls])
+    amplitudes_allowed = np.array([limits.amplitude_of(c) for c in setting.controls])
     high = min(LARGEST_SIZE, float(np.min(amplitudes_allowed / np.maximum(peaks, 1e-12))))
     if inside(high):
         return high
@@ -88,15 +88,15 @@ def fitted_size(bench: DesignSetting, limits: Limits, commands: Array) -> float:
     return low
 
 
-def each_fitted(bench: DesignSetting, limits: Limits, commands: Array) -> Array:
+def each_fitted(setting: DesignSetting, limits: Limits, commands: Array) -> Array:
     """(nu,) factors that bring commands to the limits: first all controls together, then each by itself."""
-    factors = np.full(len(bench.controls), fitted_size(bench, limits, commands))
-    for i in range(len(bench.controls)):
-        low, high = 1.0, limits.amplitude_of(bench.controls[i]) / _peak(factors[i] * commands[:, i])
+    factors = np.full(len(setting.controls), fitted_size(setting, limits, commands))
+    for i in range(len(setting.controls)):
+        low, high = 1.0, limits.amplitude_of(setting.controls[i]) / _peak(factors[i] * commands[:, i])
         for _ in range(SIZES if high > 1.0 + 1e-6 else 0):
             middle = 0.5 * (low + high)
             trial_factors = factors * np.where(np.arange(factors.size) == i, middle, 1.0)
-            low, high = (middle, high) if _within_limits(bench, limits, trial_factors * commands) else (low, middle)
+            low, high = (middle, high) if _within_limits(setting, limits, trial_factors * commands) else (low, middle)
         factors[i] *= low
     return factors
 
@@ -105,10 +105,10 @@ def _peak(values: Array) -> float:
     return max(float(np.abs(values).max()), 1e-12)
 
 
-def _within_limits(bench: DesignSetting, limits: Limits, commands: Array) -> bool:
-    motion = fly(bench, commands)
+def _within_limits(setting: DesignSetting, limits: Limits, commands: Array) -> bool:
+    motion = fly(setting, commands)
     # a control at its limit may exceed it by rounding
-    return motion.reached and all(u.share <= 1.0 + 1e-9 for u in limits_used(bench, limits, commands, motion))
+    return motion.reached and all(u.share <= 1.0 + 1e-9 for u in limits_used(setting, limits, commands, motion))
 
 
 @dataclass(frozen=True)
@@ -124,21 +124,21 @@ class Harmonics:
     names: tuple[str, ...]
 
 
-def look_at_harmonics(bench: DesignSetting, limits: Limits, period: float, band: tuple[float, float]) -> Harmonics:
+def look_at_harmonics(setting: DesignSetting, limits: Limits, period: float, band: tuple[float, float]) -> Harmonics:
     """Simulate every harmonic alone and small."""
     time = np.arange(0.0, period, INTEGRATION_STEP)
     controls, matrices, power = [], [], []
     names: tuple[str, ...] = ()
-    for control, harmonics in enumerate(deal(len(bench.controls), period, band)):
+    for control, harmonics in enumerate(deal(len(setting.controls), period, band)):
         for k in harmonics.tolist():
-            commands = np.zeros((time.size, len(bench.controls)))
+            commands = np.zeros((time.size, len(setting.controls)))
             commands[:, control] = PROBE * np.sin(2.0 * math.pi * k * time / period)
-            motion = fly(bench, commands)
-            harmonic_information = information(bench, motion)
+            motion = fly(setting, commands)
+            harmonic_information = information(setting, motion)
             names = harmonic_information.names
             controls.append(control)
             matrices.append(harmonic_information.matrix / (0.5 * PROBE**2))
-            power.append([u.share**2 / (0.5 * PROBE**2) for u in limits_used(bench, limits, commands, motion)])
+            power.append([u.share**2 / (0.5 * PROBE**2) for u in limits_used(setting, limits, commands, motion)])
     return Harmonics(np.array(controls), np.array(matrices), np.array(power), names)
 
 
@@ -202,7 +202,7 @@ def one_of(index: int) -> Criterion:
 
 
 def multisine(
-    bench: DesignSetting,
+    setting: DesignSetting,
     limits: Limits,
     period: float,
     band: tuple[float, float],
@@ -213,9 +213,9 @@ def multisine(
 
     weights: index of control -> (K,) power of its harmonics; None: equal powers, each control up to its amplitude.
     """
-    harmonics_by_control = deal(len(bench.controls), period, band)
+    harmonics_by_control = deal(len(setting.controls), period, band)
     waves = []
-    for i, (control, harmonics) in enumerate(zip(bench.controls, harmonics_by_control, strict=True)):
+    for i, (control, harmonics) in enumerate(zip(setting.controls, harmonics_by_control, strict=True)):
         power = flat(harmonics.size) if weights is None else weights[i]
         keep = power >= LEAST_SHARE * power.max()
         wave = low_peak_multisine(
@@ -225,23 +225,23 @@ def multisine(
         size = limits.amplitude_of(control) / peak if weights is None else math.sqrt(float(power.sum()))
         waves.append(wave.scaled(size))
     time = np.arange(0.0, period + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
-    waves = calmest_shifts(bench, limits, waves, time)
+    waves = calmest_shifts(setting, limits, waves, time)
     commands = total(waves, time)
-    factors = each_fitted(bench, limits, commands)
+    factors = each_fitted(setting, limits, commands)
     waves = [w.scaled(f) for w, f in zip(waves, factors.tolist(), strict=True)]
-    return measure(bench, limits, "multisine", factors * commands, waves)
+    return measure(setting, limits, "multisine", factors * commands, waves)
 
 
-def calmest_shifts(bench: DesignSetting, limits: Limits, waves: Sequence[Multisine], time: Array) -> list[Multisine]:
+def calmest_shifts(setting: DesignSetting, limits: Limits, waves: Sequence[Multisine], time: Array) -> list[Multisine]:
     """The waves, shifted in turn to the zero crossings at which the motion stays furthest within its limits."""
 
     def largest_share(waves: Sequence[Multisine]) -> float:
         """Of any limit of the motion."""
         commands = total(waves, time)
-        motion = fly(bench, commands)
+        motion = fly(setting, commands)
         if not motion.reached:
             return math.inf
-        return max(u.share for u in limits_used(bench, limits, commands, motion) if u.name not in bench.controls)
+        return max(u.share for u in limits_used(setting, limits, commands, motion) if u.name not in setting.controls)
 
     chosen_waves = list(waves)
     if not limits.response or largest_share(chosen_waves) <= 1.0:
@@ -253,7 +253,7 @@ def calmest_shifts(bench: DesignSetting, limits: Limits, waves: Sequence[Multisi
 
 
 def optimal(
-    bench: DesignSetting,
+    setting: DesignSetting,
     limits: Limits,
     period: float,
     band: tuple[float, float],
@@ -267,9 +267,9 @@ def optimal(
     scale: parameter -> size by which its error is measured; 1 for a parameter without one, such as a constant. criterion: names
     of the parameters -> criterion to minimise. judge: of a simulated input, smaller is better.
     """
-    harmonics = look_at_harmonics(bench, limits, period, band)
+    harmonics = look_at_harmonics(setting, limits, period, band)
     sizes = np.array([abs(scale.get(n, 0.0)) for n in harmonics.names])
     weights = allocate(harmonics, np.where(sizes > 0.0, sizes, 1.0), criterion(harmonics.names))
-    shares = {i: weights[harmonics.control == i] for i in range(len(bench.controls))}
-    candidates = (multisine(bench, limits, period, band, rng), multisine(bench, limits, period, band, rng, shares))
+    shares = {i: weights[harmonics.control == i] for i in range(len(setting.controls))}
+    candidates = (multisine(setting, limits, period, band, rng), multisine(setting, limits, period, band, rng, shares))
     return replace(min(candidates, key=judge), kind="optimal")

@@ -114,13 +114,13 @@ class DesignInformation:
         return dict(zip(self.names, bound.tolist(), strict=True))
 
 
-def driven_model(bench: DesignSetting) -> Model:
+def driven_model(setting: DesignSetting) -> Model:
     """The model with a servo before each control: control becomes a state, its command `<control>_command` an input."""
-    model = bench.model
-    inputs = tuple(s for s in model.inputs if s.name not in bench.controls)
-    commands = tuple(Signal(f"{c}_command", "rad") for c in bench.controls)
-    states = tuple(Signal(c, "rad") for c in bench.controls)
-    lines = [f"{c}_dot = ({c}_command{_holding(bench, c)} - {c})/servo_lag" for c in bench.controls]
+    model = setting.model
+    inputs = tuple(s for s in model.inputs if s.name not in setting.controls)
+    commands = tuple(Signal(f"{c}_command", "rad") for c in setting.controls)
+    states = tuple(Signal(c, "rad") for c in setting.controls)
+    lines = [f"{c}_dot = ({c}_command{_holding(setting, c)} - {c})/servo_lag" for c in setting.controls]
     return replace(
         model,
         name=f"{model.name}, driven",
@@ -135,54 +135,54 @@ def driven_model(bench: DesignSetting) -> Model:
     )
 
 
-def _holding(bench: DesignSetting, control: str) -> str:
+def _holding(setting: DesignSetting, control: str) -> str:
     hold = HOLD_GAIN.get(control)
-    if not bench.held or hold is None or hold[0] not in bench.model.state_names:
+    if not setting.held or hold is None or hold[0] not in setting.model.state_names:
         return ""
     signal, gain = hold
-    return f" + {gain}*({signal} - ({bench.condition.trim_value(signal)!r}))"
+    return f" + {gain}*({signal} - ({setting.condition.trim_value(signal)!r}))"
 
 
-def fly(bench: DesignSetting, commands: Array) -> PredictedMotion:
+def fly(setting: DesignSetting, commands: Array) -> PredictedMotion:
     """The motion caused by commands (N, nu) [rad], increments from trim at INTEGRATION_STEP."""
-    model = driven_model(bench)
+    model = driven_model(setting)
     time = np.arange(len(commands), dtype=np.float64) * INTEGRATION_STEP
-    u = np.tile([bench.condition.trim_value(s.name) for s in model.inputs], (len(time), 1))
-    first = len(model.inputs) - len(bench.controls)
-    trim = np.array([bench.condition.trim_value(c) for c in bench.controls])
+    u = np.tile([setting.condition.trim_value(s.name) for s in model.inputs], (len(time), 1))
+    first = len(model.inputs) - len(setting.controls)
+    trim = np.array([setting.condition.trim_value(c) for c in setting.controls])
     u[:, first:] = trim + commands
-    x0 = np.array([bench.condition.trim_value(s.name) for s in model.states])
+    x0 = np.array([setting.condition.trim_value(s.name) for s in model.states])
     z = np.full((len(time), len(model.outputs)), np.nan)
     simulator = Simulator.build(model, (), hold="linear")
-    motion = simulator.run(Segment(0, time, u, z, x0), {**model.starts(), **bench.values}, x0)
-    surfaces = {c: motion.x[:, len(bench.model.states) + i] for i, c in enumerate(bench.controls)}
-    signals = {s.name: motion.x[:, i] for i, s in enumerate(bench.model.states)}
-    signals |= {s.name: motion.y[:, i] for i, s in enumerate(bench.model.outputs)}
+    motion = simulator.run(Segment(0, time, u, z, x0), {**model.starts(), **setting.values}, x0)
+    surfaces = {c: motion.x[:, len(setting.model.states) + i] for i, c in enumerate(setting.controls)}
+    signals = {s.name: motion.x[:, i] for i, s in enumerate(setting.model.states)}
+    signals |= {s.name: motion.y[:, i] for i, s in enumerate(setting.model.outputs)}
     return PredictedMotion(time, surfaces, signals, motion.reached == len(time))
 
 
-def sampled(bench: DesignSetting, motion: PredictedMotion) -> NDArray[np.intp]:
+def sampled(setting: DesignSetting, motion: PredictedMotion) -> NDArray[np.intp]:
     """Indices of the steps of the motion at which samples are taken."""
-    return np.arange(0, len(motion.time), max(1, round(1.0 / (bench.rate_hz * INTEGRATION_STEP))))
+    return np.arange(0, len(motion.time), max(1, round(1.0 / (setting.rate_hz * INTEGRATION_STEP))))
 
 
-def information(bench: DesignSetting, motion: PredictedMotion) -> DesignInformation:
+def information(setting: DesignSetting, motion: PredictedMotion) -> DesignInformation:
     """The information of samples of this motion on the free parameters. EstimationError where the model diverges."""
-    keep = sampled(bench, motion)
-    model = bench.model
-    u = np.tile([bench.condition.trim_value(s.name) for s in model.inputs], (keep.size, 1))
+    keep = sampled(setting, motion)
+    model = setting.model
+    u = np.tile([setting.condition.trim_value(s.name) for s in model.inputs], (keep.size, 1))
     for i, signal in enumerate(model.inputs):
         if signal.name in motion.surfaces:
             u[:, i] = motion.surfaces[signal.name][keep]
-    x0 = np.array([bench.condition.trim_value(s.name) for s in model.states])
+    x0 = np.array([setting.condition.trim_value(s.name) for s in model.states])
     z = np.full((keep.size, len(model.outputs)), np.nan)
     simulator = Simulator.build(model)
     run = simulator.run(
-        Segment(0, motion.time[keep], u, z, x0), {**model.starts(), **bench.values}, x0, sensitivities=True
+        Segment(0, motion.time[keep], u, z, x0), {**model.starts(), **setting.values}, x0, sensitivities=True
     )
     if run.dy is None or not run.finite:
         raise EstimationError(f"model {model.name} leaves all bounds in this manoeuvre; make it smaller or shorter")
-    sigma = np.array([output_noise(bench, s, run.y[:, i]) for i, s in enumerate(model.outputs)])
+    sigma = np.array([output_noise(setting, s, run.y[:, i]) for i, s in enumerate(model.outputs)])
     scaled = (run.dy / sigma[None, :, None]).reshape(-1, run.dy.shape[2])
     full = scaled.T @ scaled
     n = len(simulator.free)
@@ -193,16 +193,16 @@ def information(bench: DesignSetting, motion: PredictedMotion) -> DesignInformat
     return DesignInformation(simulator.free, 0.5 * (parameter_information + parameter_information.T))
 
 
-def output_noise(bench: DesignSetting, signal: Signal, values: Array) -> float:
+def output_noise(setting: DesignSetting, signal: Signal, values: Array) -> float:
     """Noise of one output's instrument, 1 sigma."""
-    stated_noise = bench.noise.get(signal.name, NOISE.get(signal.name))
+    stated_noise = setting.noise.get(signal.name, NOISE.get(signal.name))
     return stated_noise if stated_noise else max(OTHER_NOISE_SHARE * float(np.ptp(values)), 1e-9)
 
 
-def limits_used(bench: DesignSetting, limits: Limits, commands: Array, motion: PredictedMotion) -> list[LimitUse]:
+def limits_used(setting: DesignSetting, limits: Limits, commands: Array, motion: PredictedMotion) -> list[LimitUse]:
     """The use of every limit by a manoeuvre; limits on signals that the model does not have are left out."""
     limit_uses = [
-        LimitUse(c, float(np.abs(commands[:, i]).max()), limits.amplitude_of(c)) for i, c in enumerate(bench.controls)
+        LimitUse(c, float(np.abs(commands[:, i]).max()), limits.amplitude_of(c)) for i, c in enumerate(setting.controls)
     ]
     signals = dict(motion.signals)
     if "az" in signals:

@@ -8,7 +8,7 @@ from typing import Any
 
 from daq.utilities.constants import RADIAN
 from estimation.frequency.figure import response_picture
-from estimation.frequency.handling import Craft, Number, handling
+from estimation.frequency.handling import Number, RatedAircraft, handling
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import TransferFunction, fit_transfer
 from estimation.report.flight_tables import provenance_table
@@ -27,7 +27,7 @@ class FrequencyResult:
     response: FrequencyResponse
     fit: TransferFunction | None = None
     numbers: tuple[Number, ...] = ()
-    craft: Craft = field(default_factory=Craft)
+    aircraft: RatedAircraft = field(default_factory=RatedAircraft)
 
     def to_json(self) -> dict[str, Any]:
         data = self.response.to_json()
@@ -38,18 +38,19 @@ class FrequencyResult:
             "fit": {
                 **self.fit.to_json(),
                 "handling": [n.to_json() for n in self.numbers],
-                "levels": self.craft.why_no_level or f"class {self.craft.kind}, category {self.craft.category}",
+                "levels": self.aircraft.why_no_level
+                or f"class {self.aircraft.kind}, category {self.aircraft.category}",
                 "status": judged(self.fit),
             },
         }
 
 
-def frequency_answer(response: FrequencyResponse, form: str | None, craft: Craft) -> FrequencyResult:
+def frequency_answer(response: FrequencyResponse, form: str | None, aircraft: RatedAircraft) -> FrequencyResult:
     """The response, with a fit of `form` where one is given."""
     if form is None:
-        return FrequencyResult(response, craft=craft)
+        return FrequencyResult(response, aircraft=aircraft)
     fit = fit_transfer(response, form)
-    return FrequencyResult(response, fit, handling(response, fit, craft), craft)
+    return FrequencyResult(response, fit, handling(response, fit, aircraft), aircraft)
 
 
 def judged(fit: TransferFunction) -> str:
@@ -95,8 +96,8 @@ def _fit_lines(result: FrequencyResult, fit: TransferFunction) -> Iterator[str]:
         level = "" if n.level is None else ", beyond level 3" if n.level > 3 else f", level {n.level}"
         unit = "" if n.unit == "1" else f" {n.unit}"
         yield f"  {n.name} = {n.value:.4g}{bound}{unit}: {n.definition} ({n.source}){level}"
-    if result.craft.why_no_level:
-        yield f"  {result.craft.why_no_level}"
+    if result.aircraft.why_no_level:
+        yield f"  {result.aircraft.why_no_level}"
 
 
 def write_frequency_report(result: FrequencyResult, flights: Sequence[Flight], folder: Path) -> Path:
@@ -121,7 +122,7 @@ def _fit_sections(result: FrequencyResult) -> list[Section]:
     """The transfer function and its handling qualities, where one was fitted."""
     if result.fit is None:
         return []
-    no_level = result.craft.why_no_level
+    no_level = result.aircraft.why_no_level
     note = paragraph(sentence(no_level), "note") if no_level else None
     fit: list[Part] = [paragraph(sentence(judged(result.fit))), _fit_table(result.fit)]
     handling = _handling_table(result)

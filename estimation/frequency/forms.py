@@ -13,6 +13,7 @@ from estimation.signals.curves import Complex
 from groundstation.flight import Array
 
 HIGHEST = 6  # order of a general form
+LONGEST_NAME = 7  # characters of orders M/N: longer numbers are not converted
 SURFACE_OF = {"cmd_a": "delta_a", "cmd_e": "delta_e", "cmd_r": "delta_r"}
 
 
@@ -120,27 +121,27 @@ ROLL = TransferForm("roll", (0, 1), "roll")
 SECOND_ORDER = ("dutch-roll", "short-period")
 
 
-def form_for(control: str, output: str, wanted: str = "auto") -> TransferForm | None:
+def form_for(control: str, output: str, name: str = "auto") -> TransferForm | None:
     """The form of that name, or of orders M/N; for `auto` the classic one of a control and an output, None where there is none.
 
     Side and normal acceleration follow a surface at once, and roll rate follows the rudder through sideslip: their numerators are
     of second order. Raises EstimationError for an unknown form.
     """
-    if wanted == "auto":
-        wanted = _classic(SURFACE_OF.get(control, control), output)
-        if not wanted:
+    if name == "auto":
+        name = _classic(SURFACE_OF.get(control, control), output)
+        if not name:
             return None
-    if wanted == "roll":
+    if name == "roll":
         return ROLL
-    if wanted in SECOND_ORDER:
-        return TransferForm(wanted, (2 if output in ("ay", "az", "p") else 1, 2), wanted)
-    top, slash, bottom = wanted.partition("/")
-    if not (slash and top.isdecimal() and bottom.isdecimal() and len(wanted) < 8):
-        raise EstimationError(f"form {wanted!r}: give roll, dutch-roll, short-period, auto, or orders like 1/2")
+    if name in SECOND_ORDER:
+        return TransferForm(name, (2 if output in ("ay", "az", "p") else 1, 2), name)
+    top, slash, bottom = name.partition("/")
+    if not (slash and top.isdecimal() and bottom.isdecimal() and len(name) <= LONGEST_NAME):
+        raise EstimationError(f"form {name!r}: give roll, dutch-roll, short-period, auto, or orders like 1/2")
     m, n = int(top), int(bottom)
     if not 0 <= m <= n or not 1 <= n <= HIGHEST:
         raise EstimationError(
-            f"form {wanted}: the numerator's order may not be above the denominator's, which is 1 to {HIGHEST}"
+            f"form {name}: the numerator's order may not be above the denominator's, which is 1 to {HIGHEST}"
         )
     return TransferForm(f"{m}/{n}", (m, n))
 

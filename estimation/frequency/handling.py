@@ -51,7 +51,7 @@ BANDWIDTH_POINTS = 2000  # frequencies of the fit in which crossings are searche
 
 
 @dataclass(frozen=True)
-class Craft:
+class RatedAircraft:
     """The aircraft that levels are for. kind: class I to IV, "" for none; category: of flight phase; mass: kg or NaN."""
 
     kind: str = ""
@@ -128,29 +128,29 @@ def _number(name: str, value: float, std: float = math.nan, level: int | None = 
     return Number(name, value, std, *DEFINED[name], level)
 
 
-def handling(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -> tuple[Number, ...]:
+def handling(response: FrequencyResponse, fit: TransferFunction, aircraft: RatedAircraft) -> tuple[Number, ...]:
     """The numbers that the form and the band of a fit define."""
-    return (*_of_mode(response, fit, craft), *_delay(fit, craft), *_bandwidth(response, fit))
+    return (*_of_mode(response, fit, aircraft), *_delay(fit, aircraft), *_bandwidth(response, fit))
 
 
-def _of_mode(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -> Iterator[Number]:
+def _of_mode(response: FrequencyResponse, fit: TransferFunction, aircraft: RatedAircraft) -> Iterator[Number]:
     p = fit.parameters
-    rated = not craft.why_no_level
+    rated = not aircraft.why_no_level
     if fit.form.mode == "roll":
         T = p["T_R"]
-        level = _level_below(T.estimate, ROLL_MODE[craft.category, craft.small_or_agile]) if rated else None
+        level = _level_below(T.estimate, ROLL_MODE[aircraft.category, aircraft.small_or_agile]) if rated else None
         yield _number("T_R", T.estimate, T.std, level)
     elif fit.form.mode == "dutch-roll":
-        yield from _dutch_roll(fit, craft, rated)
+        yield from _dutch_roll(fit, aircraft, rated)
     elif fit.form.mode == "short-period":
-        yield from _short_period(response, fit, craft, rated)
+        yield from _short_period(response, fit, aircraft, rated)
 
 
-def _dutch_roll(fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
+def _dutch_roll(fit: TransferFunction, aircraft: RatedAircraft, rated: bool) -> Iterator[Number]:
     zeta, omega = fit.parameters["zeta_d"], fit.parameters["omega_d"]
     product, spread = _derived(fit, lambda v: v["zeta_d"] * v["omega_d"])
     rated_values = (zeta.estimate, product, omega.estimate)
-    limits = DUTCH_ROLL[craft.category, craft.small_or_agile]
+    limits = DUTCH_ROLL[aircraft.category, aircraft.small_or_agile]
     level = next(
         (
             k + 1
@@ -165,9 +165,11 @@ def _dutch_roll(fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Nu
     yield _number("zeta_d omega_d", product, spread, level_shown)
 
 
-def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
+def _short_period(
+    response: FrequencyResponse, fit: TransferFunction, aircraft: RatedAircraft, rated: bool
+) -> Iterator[Number]:
     zeta, omega = fit.parameters["zeta_sp"], fit.parameters["omega_sp"]
-    level = _level_within(zeta.estimate, SHORT_PERIOD[craft.category]) if rated else None
+    level = _level_within(zeta.estimate, SHORT_PERIOD[aircraft.category]) if rated else None
     yield _number("zeta_sp", zeta.estimate, zeta.std, level)
     yield _number("omega_sp", omega.estimate, omega.std)
     lead = fit.parameters.get("1/T_theta2")
@@ -176,13 +178,13 @@ def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Cra
     V = response.speed
     yield _number("n/alpha", *_derived(fit, lambda v: V / GRAVITY * v["1/T_theta2"]))
     cap, cap_std = _derived(fit, lambda v: v["omega_sp"] ** 2 * GRAVITY / (V * v["1/T_theta2"]))
-    level = _level_within(cap, ANTICIPATION[craft.category]) if rated else None
+    level = _level_within(cap, ANTICIPATION[aircraft.category]) if rated else None
     yield _number("CAP", cap, cap_std, level)
 
 
-def _delay(fit: TransferFunction, craft: Craft) -> Iterator[Number]:
+def _delay(fit: TransferFunction, aircraft: RatedAircraft) -> Iterator[Number]:
     tau = fit.parameters["tau"]
-    level = None if craft.why_no_level else _level_below(tau.estimate, DELAY)
+    level = None if aircraft.why_no_level else _level_below(tau.estimate, DELAY)
     yield _number("tau", tau.estimate, tau.std, level)
 
 

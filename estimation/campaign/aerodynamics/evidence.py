@@ -161,7 +161,7 @@ def _gains(M: Array, g: Array, columns: Sequence[int], fixed_changes: Array | No
 
 
 def _separable(M: Array, columns: Sequence[int], k: int) -> bool:
-    """Whether the flights tell a candidate from the parameters `columns`."""
+    """Whether the flights separate candidate k from the parameters `columns`. M: (n, n) information of all flights."""
     if M[k, k] <= 0.0:
         return False
     cross = M[np.ix_(columns, [k])][:, 0]

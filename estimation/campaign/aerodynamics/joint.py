@@ -169,7 +169,7 @@ class _Fit:
     def unusable(self, result: Result) -> str:
         """Why terms cannot be chosen from a result; empty where they can."""
         complete = all(len(f.initial_states) == len(d.segments) for f, d in zip(result.flights, self.data, strict=True))
-        return "" if result.converged and complete else f"no further terms were looked for: {result.text}"
+        return "" if result.converged and complete else f"no further terms were tried: {result.text}"
 
 
 def references(flights: Sequence[Flight]) -> dict[str, float]:

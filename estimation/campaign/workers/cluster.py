@@ -23,11 +23,7 @@ TICK_S = 1.0  # longest wait for a piece to end before the caller gets its turn
 LOOK_S = 5.0  # between checks that scheduler and workers are there: each costs a message there and back
 LOST_S = 60.0  # longest absence of the scheduler or its last worker: a start takes 3 s, on a busy machine 60
 MOST_STARTS = 5  # attempts to start workers on this machine
-ATTEMPTS_BESIDE, ATTEMPTS_ALONE, ATTEMPTS_CONDEMNED = (
-    1,
-    3,
-    4,
-)  # runs of a piece: beside others, then alone, then given up
+ATTEMPTS_BESIDE, ATTEMPTS_ALONE, ATTEMPTS_CONDEMNED = 1, 3, 4  # runs of a piece that ends among others, alone, or never
 OVERDUE = "sideslip-overdue"
 MEMORY = "1GB"  # a worker needs 130 MB for output error, 300 MB with torch: one that needs more is at fault
 

@@ -48,8 +48,8 @@ def failed_rows(work: Work, why: str) -> list[Row]:
     return [_row(work, piece, FAILED, why) for piece in work.pieces]
 
 
-def _refuse_other_software(wanted: Mapping[str, str]) -> None:
-    for name, version in wanted.items():
+def _refuse_other_software(client_versions: Mapping[str, str]) -> None:
+    for name, version in client_versions.items():
         if versions()[name] != version:
             raise OtherSoftwareError(
                 f"a worker has {name} {versions()[name]}, this machine {version}: install the same on both"
