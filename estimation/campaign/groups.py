@@ -22,9 +22,7 @@ FEWEST_TO_POOL = 2  # flights
 FEWEST_FOR_OUTLIERS = 5  # flights: the median of fewer is no measure of an outlier
 FEWEST_NEIGHBOURS = 3  # flights on one side from which their median is taken
 NEIGHBOURS = 5  # flights before and after with whose medians an estimate is compared
-TOO_MUCH_SCATTER = (
-    0.01  # probability of the scatter by the bounds alone, below which a person is warned, as `estimate` does
-)
+TOO_MUCH_SCATTER = 0.01  # probability of the scatter by the bounds alone, below which a warning is given
 
 Starts = Mapping[tuple[str, str, str], Sequence[tuple[str, str]]]
 """Group, method, parameter -> date and name of the first flight after each step that moved it, in order of time."""

@@ -91,9 +91,8 @@ def restricted_variance(y: Array, v: Array, X: Array) -> float:
     from scipy.optimize import minimize_scalar
 
     scale = float(np.mean(v)) + float(np.var(y))
-    grid = np.concatenate(
-        [[0.0], scale * np.logspace(-8, 1, 37)]
-    )  # steps of a quarter decade: the likelihood is smooth
+    # steps of a quarter decade: the likelihood is smooth
+    grid = np.concatenate([[0.0], scale * np.logspace(-8, 1, 37)])
     best_index = int(np.argmax(restricted_likelihood(grid, y, v, X)))
     if best_index == 0:
         return 0.0

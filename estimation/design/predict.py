@@ -34,9 +34,7 @@ NOISE = {
 """Noise of the outputs where no estimate gives one, 1 sigma: calibrated records of a small aircraft."""
 OTHER_NOISE_SHARE = 0.02  # noise of an unknown instrument, over the range of its output in the manoeuvre
 RANK = 1e-12  # of the largest eigenvalue of an information matrix: smaller ones count as zero
-LEAST_COMPONENT = (
-    1e-9  # squared component of a parameter along a direction without information, from which it has no bound
-)
+LEAST_COMPONENT = 1e-9  # squared, of a parameter along a direction without information: from there it has no bound
 
 
 @dataclass(frozen=True)

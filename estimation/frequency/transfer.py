@@ -32,11 +32,7 @@ SPARE = 2  # real numbers beyond the unknowns that a fit needs
 LEAST_ERROR = 1e-9  # random error over the largest magnitude, at least
 SMALLEST_NORM = 1e-8  # of a column of the Jacobian, in place of zero
 SMALLEST_SCALE = 1e-3  # of an unknown, in the search
-TAPER_POINTS, LARGEST_PHASE, PHASE_POINTS = (
-    201,
-    60.0,
-    601,
-)  # of the table of correlations, which are zero beyond its end
+TAPER_POINTS, LARGEST_PHASE, PHASE_POINTS = 201, 60.0, 601  # of the table of correlations; beyond its end they are 0
 
 
 @dataclass(frozen=True)

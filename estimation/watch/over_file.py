@@ -25,10 +25,7 @@ from groundstation.flight.quality.noise import noise
 
 Array = NDArray[np.float64]
 
-FLYING, FLYING_S = (
-    9.0,
-    2.0,
-)  # airspeed [m/s], and how long [s], from which the aircraft flies: those of the ground station
+FLYING, FLYING_S = 9.0, 2.0  # airspeed [m/s] held this long [s] is flight, as at the ground station
 EVEN, EVEN_SHARE = 0.1, 0.8  # scans are even where this share of steps differs by less than EVEN of the median step
 FEWEST_S = 10.0  # s of manoeuvring that a result needs
 LONGEST_STEP_S, USUAL_STEP_S = 0.5, 0.05  # between neighbouring scans at most; where there are none

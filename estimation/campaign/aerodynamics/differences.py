@@ -88,9 +88,7 @@ def _difference(curves: PooledCurves, j: int, change: float, std: float, tests: 
 
 
 CHANGE_OF_INTEREST = 0.05  # of the estimate: the change for which the power is stated
-LEAST_RATIO = (
-    3.0  # of value to bound, from which the change is also stated as a share: one of nearly zero is meaningless
-)
+LEAST_RATIO = 3.0  # of value to bound, from which a change is also stated as a share
 
 
 def step_rows(curves_by_group: Sequence[Curves]) -> Iterator[Row]:

@@ -27,9 +27,8 @@ MOST_DATES = 300  # tried; of more, evenly spread ones
 DRAWS = 499  # simulated campaigns without a step: the smallest probability is 0.002
 AT_ONCE = 50  # draws computed together, to bound memory
 SINGULAR = 1e-9  # of the largest eigenvalue of an information matrix: smaller ones count as zero
-DATE_95 = (
-    7.35  # drop of the statistic to the ends of 95 % of the date: (1 - exp(-x/2))^2 = 0.95 (Yao 1987, Ann. Stat. 15)
-)
+DATE_95 = 7.35
+"""Drop of the statistic to the ends of the 95 % interval of the date: (1 - exp(-x/2))^2 = 0.95 (Yao 1987, Ann. Stat. 15)."""
 
 
 @dataclass(frozen=True)

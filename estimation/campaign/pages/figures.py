@@ -127,9 +127,8 @@ def envelope_figure(results: "pa.Table", keys: Sequence[str]) -> Picture | None:
     ranges = [f"{n}_{end}" for n in ("V", "alpha") for end in ("min", "max")]
     columns = list(dict.fromkeys(("sha256", *pairs, *ranges, *keys)))
     rows = results.filter(pc.equal(results["kind"], "run")).select(columns).to_pylist()
-    rows = list(
-        {r["sha256"]: r for r in rows if r["sha256"]}.values()
-    )  # each flight once, whatever the number of methods
+    # each flight once, whatever the number of methods
+    rows = list({r["sha256"]: r for r in rows if r["sha256"]}.values())
     shown_pairs = [pair for pair in COVERAGE if any(r[pair[0]] is not None and r[pair[1]] is not None for r in rows)]
     if not shown_pairs:
         return None
