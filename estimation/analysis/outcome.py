@@ -165,11 +165,8 @@ def parameters_of(estimate: Mapping[str, Any] | None) -> Mapping[str, Mapping[st
     return dict((methods.get(method) or first).get("parameters", {}))
 
 
-def verdict_of(estimate: Mapping[str, Any] | None, place: str, contradictions: Sequence[Mapping[str, Any]]) -> str:
-    """The verdict: the recommended derivatives, or why none are. place: the stretches, or the verdict where there is no
-    estimate."""
-    if not estimate:
-        return place
+def verdict_of(estimate: Mapping[str, Any], place: str, contradictions: Sequence[Mapping[str, Any]]) -> str:
+    """The recommended derivatives in one sentence, or why none are recommended. place: which stretches were used."""
     recommendation = recommendation_of(estimate)
     method = recommendation.get("method", "none")
     model, aircraft = estimate.get("model", ""), estimate.get("aircraft", "")

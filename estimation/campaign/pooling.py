@@ -107,8 +107,7 @@ def restricted_variance(y: Array, v: Array, X: Array) -> float:
 
 
 def outliers(y: Array, v: Array) -> Array:
-    """(flights,) distance of each estimate from the median, over its bound, which is widened to the scatter of the middle
-    half."""
+    """(flights,) distance of each estimate from the median, in bounds widened to the scatter of the middle half."""
     z = (y - np.median(y)) / np.sqrt(v)
     scale = max(1.0, ROBUST * float(np.median(np.abs(z))))  # sound bounds need no widening
     distance: Array = np.abs(z) / scale

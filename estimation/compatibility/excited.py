@@ -51,7 +51,7 @@ def even_parts(record: FilterRecord, length: int) -> list[FilterRecord]:
 
 
 def _movement(pieces: Sequence[FilterRecord]) -> Array:
-    """(pieces,) movement of each: its rank among the pieces, mean over channels, so that a fault of one channel does not
+    """(pieces,) movement of each: mean over channels of its rank among the pieces, which a fault of one channel does not
     decide."""
     spread = np.array([_spread(np.hstack([r.u, r.z])) for r in pieces])
     ranks = np.argsort(np.argsort(spread[:, np.ptp(spread, axis=0) > 0.0], axis=0), axis=0)

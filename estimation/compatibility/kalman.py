@@ -28,8 +28,8 @@ LONGEST_DELAY = 0.3
 
 @dataclass(frozen=True)
 class FilterRecord:
-    """One stretch without a gap. first: its first row in the flight; time: (N,); u: (N, nu) inputs; z: (N, ny) outputs, NaN where
-    not measured."""
+    """One stretch without a gap. first: row in the flight; time: (N,); u: (N, nu) inputs; z: (N, ny) outputs, NaN if not
+    measured."""
 
     first: int
     time: Array

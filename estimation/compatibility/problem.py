@@ -91,8 +91,7 @@ class CompatibilityProblem:
         return self.filter.run(record, p, self.noise(flight), *self._start(record, flight))
 
     def _start(self, record: FilterRecord, flight: int) -> tuple[Array, Array]:
-        """First state and its standard deviations, from the mean of the first measurements; loose, so that the filter corrects
-        it."""
+        """First state and its standard deviations, from the mean of the first measurements; loose, for the filter to correct."""
         first = {}
         for j, name in enumerate(self.model.output_names):
             first_samples = record.z[: max(3, round(START_S / record.step)), j]
@@ -129,8 +128,7 @@ class CompatibilityProblem:
         return runs
 
     def settle_turbulence(self, p: Array, *, known: bool = False) -> None:
-        """Set the turbulence of greatest likelihood, by a search over decades, then finer. known: search near the present one
-        only."""
+        """Set the turbulence of greatest likelihood, by a search over decades, then finer. known: search near the present one."""
         centre, width = float(np.log10(max(self.turbulence, 1e-4))), 0.5 if known else 1.0
         noise_before = [o.copy() for o in self.outputs]
         costs: dict[float, float] = {}
@@ -146,7 +144,7 @@ class CompatibilityProblem:
         self.turbulence = float(10**centre)
 
     def slopes(self, p: Array, steps: Array) -> list[list[Array]]:
-        """(N, ny, n) derivatives of the normalised innovations by the factors, of each record, by central differences of `steps`
+        """(N, ny, n) derivatives of the normalised innovations of each record by the factors: central differences of `steps`
         (n,)."""
         columns = []
         for k in range(p.size):

@@ -70,8 +70,7 @@ def measure(
 
 
 def fitted_size(setting: DesignSetting, limits: Limits, commands: Array) -> float:
-    """Largest factor, at most LARGEST_SIZE, at which commands stay within every limit; by halving, because motion is not
-    linear."""
+    """Largest factor, at most LARGEST_SIZE, at which commands stay within every limit; by halving, as motion is not linear."""
 
     def inside(factor: float) -> bool:
         return _within_limits(setting, limits, factor * commands)

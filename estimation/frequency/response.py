@@ -46,8 +46,8 @@ NOISY_INPUT = 0.02  # bias of the magnitude by noise of the input, relative, fro
 class FrequencyResponse:
     """Arrays over the frequencies kept. omega: rad/s. H: output over input, complex. std: of its real and of its imaginary part.
     coherence: with the first input, the others taken off. length: mean length of the windows [s]. left_out: (frequency,
-    coherence) of the points that were too uncertain. inputs: first the input of the response. windows [s]; duration: of data [s];
-    speed [m/s]."""
+    coherence) of points too uncertain. inputs: first the input of the response. windows [s]; duration: of data [s]; speed
+    [m/s]."""
 
     inputs: tuple[str, ...]
     output: str
@@ -111,8 +111,7 @@ class FrequencyResponse:
 @dataclass(frozen=True)
 class ResponseOptions:
     """with_: other inputs, whose effect is taken off, None for all controls that moved. band [Hz]: by default all that windows
-    and samples allow. points: number of frequencies, even in their logarithm. windows: lengths [s], by default LENGTHS of
-    them."""
+    and samples allow. points: number of frequencies, even in their logarithm. windows: lengths [s], by default LENGTHS."""
 
     with_: tuple[str, ...] | None = None
     band: tuple[float, float] | None = None

@@ -72,7 +72,7 @@ class WindowResponse:
 
 @dataclass(frozen=True)
 class _Transforms:
-    """X: (terms, windows, frequencies, inputs), Y: (windows, frequencies), phases from one time; R: (windows, windows)
+    """X: (terms, windows, frequencies, inputs), Y: (windows, frequencies), of one origin of time; R: (windows, windows)
     correlation."""
 
     X: Complex

@@ -157,8 +157,8 @@ def _best_search(form: TransferForm, omega: Array, H: Complex, residuals: Any) -
 
 
 def _levy(form: TransferForm, omega: Array, H: Complex) -> tuple[Array, Array]:
-    """Numerator and monic denominator by linear least squares, reweighted by the last denominator (Levy 1959; Sanathanan and
-    Koerner 1963)."""
+    """Numerator and monic denominator by least squares, reweighted by the last denominator (Levy 1959; Sanathanan, Koerner
+    1963)."""
     m, n = form.orders
     scale = float(np.exp(np.mean(np.log(omega))))
     s = 1j * omega / scale

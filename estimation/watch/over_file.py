@@ -33,8 +33,7 @@ LONGEST_STEP_S, USUAL_STEP_S = 0.5, 0.05  # between neighbouring scans at most; 
 
 @dataclass(frozen=True)
 class Watched:
-    """Alarms and states of the monitor over one flight. history: every half second of manoeuvring; manoeuvring_s: its
-    duration."""
+    """The monitor over one flight. history: states, every half second of manoeuvring; manoeuvring_s: duration of that."""
 
     flight: Flight
     model: str

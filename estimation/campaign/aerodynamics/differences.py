@@ -56,8 +56,7 @@ class Difference:
 
 
 def differences(group_flights: GroupFlights, second: NDArray[np.bool_]) -> tuple[Difference, ...]:
-    """The difference of every parameter that both groups have. group_flights: of both groups; second: (flights,) true for the
-    second group."""
+    """The difference of every parameter of both groups. group_flights: of both; second: (flights,) true for the second group."""
     curves = envelope(group_flights, second.astype(float)[:, None])
     if curves is None:
         return ()

@@ -22,8 +22,7 @@ NEAR = 0.25  # of the range flown in each condition: a point this near to a flig
 
 @dataclass(frozen=True)
 class ConditionScale:
-    """Scales conditions (points, 4) to -1 .. 1. centre, half: (4,) of the ranges flown; changed: (4,) which differ between
-    flights."""
+    """Scales conditions (points, 4) to -1 .. 1. centre, half: (4,) of the ranges flown; changed: (4,) bool, not constant."""
 
     centre: Array
     half: Array
@@ -125,8 +124,7 @@ def _single_power(condition: int, power: int) -> tuple[int, ...]:
 
 
 def near_flights(points: Array, flights: Array, axes: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """(points,) whether a flight was near in all conditions `axes`. points, flights: scaled conditions (points, 4), (flights,
-    4)."""
+    """(points,) whether a flight (flights, 4) was near a point (points, 4) in all conditions `axes`; both scaled."""
     if not axes.size:
         return np.ones(len(points), bool)
     distance = np.abs(points[:, None, axes] - flights[None, :, axes]).max(axis=2)

@@ -54,8 +54,7 @@ class GlobalModel:
 
     @property
     def model(self) -> Model:
-        """The model with the estimates as values, mean constants of the flights and the ranges flown, as `sideslip match` reads
-        it."""
+        """The model with the estimates as values, mean constants of the flights and the ranges flown, for `sideslip match`."""
         return replace(self.result.fitted_model, flown=self.flown)
 
     @property

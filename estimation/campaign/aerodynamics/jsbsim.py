@@ -20,8 +20,7 @@ ALPHA, SPEED = "aero/alpha-rad", "velocities/vt-fps"
 
 
 def aerodynamics_files(database: Sequence[Row]) -> dict[str, str]:
-    """Stem of a file -> XML, for each group, method and kind of model. Of a parameter that a step in time moved, the last
-    side."""
+    """Stem of a file -> XML, for each group, method and kind of model; after the last step in time of each parameter."""
     last_date = {
         _identity(r): r["until"] for r in sorted(database, key=lambda r: r.get("until") or "") if r.get("until")
     }

@@ -101,8 +101,8 @@ class MixedFit:
 
 
 def fit(data: MixedData, design: MixedDesign, start: Array | None = None) -> MixedFit:
-    """The fit of largest restricted likelihood. start: (k + splines,) variances to start from. Needs more flights than free
-    terms."""
+    """The fit of largest restricted likelihood, for more flights than free terms. start: (k + splines,) variances to start
+    from."""
     from scipy.optimize import minimize
 
     data, unit = _scaled(data)

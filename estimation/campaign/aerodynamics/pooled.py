@@ -197,8 +197,7 @@ def flown_of(
     std: Array,
     correlation: Array,
 ) -> GroupFlights:
-    """From (date, name) of the flights, estimates and bounds (flights, k), NaN where unknown, and correlations (flights, k,
-    k)."""
+    """From (date, name) of flights, estimates and bounds (flights, k), NaN if unknown, and correlations (flights, k, k)."""
     known = np.isfinite(values) & np.isfinite(std) & (std > 0.0)
     safe_std = np.where(known, std, 1.0)
     V = correlation * safe_std[:, :, None] * safe_std[:, None, :]

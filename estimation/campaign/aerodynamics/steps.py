@@ -33,8 +33,7 @@ DATE_95 = 7.35
 
 @dataclass(frozen=True)
 class ParameterStep:
-    """One parameter at a step. change: with its standard error `std`; probability: of a change this large in any parameter by
-    chance."""
+    """One parameter at a step. std: of the change; probability: of a change this large in any parameter by chance."""
 
     parameter: str
     change: float

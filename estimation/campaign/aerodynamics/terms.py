@@ -46,8 +46,7 @@ class ConditionTerm:
         return f"{self.name}*{_factor(self.variable)}" + (f"^{self.power}" if self.power > 1 else "")
 
     def value(self, point: Mapping[str, float], reference: Mapping[str, float]) -> float:
-        """The factor of the parameter at values of the variables; zero for a variable not given, which counts as at its
-        reference."""
+        """The factor of the parameter at values of the variables; zero for one not given, which is at its reference."""
         if self.variable not in point:
             return 0.0
         x = point[self.variable]

@@ -120,7 +120,7 @@ class Cluster:
     def _window(
         self, works: Iterator[Work], most: int, suffix: str, condemned: list[Work]
     ) -> Iterator[Finished | None]:
-        """Keep up to `most` pieces a worker in flight (1: one in all) until all ended; pieces on dead workers go to
+        """Keep up to `most` pieces a worker in flight (1: one in all) until all ended; add those that kill workers to
         `condemned`."""
         futures: dict[Future, Work] = {}
         attempts = ATTEMPTS_ALONE if suffix else ATTEMPTS_BESIDE
