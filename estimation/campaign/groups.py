@@ -62,6 +62,7 @@ def label_of(group: Mapping[str, str]) -> str:
 
 
 def label_in(row: Row, keys: Sequence[str]) -> str:
+    """Label of the group of a row."""
     return label_of({key: row[key] or "" for key in keys})
 
 

@@ -85,6 +85,7 @@ def unreadable_rows(entries: Sequence[CampaignFlight]) -> "pa.Table":
 
 
 def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> None:
+    """Write rows as a Parquet file of these columns."""
     import pyarrow.parquet as pq
 
     make_directories(path.parent)

@@ -243,14 +243,14 @@ def _air(
         time = flight.time[stretch.rows]
         middle = stretch.nodes.time
 
-        def at(x: Array, middle: Array = middle, time: Array = time) -> Array:
+        def at_samples(x: Array, middle: Array = middle, time: Array = time) -> Array:
             return np.column_stack([np.interp(time, middle, c) for c in x.T])
 
-        x = at(smoothed.states[nodes])
+        x = at_samples(smoothed.states[nodes])
         velocity = stretch.velocity + x[:, VELOCITY] - x[:, WIND] - x[:, GUST]
         axes = stretch.axes + np.cross(x[:, None, ATTITUDE], stretch.axes.transpose(0, 2, 1)).transpose(0, 2, 1)
         flow, slopes = _flow(velocity, axes)
-        P = at(smoothed.covariances[nodes].reshape(-1, STATES**2)).reshape(-1, STATES, STATES)
+        P = at_samples(smoothed.covariances[nodes].reshape(-1, STATES**2)).reshape(-1, STATES, STATES)
         fast = FAST_ATTITUDE * np.array([noise.level, noise.level, 0.0])
         for i, name in enumerate(AIR):
             values[name][stretch.rows] = flow[i]

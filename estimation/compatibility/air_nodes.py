@@ -12,6 +12,7 @@ from estimation.compatibility.air_filter import INTERVAL, Nodes
 from estimation.compatibility.records import (
     SHORTEST,
     attitude_jumps,
+    finite_values,
     short_stretches,
     unbroken_stretches,
 )
@@ -202,5 +203,4 @@ def _complementary(time: Array, angle: Array, rate: Array) -> Array:
 
 def measured_noise(flight: Flight, column: str, rows: NDArray[np.bool_]) -> float:
     """Sample-to-sample noise of a channel over its new samples `rows` (N,)."""
-    values = flight[column][rows]
-    return noise_level(values[np.isfinite(values)])
+    return noise_level(finite_values(flight[column][rows]))

@@ -11,7 +11,7 @@ import numpy as np
 
 from estimation.compatibility.excited import LONG_SAMPLES, even_parts, excited_pieces
 from estimation.compatibility.kalman import FilterRecord, KalmanFilter, NoiseLevels, Run
-from estimation.compatibility.records import attitude_errors, records_of, with_rate_derivatives
+from estimation.compatibility.records import attitude_errors, finite_values, records_of, with_rate_derivatives
 from estimation.errors import DataError
 from estimation.estimators.coloured import autocovariance
 from estimation.models.base import Model
@@ -172,10 +172,6 @@ def _filter_note(errors: dict[str, float]) -> tuple[str, ...]:
         f"attitude is smoother than its gyro: it comes from a filter, whose slow errors ({', '.join(sizes)}) are allowed for; "
         "a bias of ax or ay cannot be known much better than that share of gravity",
     )
-
-
-def finite_values(values: Array) -> Array:
-    return values[np.isfinite(values)]
 
 
 USEFUL: Mapping[str, float] = {"m/s2": 0.2, "rad/s": 0.01, "1": 0.1, "rad": 0.02, "m": 0.25, "s": 0.03, "m/s": 1.0}

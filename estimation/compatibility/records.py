@@ -103,13 +103,13 @@ def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
     for name in inputs:
         if _constant(flight[name]):
             raise DataError(
-                f"{flight.name}: {name} is {flight[name][np.isfinite(flight[name])][0]:.4g} throughout: no working sensor "
+                f"{flight.name}: {name} is {finite_values(flight[name])[0]:.4g} throughout: no working sensor "
                 "behind it; the data-compatibility check needs it"
             )
     for name in (*COLUMNS, "V", "alpha", "beta", *ATTITUDE):
         if flight.measured(name):
             low, high = COLUMN_BY_NAME[name].plausible
-            finite = _known(flight[name])
+            finite = finite_values(flight[name])
             share = float(np.mean((finite < low) | (finite > high)))
             if share > WRONG_UNIT and not _counts_turns(flight, name, low, high):
                 raise DataError(
@@ -124,7 +124,7 @@ def _counts_turns(flight: Flight, angle: str, low: float, high: float) -> bool:
     if angle not in ("phi", "psi") or not flight.measured(GYROS[angle]):
         return False
     for part in flight.segments:
-        values = _known(flight[angle][part])
+        values = finite_values(flight[angle][part])
         turned = float(np.nansum(np.abs(flight[GYROS[angle]][part]))) * flight.sample_interval
         if values.size and not (low <= values[0] <= high and float(np.ptp(values)) <= 2.0 * turned + np.pi):
             return False
@@ -137,7 +137,7 @@ def shows_motion(flight: Flight, column: str) -> bool:
 
 
 def _constant(values: Array) -> bool:
-    finite = _known(values)
+    finite = finite_values(values)
     return finite.size > 1 and float(np.ptp(finite)) == 0.0
 
 
@@ -221,8 +221,8 @@ def attitude_errors(flight: Flight) -> dict[str, float]:
     for angle, rate in zip(ATTITUDE, "pqr", strict=True):
         errors[angle] = 0.0
         if flight.measured(angle) and flight.measured(rate):
-            attitude_noise = noise_level(_known(_output(flight, angle)))
-            integrated_noise = noise_level(_known(flight[rate])) * flight.sample_interval
+            attitude_noise = noise_level(finite_values(_output(flight, angle)))
+            integrated_noise = noise_level(finite_values(flight[rate])) * flight.sample_interval
             if attitude_noise < integrated_noise:
                 errors[angle] = float(uncertainty.get(angle, 0.0)) or ATTITUDE_ERROR[angle]
     return errors
@@ -243,7 +243,8 @@ def with_rate_derivatives(flight: Flight, columns_wanted: Sequence[str]) -> Flig
     return flight.with_columns(**columns) if columns else flight
 
 
-def _known(values: Array) -> Array:
+def finite_values(values: Array) -> Array:
+    """The measured values, NaN left out."""
     return values[np.isfinite(values)]
 
 

@@ -251,7 +251,7 @@ def pattern_set(
     room = (duration - FIRST) / slots
     widths = [w for w in WIDTHS if len(PATTERNS[name]) * w + FIRST <= room] or [FILLED * room / len(PATTERNS[name])]
 
-    def flown(width: float) -> Designed:
+    def with_width(width: float) -> Designed:
         commands = np.zeros((time.size, len(setting.controls)))
         for slot in range(slots):
             i = slot % len(setting.controls)
@@ -260,7 +260,7 @@ def pattern_set(
             commands[:, i] += pattern(name, time, start, width, limits.amplitude_of(control), limits.rate_of(control))
         return measure(setting, limits, name, each_fitted(setting, limits, commands) * commands)
 
-    return min(map(flown, widths), key=lambda d: max(relative_bounds(d, sizes).values()))
+    return min(map(with_width, widths), key=lambda d: max(relative_bounds(d, sizes).values()))
 
 
 def chirp_set(setting: DesignSetting, limits: Limits, duration: float, band: tuple[float, float]) -> Designed:
@@ -313,20 +313,20 @@ def _criterion(
     def worst(designed: Designed) -> float:
         return max(relative_bounds(designed, sizes).values())
 
-    def among(names: Sequence[str]) -> Criterion:
+    def worst_among(names: Sequence[str]) -> Criterion:
         return worst_of(np.array([n in sizes for n in names]))
 
-    def volume(designed: Designed) -> float:
+    def negative_log_determinant(designed: Designed) -> float:
         return -float(np.linalg.slogdet(designed.information.matrix)[1])
 
-    def squares(designed: Designed) -> float:
+    def sum_of_squares(designed: Designed) -> float:
         return math.fsum(r**2 for r in relative_bounds(designed, sizes).values())
 
     if task.separate or task.criterion == "worst":
-        return among, worst
+        return worst_among, worst
     if task.criterion == "D":
-        return (lambda names: d_optimal), volume
+        return (lambda names: d_optimal), negative_log_determinant
     if task.criterion == "A":
-        return (lambda names: a_optimal), squares
+        return (lambda names: a_optimal), sum_of_squares
     name = task.criterion
     return (lambda names: one_of(names.index(name))), lambda designed: designed.information.std[name]

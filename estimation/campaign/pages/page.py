@@ -83,6 +83,7 @@ def _found_parts(claims: Sequence[str], groups: Sequence[Row]) -> list[Part]:
 
 
 def pooled_table(groups: Sequence[Row], method: str) -> ReportTable | None:
+    """The pooled estimates of all groups by a method."""
     rows = [r for r in groups if r["kind"] == "pooled" and r["method"] == method]
     cells = tuple(
         (
@@ -115,6 +116,7 @@ def pooled_table(groups: Sequence[Row], method: str) -> ReportTable | None:
 
 
 def power_table(groups: Sequence[Row]) -> ReportTable | None:
+    """Differences between groups, with those that could have been found."""
     rows = [r for r in groups if r["kind"] == "difference"]
     cells = tuple(
         (
@@ -132,6 +134,7 @@ def power_table(groups: Sequence[Row]) -> ReportTable | None:
 
 
 def worst_table(results: "pa.Table") -> ReportTable:
+    """The channels of least R2, of all flights and methods."""
     import pyarrow.compute as pc
 
     fits = results.filter(pc.and_(pc.equal(results["kind"], "fit"), pc.is_valid(results["r2"])))

@@ -62,6 +62,7 @@ def ended_after(limit_s: float, tell: Callable[[], Any]) -> Iterator[None]:
 
 
 def overdue_text(what: str, limit_s: float) -> str:
+    """Reason in the results of work that took too long."""
     return (
         f"{what}: took longer than {limit_s:g} s and was ended; look at it by itself, or allow more with --time-limit"
     )

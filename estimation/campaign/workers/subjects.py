@@ -78,6 +78,7 @@ def bytes_of(source: FlightSource) -> bytes:
 
 
 def aircraft_of_subject(subject: Subject, flight: Flight, work: Work) -> Aircraft:
+    """The aircraft that the plan states for a flight, else the one that the flight names; with the mass that the plan states."""
     stated_aircraft = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
     required = not subject.model_text or any(find_estimator(m).needs_aircraft for m in work.pieces if m != CHECK)
     aircraft = which_aircraft([flight], stated_aircraft, needed=required)
@@ -86,6 +87,7 @@ def aircraft_of_subject(subject: Subject, flight: Flight, work: Work) -> Aircraf
 
 @lru_cache(maxsize=32)
 def aircraft_from_text(text: str, name: str) -> Aircraft:
+    """The aircraft of a file's text; parsed once for all flights of a worker."""
     from estimation.aircraft import schema
 
     return schema.aircraft_from_text(text, f"aircraft {name}", name)
