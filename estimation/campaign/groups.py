@@ -91,7 +91,7 @@ def group_rows(results: "pa.Table", keys: Sequence[str], starts: Starts = Mappin
     """
     rows: list[Row] = []
     for s in series_of(results, keys):
-        distances = outlying(s)
+        distances = distances_from_neighbours(s)
         rows += outlier_rows(s, distances)
         inliers = s.part(~(distances > _limit(s)))
         for side in _sides(inliers, starts.get((s.label, s.method, s.parameter), ())):
@@ -112,7 +112,7 @@ def _sides(s: ParameterSeries, starts: Sequence[tuple[str, str]]) -> Iterator[Pa
 # ------------------------------------------------------------------------------------------- within a group
 
 
-def outlying(s: ParameterSeries) -> Array:
+def distances_from_neighbours(s: ParameterSeries) -> Array:
     """(flights,) distance from the nearer of the medians of the flights before and after, in bounds widened to the scatter.
 
     A step in time so makes no outliers. Without dates, and with few flights, all are compared with one median.
@@ -136,7 +136,7 @@ def _limit(s: ParameterSeries) -> float:
 
 
 def outlier_rows(s: ParameterSeries, distance: Array) -> Iterator[Row]:
-    """A row with a sentence for each outlier. distance: (flights,) from `outlying`."""
+    """A row with a sentence for each outlier. distance: (flights,) from `distances_from_neighbours`."""
     for i in np.flatnonzero(distance > _limit(s)):
         text = (
             f"{s.flights[i]}: {s.parameter} ({s.method}) is {s.y[i]:.4g}, {distance[i]:.1f} widened bounds from the flights"

@@ -207,10 +207,10 @@ def plan_from(data: Mapping[str, Any], where: str) -> CampaignPlan:
     try:
         return CampaignPlan.model_validate(dict(data))
     except ValidationError as error:
-        raise CampaignError(f"plan {where}: {said_of(error)}; see docs/campaign.md for the keys") from error
+        raise CampaignError(f"plan {where}: {first_mistake(error)}; see docs/campaign.md for the keys") from error
 
 
-def said_of(error: ValidationError) -> str:
+def first_mistake(error: ValidationError) -> str:
     """The first mistake: its key, and what is wrong."""
     first = error.errors()[0]
     key_path = ".".join(str(part) for part in first["loc"])

@@ -25,7 +25,7 @@ from estimation.campaign.schema import DATABASE, GROUPS, usable_estimates
 from estimation.campaign.sources import CampaignFlight
 from estimation.campaign.store import Store
 from estimation.campaign.tasks import Finished, Row, Work
-from estimation.campaign.work_list import Member, WorkList, envelope_work, joint_work, left_to_do, match_works
+from estimation.campaign.work_list import Member, WorkList, envelope_work, joint_work, match_works, unfinished
 from estimation.campaign.workers.work import OK
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ class Campaign:
 
     def _run_work(self, works: Iterable[Work], done: set[str], what: str) -> None:
         """Run the pieces of work whose keys are not in `done`. what: their name in messages."""
-        open_works = list(left_to_do(works, done))
+        open_works = list(unfinished(works, done))
         if not open_works:
             return
         if self._engine is None:

@@ -27,7 +27,7 @@ from estimation.campaign.plan import (
     FlightEntry,
     RecordConditions,
     SimulateEntry,
-    said_of,
+    first_mistake,
 )
 from estimation.campaign.tasks import CampaignError, FlightMaker, FlightSource
 
@@ -88,7 +88,7 @@ def _table(name: str, folder: Path) -> Iterator[FlightEntry]:
         try:
             yield FlightEntry.model_validate(flight_fields)
         except ValidationError as error:
-            raise CampaignError(f"table {path}, line {number}: {said_of(error)}; correct it there") from error
+            raise CampaignError(f"table {path}, line {number}: {first_mistake(error)}; correct it there") from error
 
 
 def _flights_at(text: str, folder: Path, conditions: RecordConditions, send: bool) -> Iterator[CampaignFlight]:

@@ -158,7 +158,7 @@ def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
     )
 
 
-def left_to_do(works: Iterable[Work], done: set[str]) -> Iterator[Work]:
+def unfinished(works: Iterable[Work], done: set[str]) -> Iterator[Work]:
     """The work without pieces whose keys are in `done`; none where all are."""
     for work in works:
         pieces = {piece: key for piece, key in work.pieces.items() if key not in done}

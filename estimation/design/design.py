@@ -18,10 +18,10 @@ from estimation.design.optimal import (
     Designed,
     a_optimal,
     d_optimal,
-    each_fitted,
+    fitted_sizes,
     measure,
     multisine,
-    one_of,
+    one_parameter,
     optimal,
     worst_of,
 )
@@ -258,7 +258,7 @@ def pattern_set(
             control = setting.controls[i]
             start = FIRST + slot * room
             commands[:, i] += pattern(name, time, start, width, limits.amplitude_of(control), limits.rate_of(control))
-        return measure(setting, limits, name, each_fitted(setting, limits, commands) * commands)
+        return measure(setting, limits, name, fitted_sizes(setting, limits, commands) * commands)
 
     return min(map(with_width, widths), key=lambda d: max(relative_bounds(d, sizes).values()))
 
@@ -272,7 +272,7 @@ def chirp_set(setting: DesignSetting, limits: Limits, duration: float, band: tup
         for i, c in enumerate(setting.controls)
     ]
     commands = np.column_stack(columns)
-    return measure(setting, limits, "chirp", each_fitted(setting, limits, commands) * commands)
+    return measure(setting, limits, "chirp", fitted_sizes(setting, limits, commands) * commands)
 
 
 def _sines(
@@ -329,4 +329,4 @@ def _criterion(
     if task.criterion == "A":
         return (lambda names: a_optimal), sum_of_squares
     name = task.criterion
-    return (lambda names: one_of(names.index(name))), lambda designed: designed.information.std[name]
+    return (lambda names: one_parameter(names.index(name))), lambda designed: designed.information.std[name]

@@ -27,7 +27,15 @@ from estimation.design.predict import (
     information,
     limits_used,
 )
-from estimation.design.shapes import STARTS, Multisine, deal, flat, from_zero, low_peak_multisine, total
+from estimation.design.shapes import (
+    STARTS,
+    Multisine,
+    deal,
+    equal_shares,
+    low_peak_multisine,
+    shifted_to_zero_crossings,
+    wave_columns,
+)
 from estimation.errors import EstimationError
 from groundstation.flight import Array
 
@@ -87,7 +95,7 @@ def fitted_size(setting: DesignSetting, limits: Limits, commands: Array) -> floa
     return low
 
 
-def each_fitted(setting: DesignSetting, limits: Limits, commands: Array) -> Array:
+def fitted_sizes(setting: DesignSetting, limits: Limits, commands: Array) -> Array:
     """(nu,) factors that bring commands to the limits: first all controls together, then each by itself."""
     factors = np.full(len(setting.controls), fitted_size(setting, limits, commands))
     for i in range(len(setting.controls)):
@@ -123,7 +131,7 @@ class Harmonics:
     names: tuple[str, ...]
 
 
-def look_at_harmonics(setting: DesignSetting, limits: Limits, period: float, band: tuple[float, float]) -> Harmonics:
+def simulated_harmonics(setting: DesignSetting, limits: Limits, period: float, band: tuple[float, float]) -> Harmonics:
     """Simulate every harmonic alone and small."""
     time = np.arange(0.0, period, INTEGRATION_STEP)
     controls, matrices, power = [], [], []
@@ -189,7 +197,7 @@ def worst_of(chosen: NDArray[np.bool_]) -> Criterion:
     return criterion
 
 
-def one_of(index: int) -> Criterion:
+def one_parameter(index: int) -> Criterion:
     """Criterion: the squared relative bound of one parameter."""
 
     def criterion(covariance: Array) -> tuple[float, Array]:
@@ -215,7 +223,7 @@ def multisine(
     harmonics_by_control = deal(len(setting.controls), period, band)
     waves = []
     for i, (control, harmonics) in enumerate(zip(setting.controls, harmonics_by_control, strict=True)):
-        power = flat(harmonics.size) if weights is None else weights[i]
+        power = equal_shares(harmonics.size) if weights is None else weights[i]
         keep = power >= LEAST_SHARE * power.max()
         wave = low_peak_multisine(
             period, harmonics[keep], power[keep], rng, STARTS if weights is None else UNEVEN_STARTS
@@ -225,8 +233,8 @@ def multisine(
         waves.append(wave.scaled(size))
     time = np.arange(0.0, period + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
     waves = calmest_shifts(setting, limits, waves, time)
-    commands = total(waves, time)
-    factors = each_fitted(setting, limits, commands)
+    commands = wave_columns(waves, time)
+    factors = fitted_sizes(setting, limits, commands)
     waves = [w.scaled(f) for w, f in zip(waves, factors.tolist(), strict=True)]
     return measure(setting, limits, "multisine", factors * commands, waves)
 
@@ -236,7 +244,7 @@ def calmest_shifts(setting: DesignSetting, limits: Limits, waves: Sequence[Multi
 
     def largest_share(waves: Sequence[Multisine]) -> float:
         """Of any limit of the motion."""
-        commands = total(waves, time)
+        commands = wave_columns(waves, time)
         motion = fly(setting, commands)
         if not motion.reached:
             return math.inf
@@ -246,7 +254,11 @@ def calmest_shifts(setting: DesignSetting, limits: Limits, waves: Sequence[Multi
     if not limits.response or largest_share(chosen_waves) <= 1.0:
         return chosen_waves
     for i in range(len(chosen_waves)):
-        variants = [v for shifted in from_zero(chosen_waves[i])[:SHIFTS] for v in (shifted, shifted.scaled(-1.0))]
+        variants = [
+            v
+            for shifted in shifted_to_zero_crossings(chosen_waves[i])[:SHIFTS]
+            for v in (shifted, shifted.scaled(-1.0))
+        ]
         chosen_waves[i] = min(variants, key=lambda v: largest_share([*chosen_waves[:i], v, *chosen_waves[i + 1 :]]))
     return chosen_waves
 
@@ -266,7 +278,7 @@ def optimal(
     scale: parameter -> size by which its error is measured; 1 for a parameter without one, such as a constant. criterion: names
     of the parameters -> criterion to minimise. judge: of a simulated input, smaller is better.
     """
-    harmonics = look_at_harmonics(setting, limits, period, band)
+    harmonics = simulated_harmonics(setting, limits, period, band)
     sizes = np.array([abs(scale.get(n, 0.0)) for n in harmonics.names])
     weights = allocate(harmonics, np.where(sizes > 0.0, sizes, 1.0), criterion(harmonics.names))
     shares = {i: weights[harmonics.control == i] for i in range(len(setting.controls))}

@@ -111,7 +111,7 @@ def low_peak_multisine(
             break
         best_phases = min(best_phases, search.lowered(rng.uniform(0.0, 2.0 * math.pi, harmonics.size)), key=search.peak)
     amplitudes, phases = search.parts(best_phases)
-    return from_zero(Multisine(period, harmonics, amplitudes, phases))[0]
+    return shifted_to_zero_crossings(Multisine(period, harmonics, amplitudes, phases))[0]
 
 
 class _PeakSearch:
@@ -164,7 +164,7 @@ class _PeakSearch:
         return math.log(power_sum) / power + math.log(top), np.concatenate([by_size, by_phase])
 
 
-def from_zero(wave: Multisine) -> list[Multisine]:
+def shifted_to_zero_crossings(wave: Multisine) -> list[Multisine]:
     """The wave shifted in time to each of its zero crossings, the one of least slope (the softest entry) first.
 
     A shift leaves peak and orthogonality as they are, and changes how the answers of several controls add up.
@@ -183,11 +183,11 @@ def from_zero(wave: Multisine) -> list[Multisine]:
     return shifted_waves
 
 
-def flat(count: int) -> Array:
+def equal_shares(count: int) -> Array:
     """(K,) equal power shares."""
     return np.full(count, 1.0 / count)
 
 
-def total(waves: Sequence[Multisine], time: Array) -> Array:
+def wave_columns(waves: Sequence[Multisine], time: Array) -> Array:
     """(N, nu) values of the waves, a column for each control."""
     return np.column_stack([w.values(time) for w in waves])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves, envelope
 from estimation.campaign.aerodynamics.steps import DateStep, ParameterStep
-from estimation.campaign.aerodynamics.tables import Curves, flown_rows
+from estimation.campaign.aerodynamics.tables import Curves, flights_of_rows
 from estimation.campaign.tasks import Row
 
 
@@ -136,7 +136,7 @@ def difference_rows(curves_by_group: Sequence[Curves], keys: Sequence[str]) -> I
         if first["method"] == second["method"] and len(differing_keys) == 1 and differing_keys[0] in compared:
             all_rows = {**a.rows, **b.rows}
             in_second = np.array([flight in b.rows for flight in sorted(all_rows)])
-            for d in differences(flown_rows(all_rows), in_second):
+            for d in differences(flights_of_rows(all_rows), in_second):
                 yield _difference_row(a, b, d)
 
 

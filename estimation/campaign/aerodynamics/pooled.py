@@ -189,7 +189,7 @@ def bootstrap(envelope: PooledCurves, count: int, seed: int) -> Array:
     return mixed.replicates(data, envelope.design, envelope.fit, count, np.random.default_rng(seed))
 
 
-def flown_of(
+def group_flights_of(
     parameters: Sequence[str],
     flights: Sequence[tuple[str, str]],
     conditions: Array,

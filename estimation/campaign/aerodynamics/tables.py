@@ -51,7 +51,7 @@ def envelopes(results: "pa.Table", keys: Sequence[str], seed: int) -> list[Curve
     group_curves = []
     for (values, method), flights in sorted(_by_group(results, keys).items()):
         group = dict(zip(keys, values, strict=True))
-        curves, steps = with_steps(flown_rows(flights), seed)
+        curves, steps = with_steps(flights_of_rows(flights), seed)
         if curves is not None:
             group_columns: Row = {
                 "group": label_of(group),
@@ -147,7 +147,7 @@ def _by_group(results: "pa.Table", keys: Sequence[str]) -> dict[Group, ByFlight]
     return groups
 
 
-def flown_rows(flights: ByFlight) -> GroupFlights:
+def flights_of_rows(flights: ByFlight) -> GroupFlights:
     """The estimates as arrays, flights in order of date and name, parameters of name: no number depends on the order of rows."""
     order = sorted(flights)
     names = sorted({r["parameter"] for rows in flights.values() for r in rows})
@@ -162,7 +162,7 @@ def flown_rows(flights: ByFlight) -> GroupFlights:
         for r in rows:
             values[i, column[r["parameter"]]], std[i, column[r["parameter"]]] = r["estimate"], r["std_coloured"]
         _correlate(correlation[i], rows, column)
-    return pooled.flown_of(names, [(d, f) for d, f, _ in order], conditions, values, std, correlation)
+    return pooled.group_flights_of(names, [(d, f) for d, f, _ in order], conditions, values, std, correlation)
 
 
 def _correlate(correlation: Array, rows: Sequence[Mapping[str, Any]], column: Mapping[str, int]) -> None:

@@ -37,7 +37,7 @@ SURFACES: Mapping[str, tuple[str, str, float]] = {
 }
 
 
-def looks_of(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
+def group_styles(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Group -> colour and marker, the same in every figure."""
     group_names = sorted(set(labels))
     return {g: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, g in enumerate(group_names)}
@@ -45,14 +45,14 @@ def looks_of(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
 
 def scatter_figure(method: str, points: Sequence[EstimatePoints], groups: Sequence[Row]) -> Picture:
     """Estimates in order of date (Figure 8 of the paper), the pooled value with its 95 % band, and the prior value."""
-    looks = looks_of([g for p in points for g in p.groups])
+    styles = group_styles([g for p in points for g in p.groups])
     with styled():
         figure, axes = panels(len(points), PANELS, 2.1, 0.6)
         for axis, p in zip(axes, points, strict=True):
-            _draw(axis, p, p.order, looks)
+            _draw(axis, p, p.order, styles)
             for r in groups:
                 if r["kind"] == "pooled" and (r["method"], r["parameter"]) == (method, p.parameter):
-                    _band(axis, p, r, looks.get(r["group"], (JOINT, ""))[0])
+                    _band(axis, p, r, styles.get(r["group"], (JOINT, ""))[0])
         legend_above(figure, axes, 3)
     caption = (
         f"Estimates of every flight by {method}, in order of date, with corrected bounds; band: 95 % of the pooled value, "
@@ -63,7 +63,7 @@ def scatter_figure(method: str, points: Sequence[EstimatePoints], groups: Sequen
 
 def trend_figures(method: str, points: Sequence[EstimatePoints], database: Sequence[Row]) -> list[Picture]:
     """Estimates over each condition that changed, with the faired curves of the database over the range flown."""
-    looks = looks_of([g for p in points for g in p.groups])
+    styles = group_styles([g for p in points for g in p.groups])
     pictures = []
     for condition, (title, unit, factor) in CONDITIONS.items():
         if not any(_changes(p, condition) for p in points):
@@ -71,11 +71,11 @@ def trend_figures(method: str, points: Sequence[EstimatePoints], database: Seque
         with styled():
             figure, axes = panels(len(points), PANELS, 2.1, 0.6)
             for axis, p in zip(axes, points, strict=True):
-                _draw(axis, p, factor * p.conditions[condition], looks)
+                _draw(axis, p, factor * p.conditions[condition], styles)
                 group_curves = faired(database, "pooled", method, p.parameter, condition)
                 newest = dict(group_curves)
                 for group, c in group_curves:
-                    colour = looks.get(group, (JOINT, ""))[0]
+                    colour = styles.get(group, (JOINT, ""))[0]
                     axis.plot(factor * c.x, c.value, color=colour, lw=1.2, ls="-" if newest[group] is c else ":")
                     axis.fill_between(factor * c.x, c.low, c.high, color=colour, alpha=0.25, lw=0)
                 for _, c in faired(database, "joint", method, p.parameter, condition):
@@ -101,11 +101,11 @@ def bounds_figure(method: str, groups: Sequence[Row]) -> Picture | None:
     names = sorted({r["parameter"] for r in rows})
     if not names:
         return None
-    looks = looks_of([r["group"] for r in rows])
+    styles = group_styles([r["group"] for r in rows])
     with styled():
         figure = Figure(figsize=(max(6.4, 0.45 * len(names) + 2.0), 3.2), layout="constrained")
         axis = figure.subplots()
-        for group, (colour, marker) in looks.items():
+        for group, (colour, marker) in styles.items():
             group_rows = [r for r in rows if r["group"] == group]
             places, ratios = [names.index(r["parameter"]) for r in group_rows], [r["ratio"] for r in group_rows]
             axis.plot(places, ratios, marker, ms=5, color=colour, label=group)
@@ -133,14 +133,14 @@ def envelope_figure(results: "pa.Table", keys: Sequence[str]) -> Picture | None:
     if not shown_pairs:
         return None
     labels = [label_in(r, keys) for r in rows]
-    looks = looks_of(labels)
+    styles = group_styles(labels)
     with styled():
         figure, axes = panels(len(shown_pairs), 2, 3.0, 0.6)
         for axis, (across, vertical) in zip(axes, shown_pairs, strict=True):
-            for label, look in looks.items():
+            for label, style in styles.items():
                 group_rows = [r for r, of_group in zip(rows, labels, strict=True) if of_group == label]
                 measured_rows = [r for r in group_rows if r[across] is not None and r[vertical] is not None]
-                _cross(axis, measured_rows, (across, vertical), label, look)
+                _cross(axis, measured_rows, (across, vertical), label, style)
             axis.set_xlabel("{} [{}]".format(*titles[across]))
             axis.set_ylabel("{} [{}]".format(*titles[vertical]))
         legend_above(figure, axes, 3)
@@ -152,7 +152,7 @@ def envelope_figure(results: "pa.Table", keys: Sequence[str]) -> Picture | None:
 # ------------------------------------------------------------------------------------------------------ inside
 
 
-def _cross(axis: Any, rows: Sequence[Row], pair: tuple[str, str], label: str, look: tuple[str, str]) -> None:
+def _cross(axis: Any, rows: Sequence[Row], pair: tuple[str, str], label: str, style: tuple[str, str]) -> None:
     factors = [{**CONDITIONS, **SURFACES}[n][2] for n in pair]
     values = [f * np.array([r[n] for r in rows], float) for n, f in zip(pair, factors, strict=True)]
     spans = []
@@ -160,20 +160,20 @@ def _cross(axis: Any, rows: Sequence[Row], pair: tuple[str, str], label: str, lo
         ends = [[r.get(f"{n}_{end}") for r in rows] for end in ("min", "max")]
         ranges_known = rows and all(e is not None for side in ends for e in side)
         spans.append(np.abs(f * np.array(ends, float) - v) if ranges_known else None)
-    colour, marker = look
+    colour, marker = style
     axis.errorbar(*values, spans[1], spans[0], fmt=marker, ms=3.5, lw=0.4, alpha=0.6, color=colour, label=label)
 
 
 def _band(axis: Any, p: EstimatePoints, pooled: Row, colour: str) -> None:
     """The 95 % band of a pooled value over its flights: all, or those on one side of a step."""
-    look: dict[str, Any] = {"color": colour, "alpha": 0.25, "lw": 0}
+    style: dict[str, Any] = {"color": colour, "alpha": 0.25, "lw": 0}
     if not pooled.get("since"):
-        axis.axhspan(pooled["low"], pooled["high"], **look)
+        axis.axhspan(pooled["low"], pooled["high"], **style)
         return
     in_period = [pooled["since"] <= date <= pooled["until"] for date in p.dates]
     places = p.order[np.array(in_period) & (np.array(p.groups) == pooled["group"])]
     if places.size:
-        axis.fill_between([places.min() - 0.5, places.max() + 0.5], pooled["low"], pooled["high"], **look)
+        axis.fill_between([places.min() - 0.5, places.max() + 0.5], pooled["low"], pooled["high"], **style)
 
 
 def _changes(p: EstimatePoints, condition: str) -> bool:
@@ -181,9 +181,9 @@ def _changes(p: EstimatePoints, condition: str) -> bool:
     return measured_values.size >= FEWEST_FOR_TRENDS and float(np.ptp(measured_values)) > 0.0
 
 
-def _draw(axis: Any, p: EstimatePoints, x: Array, looks: Mapping[str, tuple[str, str]]) -> None:
+def _draw(axis: Any, p: EstimatePoints, x: Array, styles: Mapping[str, tuple[str, str]]) -> None:
     """Estimates with corrected bounds, a symbol a group. The axis spans the middle nine tenths of the estimates and a margin."""
-    for label, (colour, marker) in looks.items():
+    for label, (colour, marker) in styles.items():
         in_group = np.array([g == label for g in p.groups]) & np.isfinite(x)
         if in_group.any():
             axis.errorbar(
