@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.utilities.plain_words import file_name
 from estimation.campaign import pooling
 from estimation.campaign.pooling import LEVEL
 from estimation.campaign.schema import usable_estimates
@@ -64,6 +65,11 @@ def label_of(group: Mapping[str, str]) -> str:
 def label_in(row: Row, keys: Sequence[str]) -> str:
     """Label of the group of a row."""
     return label_of({key: row[key] or "" for key in keys})
+
+
+def stem_of(*labels: str) -> str:
+    """Stem of a file for a group, method and the like."""
+    return file_name("_".join(labels).replace(", ", "_").replace(" ", "_"))
 
 
 def series_of(results: "pa.Table", keys: Sequence[str]) -> list[ParameterSeries]:

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.utilities.plain_words import file_name
 from estimation.campaign.aerodynamics.forms import CONDITIONS
 from estimation.campaign.aerodynamics.joint import curve, half_band
 from estimation.campaign.aerodynamics.pooled import PooledCurves
 from estimation.campaign.aerodynamics.tables import Curves, points_of
 from estimation.campaign.aerodynamics.terms import derivatives_of, terms_of
-from estimation.campaign.groups import Starts
+from estimation.campaign.groups import Starts, stem_of
 from estimation.campaign.tasks import Row
 from estimation.models import Model
 from groundstation.flight import Array
@@ -70,7 +69,7 @@ def model_texts(results: "pa.Table") -> dict[str, str]:
     texts = {}
     for run in _runs(results):
         if run["model_text"]:
-            texts[file_name(f"{run['group']}_{run['method']}".replace(", ", "_").replace(" ", "_"))] = run["model_text"]
+            texts[stem_of(run["group"], run["method"])] = run["model_text"]
     return texts
 
 

@@ -10,8 +10,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from daq.utilities.constants import FOOT
-from daq.utilities.plain_words import file_name
 from estimation.campaign.aerodynamics.tables import SURFACE
+from estimation.campaign.groups import stem_of
 from estimation.campaign.tasks import Row
 from groundstation.flight import Array
 
@@ -28,10 +28,7 @@ def aerodynamics_files(database: Sequence[Row]) -> dict[str, str]:
     for r in database:
         if r["along"] in (SURFACE, "") and r.get("until") in (None, last_date.get(_identity(r))):
             sets.setdefault((r["group"], r["method"], r["kind"]), {}).setdefault(r["parameter"], []).append(r)
-    return {
-        file_name("_".join(labels).replace(", ", "_").replace(" ", "_")): _xml(", ".join(labels), parameters)
-        for labels, parameters in sets.items()
-    }
+    return {stem_of(*labels): _xml(", ".join(labels), parameters) for labels, parameters in sets.items()}
 
 
 def _identity(r: Row) -> tuple[str, str, str, str]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from daq.utilities.constants import RADIAN
 from estimation.campaign.groups import label_in
-from estimation.campaign.pages.points import EstimatePoints, faired
+from estimation.campaign.pages.points import EstimatePoints, faired, method_stem
 from estimation.campaign.tasks import Row
 from estimation.report.drawing.figures import Picture, legend_above, panels, picture, styled
 from estimation.report.names import tex
@@ -58,7 +58,7 @@ def scatter_figure(method: str, points: Sequence[EstimatePoints], groups: Sequen
         f"Estimates of every flight by {method}, in order of date, with corrected bounds; band: 95 % of the pooled value, "
         "on each side of a step in time that moved it; dashes: the prior value."
     )
-    return picture(figure, f"flights_{_name(method)}", caption, sum(WEIGHT * p.y.size for p in points))
+    return picture(figure, f"flights_{method_stem(method)}", caption, sum(WEIGHT * p.y.size for p in points))
 
 
 def trend_figures(method: str, points: Sequence[EstimatePoints], database: Sequence[Row]) -> list[Picture]:
@@ -89,7 +89,7 @@ def trend_figures(method: str, points: Sequence[EstimatePoints], database: Seque
             "prior value."
         )
         size = sum(WEIGHT * p.y.size for p in points)
-        pictures.append(picture(figure, f"trend_{condition}_{_name(method)}", caption, size))
+        pictures.append(picture(figure, f"trend_{condition}_{method_stem(method)}", caption, size))
     return pictures
 
 
@@ -115,7 +115,7 @@ def bounds_figure(method: str, groups: Sequence[Row]) -> Picture | None:
         axis.set_ylabel("scatter / bound")
         legend_above(figure, [axis], 3)
     caption = f"Scatter of the flights' estimates by {method} over their corrected bounds; 1: the bounds are right."
-    return picture(figure, f"bounds_{_name(method)}", caption)
+    return picture(figure, f"bounds_{method_stem(method)}", caption)
 
 
 def envelope_figure(results: "pa.Table", keys: Sequence[str]) -> Picture | None:
@@ -195,7 +195,3 @@ def _draw(axis: Any, p: EstimatePoints, x: Array, styles: Mapping[str, tuple[str
     margin = max(float(high - low), float(np.median(p.std)) * 2.0)
     axis.set_ylim(low - margin, high + margin)
     axis.set_ylabel(f"${tex(p.parameter)}$")
-
-
-def _name(method: str) -> str:
-    return method.replace(":", "_")

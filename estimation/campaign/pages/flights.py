@@ -11,6 +11,7 @@ from markupsafe import Markup
 from daq.utilities.constants import RADIAN
 from daq.utilities.plain_words import file_name
 from estimation.campaign.groups import label_in
+from estimation.campaign.pages.points import method_stem
 from estimation.campaign.tasks import Row
 from estimation.report.page import Page, Section, box, breakable, bullets, free_table, paragraph
 from estimation.report.tables import ReportTable, number, significant
@@ -166,7 +167,7 @@ def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tup
             )
         )
     head = ("parameter", "estimate", "corrected bound", "pooled", "bounds apart", "")
-    return ReportTable(f"estimates_{method.replace(':', '_')}", f"Estimates by {method}", head, tuple(cells))
+    return ReportTable(f"estimates_{method_stem(method)}", f"Estimates by {method}", head, tuple(cells))
 
 
 def _fits(kind: str, rows: Sequence[Row]) -> ReportTable:

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from estimation.campaign.groups import claims_of
 from estimation.campaign.pages.figures import bounds_figure, envelope_figure, scatter_figure, trend_figures
 from estimation.campaign.pages.flights import write_flight_pages
-from estimation.campaign.pages.points import points_of
+from estimation.campaign.pages.points import method_stem, points_of
 from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.run import CampaignOutcome
 from estimation.campaign.tasks import Row
@@ -111,7 +111,7 @@ def pooled_table(groups: Sequence[Row], method: str) -> ReportTable | None:
         "scatter: sample standard deviation; bound: rms of the corrected bounds. Sound bounds have a ratio near 1. "
         "What a step in time moved is pooled on each side by itself, from date to date."
     )
-    name, caption = f"pooled_{method.replace(':', '_')}", f"Pooled over flights, {method}"
+    name, caption = f"pooled_{method_stem(method)}", f"Pooled over flights, {method}"
     return ReportTable(name, caption, head, cells, note=note) if cells else None
 
 

@@ -41,6 +41,11 @@ class Faired:
     high: Array
 
 
+def method_stem(method: str) -> str:
+    """A method as part of a file's name: `module:NAME` without its colon."""
+    return method.replace(":", "_")
+
+
 def points_of(results: "pa.Table", method: str, keys: Sequence[str]) -> list[EstimatePoints]:
     """Usable estimates by parameter, in order of date and name."""
     columns = ("reference", *CONDITIONS, *keys)
