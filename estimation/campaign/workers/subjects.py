@@ -1,5 +1,6 @@
 """From a piece of work to its flight, aircraft and model; and the conditions that the flight was flown in."""
 
+import hashlib
 import tempfile
 import tomllib
 from collections.abc import Callable
@@ -52,11 +53,15 @@ def read_subject(subject: Subject) -> Flight:
     source = subject.source
     if source.path and source.data is None:
         flight = read_flight(source.path)
-        if flight.provenance.sha256 != source.sha256:
-            raise CampaignError(f"{source.path}: changed while the campaign ran; run it again")
+        _refuse_changed(source, flight.provenance.sha256)
     else:
         flight = _from_bytes(source)
     return select_segments(flight, subject.segments or None)
+
+
+def _refuse_changed(source: FlightSource, sha256: str) -> None:
+    if sha256 != source.sha256:
+        raise CampaignError(f"{source.location}: changed while the campaign ran; run it again")
 
 
 def _from_bytes(source: FlightSource) -> Flight:
@@ -67,14 +72,16 @@ def _from_bytes(source: FlightSource) -> Flight:
 
 
 def bytes_of(source: FlightSource) -> bytes:
-    """The bytes sent along, flown by the simulator, or fetched from the URL."""
+    """The bytes sent along, flown by the simulator, or fetched from the URL. CampaignError where the latter changed."""
     if source.data is not None:
         return source.data
     if source.made is not None and source.maker is not None:
         return source.maker(source.made)
     from estimation.campaign.sources import fetched
 
-    return fetched(source.url)
+    data = fetched(source.url)
+    _refuse_changed(source, hashlib.sha256(data).hexdigest())
+    return data
 
 
 def aircraft_of_subject(subject: Subject, flight: Flight, work: Work) -> Aircraft:

@@ -18,6 +18,7 @@ from daq.utilities import limits
 from estimation.campaign.plan import plan_from, read_plan
 from estimation.campaign.sources import _chunks, entries_of, fetched
 from estimation.campaign.tasks import CampaignError
+from estimation.campaign.workers.subjects import bytes_of
 
 TRAP = "from pathlib import Path\nPath('sprung').write_text('x')\nclass Model: pass\nOWN = 1\n"
 
@@ -127,6 +128,17 @@ def test_a_file_by_its_address_is_an_ordinary_one(tmp_path: Path) -> None:
     for address in (f"file://{tmp_path}/pipe.csv", "file:///dev/zero"):
         with pytest.raises(CampaignError, match="ordinary file"):
             fetched(address)
+
+
+def test_an_address_whose_content_changed_after_the_plan_was_read_is_refused(tmp_path: Path) -> None:
+    flight = tmp_path / "flight.csv"
+    flight.write_bytes(b"time,p\n0,0\n")
+    (entry,) = entries_of(plan_from({"flights": [f"file://{flight}"]}, "p"), tmp_path)
+    assert entry.source is not None
+    assert bytes_of(entry.source) == flight.read_bytes()
+    flight.write_bytes(b"time,p\n0,1\n")
+    with pytest.raises(CampaignError, match="changed while the campaign ran"):
+        bytes_of(entry.source)
 
 
 class Server(BaseHTTPRequestHandler):
