@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import sys
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from estimation.engine.compiled_library import compiler
+from estimation.estimators.estimator import Estimator
 
 LIBRARIES = ("sideslip", "casadi", "numpy", "scipy", "torch")
 ROOT = Path(__file__).parents[2]
@@ -69,6 +71,16 @@ def digest_of_files(places: tuple[str, ...], root: Path = ROOT) -> str:
         for file in files:
             digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
+
+
+def digest_of_own_code(estimator: Estimator) -> str:
+    """Digest of the file of an estimator that does not come with Sideslip, empty for all others. Modules that it imports do not
+    count."""
+    module = sys.modules.get(getattr(estimator.fit, "__module__", ""))
+    file = getattr(module, "__file__", None)
+    if file is None or Path(file).is_relative_to(ROOT / "estimation"):
+        return ""
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16]
 
 
 def key_of(*content: Any) -> str:

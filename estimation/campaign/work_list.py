@@ -7,7 +7,7 @@ from pathlib import Path
 
 from daq.utilities.errors import UserError
 from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft, unknown_aircraft
-from estimation.campaign.keys import digest_of_files, key_of, seed_of, versions
+from estimation.campaign.keys import digest_of_files, digest_of_own_code, key_of, seed_of, versions
 from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.schema import VERSION
 from estimation.campaign.sources import CampaignFlight
@@ -138,10 +138,12 @@ def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
     model = [subject.model_text or subject.model, subject.aircraft_text, subject.mass]
     pieces, seeds = {}, {}
     for method in dict.fromkeys(plan.methods):
-        supported = find_estimator(method).supports
+        estimator = find_estimator(method)
+        supported, own_code = estimator.supports, digest_of_own_code(estimator)
         replicates = plan.bootstrap if Extra.BOOTSTRAP in supported else 0
         seeds[method] = seed_of(plan.seed, subject.source.sha256, method) if Extra.SEED in supported else 0
-        pieces[method] = key_of("flight", data, model, method, replicates, seeds[method])
+        content = [data, model, method, replicates, seeds[method], *([own_code] if own_code else [])]
+        pieces[method] = key_of("flight", *content)
     if plan.check == "full":
         pieces[CHECK] = key_of("check", data)
     return Work(

@@ -5,7 +5,11 @@ from pathlib import Path
 import pytest
 from grimp import build_graph
 
-from estimation.campaign.keys import SOURCES_OF_RESULTS, digest_of_files
+from estimation.campaign.keys import SOURCES_OF_RESULTS, digest_of_files, digest_of_own_code
+from estimation.campaign.plan import plan_from
+from estimation.campaign.sources import entries_of
+from estimation.campaign.work_list import work_list
+from estimation.estimators.registry import built_in
 from tests.support.paths import ROOT
 
 WORKER = "estimation.campaign.workers.work"
@@ -52,3 +56,18 @@ def test_a_change_below_a_counted_folder_changes_the_digest(place: str, tmp_path
     before = digest_of_files(SOURCES_OF_RESULTS, tmp_path)
     file.write_text("GAIN = 1.1\n")
     assert digest_of_files(SOURCES_OF_RESULTS, tmp_path) != before
+
+
+def test_a_change_of_a_users_estimator_makes_its_results_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    code = "from estimation import Estimator\ndef fit(task): ...\nOWN = Estimator('own-fit', 'own', fit)\n"
+    (tmp_path / "own_fits.py").write_text(code)
+    flight = str(ROOT / "recordings" / "foreign" / "ordinary_0.csv")
+    plan = plan_from({"flights": [flight], "aircraft": "cdfp", "methods": ["ls", "own_fits:OWN"]}, "test")
+    entries = entries_of(plan, tmp_path)
+    (before,) = work_list(plan, entries, tmp_path).planned
+    (tmp_path / "own_fits.py").write_text(f"{code}GAIN = 1.1\n")
+    (after,) = work_list(plan, entries, tmp_path).planned
+    assert before.work.pieces["ls"] == after.work.pieces["ls"]
+    assert before.work.pieces["own_fits:OWN"] != after.work.pieces["own_fits:OWN"]
+    assert not {name for name, estimator in built_in().items() if digest_of_own_code(estimator)}
