@@ -19,6 +19,7 @@ from estimation.estimators.registry import check_extras, find_estimator
 GROUPABLE = ("aircraft", "configuration", "day", "manoeuvre")
 LONGEST_LIMIT = 1e6  # s, eleven days: the timers that end work hold no longer times
 MOST_REPLICATES = 100_000  # a flight: a spread is then known to 0.3 %
+DATE_LENGTH = len("2026-03-01")
 FLIGHT_SUFFIXES = (".mcap", ".csv", ".parquet")
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -58,7 +59,7 @@ class RecordConditions(_CampaignTable):
             return value.isoformat()
         if isinstance(value, str) and value:
             try:
-                kind = dt.datetime if len(value) > 10 else dt.date
+                kind = dt.datetime if len(value) > DATE_LENGTH else dt.date
                 return kind.fromisoformat(value).isoformat()
             except ValueError as error:
                 raise ValueError(f"{value!r} is no date; write it like 2026-03-01 or 2026-03-01T10:30:00") from error
@@ -78,7 +79,8 @@ class RecordConditions(_CampaignTable):
 
     @property
     def day(self) -> str:
-        return self.date[:10]
+        """The date without its time."""
+        return self.date[:DATE_LENGTH]
 
 
 @contextlib.contextmanager

@@ -29,6 +29,7 @@ FIX = ("vn", "ve", "vd")
 SMOOTH_S = 1.0
 """[s] up to which the gyro has the change of attitude better than the attitude itself; its noise over 1 s is 0.001 rad."""
 
+FEWEST_FOR_RATE = 4  # samples from which the rate of a channel is estimated: below, every one counts as new
 LEAST_BEND, LEAST_SIZE = 1e-6, 1e-3
 """Second difference, over the size of the channel (at least LEAST_SIZE), from which neighbouring samples lie on no straight
 line."""
@@ -85,7 +86,7 @@ def fresh_samples(flight: Flight, columns: Sequence[str]) -> NDArray[np.bool_]:
     values = np.column_stack([flight[c] for c in columns])
     complete = np.all(np.isfinite(values), axis=1)
     rows = np.flatnonzero(complete)
-    if rows.size < 4:
+    if rows.size < FEWEST_FOR_RATE:
         return complete
     changed = np.any(np.diff(values[rows], axis=0) != 0.0, axis=1)
     candidates = rows[np.concatenate([[True], changed])]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.compatibility.reconstruction import Compatibility
-from estimation.compatibility.records import with_rate_derivatives
+from estimation.compatibility.records import PARABOLA, with_rate_derivatives
 from estimation.structure.odd_flights import CORRECTION_BOUNDS
 from groundstation.flight import Flight
 
@@ -80,8 +80,8 @@ def _smooth_rates(flight: Flight, columns: dict[str, np.ndarray]) -> np.ndarray:
     for rate in "pqr":
         smooth[rate] = columns[rate].copy()
         for part in flight.segments:
-            if part.stop - part.start >= 5 and np.isfinite(columns[rate][part]).all():
-                smooth[rate][part] = savgol_filter(columns[rate][part], 5, 2)
+            if part.stop - part.start >= PARABOLA[0] and np.isfinite(columns[rate][part]).all():
+                smooth[rate][part] = savgol_filter(columns[rate][part], *PARABOLA)
     return np.column_stack([smooth[r] for r in "pqr"])
 
 

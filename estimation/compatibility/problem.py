@@ -19,7 +19,11 @@ from estimation.models.kinematic import FILTER_ERRORS
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
 
-_TURBULENCE_LOG10 = (-3.5, 0.7)  # of m/s per root second
+_TURBULENCE_LOG10 = (-3.5, 0.7)  # range of the search, of m/s per root second
+_SEARCH, _NARROW_SEARCH = (
+    (1.0, 3),
+    (0.5, 2),
+)  # first step [decades], rounds; from scratch, near a known value
 
 SMALLEST, SMALLEST_SHARE = 1e-6, 1e-4
 """Least noise of a channel: in its unit, and of its range."""
@@ -129,10 +133,11 @@ class CompatibilityProblem:
 
     def settle_turbulence(self, p: Array, *, known: bool = False) -> None:
         """Set the turbulence of greatest likelihood, by a search over decades, then finer. known: search near the present one."""
-        centre, width = float(np.log10(max(self.turbulence, 1e-4))), 0.5 if known else 1.0
+        centre = float(np.log10(max(self.turbulence, 1e-4)))
+        width, rounds = _NARROW_SEARCH if known else _SEARCH
         noise_before = [o.copy() for o in self.outputs]
         costs: dict[float, float] = {}
-        for _ in range(2 if known else 3):
+        for _ in range(rounds):
             for candidate in np.clip(centre + width * np.array([-1.0, 0.0, 1.0]), *_TURBULENCE_LOG10).tolist():
                 if candidate not in costs:
                     self.turbulence = float(10**candidate)

@@ -21,11 +21,13 @@ from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.kinematics import GYROS, attitude_rates
 
 SHORTEST = 40  # samples of a stretch that is reconstructed: 2 s at 20 Hz
+PARABOLA = (5, 2)  # samples and order of the local polynomial that smooths and differentiates rates
 COLUMNS = ("ax", "ay", "az", "p", "q", "r")
 JUMP = 0.1
 """Step [rad] of an attitude between two samples, in excess of the integrated rates, that no aircraft makes."""
 JUMP_IN_NOISE = 8.0  # noise levels of the angle that a jump also exceeds
 LONGEST_START = 0.5  # of a stretch: an attitude first measured later than that is missing, not starting up
+FEWEST_FOR_JUMPS = 8  # samples of an attitude in which jumps are searched
 MOSTLY_SLOW = 0.5  # share of airspeeds below flying speed, beyond which a flight without faster ones is refused
 
 ATTITUDE_ERROR = {"phi": 0.01, "theta": 0.01, "psi": 0.03}
@@ -194,7 +196,7 @@ def attitude_jumps(flight: Flight) -> dict[int, str]:
 def _lasting_steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, float]]:
     """(row, size) of lasting steps between neighbouring measured samples."""
     rows = np.flatnonzero(np.isfinite(angle) & np.isfinite(rate))
-    if rows.size < 8:
+    if rows.size < FEWEST_FOR_JUMPS:
         return []
     t, mean = time[rows], 0.5 * (rate[rows][1:] + rate[rows][:-1])
     excess = np.diff(np.unwrap(angle[rows])) - mean * np.diff(t)
@@ -238,7 +240,9 @@ def with_rate_derivatives(flight: Flight, columns_wanted: Sequence[str]) -> Flig
             derivative = np.full(len(flight), np.nan)
             for part in flight.segments:
                 if part.stop - part.start >= SHORTEST:
-                    derivative[part] = savgol_filter(flight[rate][part], 5, 2, deriv=1, delta=flight.sample_interval)
+                    derivative[part] = savgol_filter(
+                        flight[rate][part], *PARABOLA, deriv=1, delta=flight.sample_interval
+                    )
             columns[f"{rate}_dot"] = derivative
     return flight.with_columns(**columns) if columns else flight
 

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimation.design.predict import NOISE, DesignSetting, PredictedMotion, output_noise, sampled
+from estimation.design.predict import NOISE, RANK, DesignSetting, PredictedMotion, output_noise, sampled
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
 from estimation.models.base import Signal
@@ -84,7 +84,7 @@ def _scatter(sensitivities: Array, sensor_noise: Array, error_covariance: Array,
     weighted = np.einsum("tyn,yz->tzn", sensitivities, weight)
     scale = np.sqrt(np.maximum(np.einsum("tyn,tyn->n", weighted, sensitivities), 1e-300))
     weighted = weighted / scale
-    inverse = np.linalg.pinv(np.einsum("tyn,tym->nm", weighted, sensitivities / scale), rcond=1e-12, hermitian=True)
+    inverse = np.linalg.pinv(np.einsum("tyn,tym->nm", weighted, sensitivities / scale), rcond=RANK, hermitian=True)
     middle = np.einsum("tyn,yz,tzm->nm", weighted, sensor_noise, weighted)
     for d in output_errors:
         slope = np.einsum("tyn,ty->n", weighted, d)

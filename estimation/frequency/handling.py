@@ -47,6 +47,7 @@ SHORT_PERIOD = {
 ANTICIPATION = {"A": ((0.28, 3.6), (0.16, 10.0)), "B": ((0.085, 3.6), (0.038, 10.0)), "C": ((0.16, 3.6), (0.096, 10.0))}
 DELAY = (0.10, 0.20, 0.25)  # s, MIL-STD-1797A: largest equivalent delay of levels 1, 2, 3
 STEP, LEAST_SIZE = 1e-5, 1e-6  # of a parameter, for a difference: relative, and of the least size
+GAIN_MARGIN_DB, PHASE_MARGIN = 6.0, np.pi / 4  # of the bandwidth, MIL-STD-1797A
 BANDWIDTH_POINTS = 2000  # frequencies of the fit in which crossings are searched
 
 
@@ -222,11 +223,11 @@ def _bandwidth(response: FrequencyResponse, fit: TransferFunction) -> Iterator[N
     phase = np.unwrap(np.angle(H))
     phase += -np.pi / 2 - phase[0] + _without_half_turns(phase[0] + np.pi / 2)
     crossing = _first_crossing(omega, phase, -np.pi)
-    by_phase = _first_crossing(omega, phase, -0.75 * np.pi)
+    by_phase = _first_crossing(omega, phase, PHASE_MARGIN - np.pi)
     if crossing is None or by_phase is None:
         return
     decibels = 20 * np.log10(np.abs(H))
-    by_gain = _first_crossing(omega, decibels, float(np.interp(crossing, omega, decibels)) + 6.0)
+    by_gain = _first_crossing(omega, decibels, float(np.interp(crossing, omega, decibels)) + GAIN_MARGIN_DB)
     width = min(by_phase, by_gain if by_gain is not None else math.inf)
     yield _number("omega_BW", width)
     if 2 * crossing <= omega[-1]:

@@ -31,6 +31,7 @@ POINTS = 60  # frequencies
 FEWEST_POINTS, MOST_POINTS = 2, 2000
 PER_PERIOD = 4.0  # samples of a period of the highest frequency
 STEPS = 10.0  # spacings of the zoomed grid up to the lowest frequency
+WEIGHT_POWER = -4.0  # of the random error, in the weight of a window length (Tischler and Remple)
 WORST = 1.0 / 3.0  # random error over magnitude, above which points are left out
 CHANCE = 1e-3  # probability that a point without any response has a coherence that is kept
 INCOHERENT = 0.3  # coherence below which points are left out
@@ -204,7 +205,7 @@ def _composed(
     part = slice(len(grid.omega) - len(omega), None)
     bias = _bias(window_responses, part)
     error = np.where(holds, np.hypot(np.stack([r.std[part] for r in window_responses]), bias), np.inf)
-    weight = (np.maximum(error, 1e-300) / np.maximum(error.min(axis=0), 1e-300)) ** -4.0
+    weight = (np.maximum(error, 1e-300) / np.maximum(error.min(axis=0), 1e-300)) ** WEIGHT_POWER
     weight /= weight.sum(axis=0)
 
     def mean(values: Sequence[Any]) -> Any:
