@@ -194,11 +194,17 @@ def joint_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Wor
     return replace(work, bootstrap=plan.bootstrap, seeds=seeds)
 
 
+def _in_order(members: Sequence[Member]) -> list[Member]:
+    """Flights in the order of their content: no number depends on the order of the plan, or on versions, which are in the
+    keys."""
+    return sorted(members, key=lambda m: (m.planned.work.subjects[0].source.sha256, m.planned.work.identity))
+
+
 def _group_work(
     plan: CampaignPlan, kind: str, name: str, label: str, pieces: Mapping[str, str], members: Sequence[Member]
 ) -> Work:
     """Work on several flights. Its time limit is the sum of theirs."""
-    ordered = sorted(members, key=lambda m: m.planned.work.identity)  # numbers do not depend on the order of the plan
+    ordered = _in_order(members)
     subjects = tuple(m.planned.work.subjects[0] for m in ordered)
     limit = min(plan.time_limit * len(subjects), LONGEST_CLOCK)
     segments = plan.each_segment
@@ -218,7 +224,7 @@ def envelope_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> 
 
 def match_works(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Iterator[Work]:
     """Each flight predicted with the weighted means of the others' estimates."""
-    ordered = sorted(members, key=lambda m: m.planned.work.identity)  # sums do not depend on the order of the plan
+    ordered = _in_order(members)
     sums = {
         method: _WeightedSums(m.estimates[method] for m in ordered if method in m.estimates) for method in plan.methods
     }

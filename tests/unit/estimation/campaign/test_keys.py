@@ -5,10 +5,11 @@ from pathlib import Path
 import pytest
 from grimp import build_graph
 
+from estimation.campaign import work_list as planning
 from estimation.campaign.keys import SOURCES_OF_RESULTS, digest_of_files, digest_of_own_code
 from estimation.campaign.plan import plan_from
 from estimation.campaign.sources import entries_of
-from estimation.campaign.work_list import work_list
+from estimation.campaign.work_list import Member, joint_work, work_list
 from estimation.estimators.registry import built_in
 from tests.support.paths import ROOT
 
@@ -71,3 +72,16 @@ def test_a_change_of_a_users_estimator_makes_its_results_old(tmp_path: Path, mon
     assert before.work.pieces["ls"] == after.work.pieces["ls"]
     assert before.work.pieces["own_fits:OWN"] != after.work.pieces["own_fits:OWN"]
     assert not {name for name, estimator in built_in().items() if digest_of_own_code(estimator)}
+
+
+def test_another_version_does_not_change_the_order_of_flights_in_a_joint_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    flights = [str(ROOT / "recordings" / "foreign" / f"ordinary_{i}.csv") for i in range(4)]
+    plan = plan_from({"flights": flights, "aircraft": "cdfp", "methods": ["ls"]}, "test")
+    orders = set()
+    for code in "abcdefgh":
+        monkeypatch.setattr(planning, "versions", lambda code=code: {"code": code})
+        planned = work_list(plan, entries_of(plan, ROOT), ROOT).planned
+        work = joint_work(plan, "all flights", [Member(p, {"ls": {"Cl_p": (-0.4, 1e-4)}}) for p in planned])
+        assert work is not None
+        orders.add(tuple(subject.source.name for subject in work.subjects))
+    assert len(orders) == 1
