@@ -39,7 +39,7 @@ def analyse(
         answer = ss.analyse("flight.bin", aircraft="my.toml", output="answer")
         print(answer.summary())
     """
-    from estimation.analysis.run import Given, analyse_flights
+    from estimation.analysis.run import ImportedFlights, analyse_flights
     from estimation.analysis.stages import Stages, digest
     from estimation.prepare.stretches import unique_names
     from estimation.report.page import software
@@ -56,7 +56,7 @@ def analyse(
         imported.append(_imported(number, Path(path), mapping, aircraft, stages))
     flights = unique_names([flight for flight, _, _ in imported])
     keys, repeated = tuple(k for _, k, _ in imported), any(r for _, _, r in imported)
-    imported_flights = Given(tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), keys, repeated)
+    imported_flights = ImportedFlights(tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), keys, repeated)
     return analyse_flights(imported_flights, aircraft, digest([aircraft, aircraft_file]), stages, tell)
 
 

@@ -1,4 +1,4 @@
-"""The aircraft as data: what it is, the files it is read from, and what is believed of it before flying."""
+"""The aircraft as data: geometry, mass, prior derivatives, and the files they are read from."""
 
 from estimation.aircraft.aircraft import (
     SOURCES,

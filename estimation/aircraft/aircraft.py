@@ -1,8 +1,8 @@
-"""The aircraft as data: geometry, mass, sensor positions and what is believed of its derivatives before flying.
+"""The aircraft as data: geometry, mass, sensor positions and prior derivatives.
 
-Light on purpose (no numerical library): the simulator reads geometry, mass, servos and engine from here, the estimators
-their constants, starting values and the columns printed beside their results. Aircraft live in TOML files
-(docs/aircraft.md); the built-in ones are beside this module.
+Without numerical libraries, to load fast: the simulator reads geometry, mass, servos and engine from here, the estimators
+their constants, starting values and the columns printed beside their results. Aircraft are TOML files (docs/aircraft.md); the
+built-in ones are in this folder.
 
 SI and radians; body axes x forward, y right, z down, origin at the CG. Derivatives are per radian, rates
 non-dimensional as p b / 2V, q c / 2V, r b / 2V. Source of the built-in CDFP: The Aeronautical Journal (2018),
@@ -28,7 +28,7 @@ _KEYS = {
 
 @dataclass(frozen=True, slots=True)
 class PriorDerivative:
-    """What is believed of one derivative before flying: value and standard deviation, per rad, and who says so."""
+    """The belief about one derivative before a flight: value and standard deviation [1/rad], and its source."""
 
     value: float
     std: float | None = None
@@ -56,9 +56,9 @@ class Engine:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedFlight:
-    """How a simulated aircraft flies: trimmed with elevons in line at `speed`, between the ends of `speed_range` [m/s].
+    """How a simulated aircraft flies. speed: trimmed with elevons in line; speed_range: slowest and fastest [m/s].
 
-    derivatives: those it flies with where they are not the believed ones [1/rad].
+    derivatives: true ones where they differ from the believed ones [1/rad].
     """
 
     speed: float
@@ -67,18 +67,17 @@ class SimulatedFlight:
 
 
 LARGEST_NUMBER = 1e9
-"""Of what an aircraft's size, mass or inertia can be in SI units: a hundred times the largest that have flown."""
+"""Largest size, mass or inertia of an aircraft in SI units: a hundred times those of the largest that have flown."""
 
 
 @dataclass(frozen=True)
 class Aircraft:
     """Geometry [m, m2], mass [kg, kg m2], sensor positions [m from the CG, body axes] and prior derivatives [1/rad].
 
-    `Ixz` is the product of inertia as it stands in the equations of motion (positive for a nose-down principal axis). What the
-    file does not say is NaN; `need` refuses it where it is used. throws: surface -> its least and greatest deflection [rad].
-    uncertainty: field of geometry or mass -> relative 1 sigma of what is stated.
-    servos, engine, simulation: for a simulated aircraft only.
-    text: the file it was read from, empty for one made in a program.
+    `Ixz` is the product of inertia as in the equations of motion (positive for a nose-down principal axis). Values missing in the
+    file are NaN; `need` refuses them where they are used. throws: surface -> least and greatest deflection [rad]. uncertainty:
+    field of geometry or mass -> relative 1 sigma. servos, engine, simulation: for a simulated aircraft only. text: of its file,
+    empty for one made in a program.
     """
 
     name: str
@@ -104,11 +103,11 @@ class Aircraft:
     text: str = field(default="", compare=False, repr=False)
 
     def prior(self, name: str) -> PriorDerivative | None:
-        """The prior of derivative `name`, or None where nothing is believed of it."""
+        """The prior of derivative `name`, None where there is none."""
         return self.derivatives.get(name)
 
     def constants(self) -> dict[str, float]:
-        """Names and values that the equations of a model may use: m S b c Ixx Iyy Izz Ixz g; NaN where not known."""
+        """Names and values of constants in the equations of a model: m S b c Ixx Iyy Izz Ixz g; NaN where not known."""
         return {**{name: float(getattr(self, field_)) for name, (field_, _) in _KEYS.items()}, "g": GRAVITY}
 
     @property
@@ -117,7 +116,7 @@ class Aircraft:
         return all(math.isnan(v) for n, v in self.constants().items() if n != "g")
 
     def need(self, names: Iterable[str], what: str) -> None:
-        """Raise AircraftError for the first of `names` (of equations) that is not known. what: who needs it."""
+        """Raise AircraftError where some of `names` (in equations) are not known. what: needs them, for the message."""
         constants = self.constants()
         missing = [_KEYS[n][1] for n in names if n in _KEYS and math.isnan(constants[n])]
         if missing:
@@ -128,7 +127,7 @@ class Aircraft:
 
     @property
     def impossible(self) -> str:
-        """The first of geometry, mass and inertia that no aircraft has, in words; empty where all may be, or are not known."""
+        """The first impossible value of geometry, mass and inertia, in words; empty where all are possible or unknown."""
         for name, (key, _) in _KEYS.items():
             value = float(getattr(self, key))
             if abs(value) > LARGEST_NUMBER or (name != "Ixz" and value <= 0.0):
@@ -143,6 +142,6 @@ class Aircraft:
 
 
 def unknown_aircraft(name: str) -> Aircraft:
-    """An aircraft of which nothing is known but its name, for methods that do without."""
+    """An aircraft of which only the name is known, for methods that need no more."""
     nan = math.nan
     return Aircraft(name, nan, nan, nan, nan, nan, nan, nan, nan)

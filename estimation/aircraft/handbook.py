@@ -1,11 +1,11 @@
-"""Beliefs about derivatives from the shape of a conventional aircraft, good to a third at best: better starts than zeros.
+"""Prior derivatives from the shape of a conventional aircraft, good to a third at best: better starts than zeros.
 
 Wing lift slope: DATCOM 4.1.3.2 for low speed (Raymer, Aircraft Design, eq 12.6). Tail, fin and damping terms: Etkin and
 Reid, Dynamics of Flight, 3rd ed., sections 2.2 to 3.11. Wing in roll: Prandtl's lifting line, solved by Fourier series
-(Glauert, Elements of Aerofoil and Airscrew Theory, chapter 11), scaled to the lift slope above; what depends on lift, by
+(Glauert, Elements of Aerofoil and Airscrew Theory, chapter 11), scaled to the lift slope above; terms that depend on lift, by
 strips. Control effectiveness: Glauert's thin-aerofoil flap. Neglected: fuselage, slipstream, wing-fin interference,
-compressibility; hence the standard deviations: STD_MAIN of a term that one surface makes, STD_CROSS of what sums parts
-or depends on lift.
+compressibility; hence the standard deviations: STD_MAIN for a term of one surface, STD_CROSS for sums of parts and terms that
+depend on lift.
 """
 
 import math
@@ -28,13 +28,18 @@ STD_MAIN = 0.3
 """Of damping, stiffness and control power: scatter of handbook methods about flight of light aircraft."""
 
 STD_CROSS = 0.6
-"""Of cross derivatives (rolling moment due to yaw and the like), and where the fuselage that is left out weighs as much."""
+"""Of cross derivatives (rolling moment due to yaw and the like), and of terms to which the neglected fuselage adds as much."""
 
 STD_FLOOR = 0.01
 """Smallest standard deviation of a belief: some derivatives are near zero by cancellation [1/rad]."""
 
 STD_WING_HEIGHT = 0.03
-"""Of Cl_beta: a wing above or below the fuselage is worth some five degrees of dihedral (Etkin and Reid, section 3.9)."""
+"""Of Cl_beta: a wing above or below the fuselage acts like five degrees of dihedral (Etkin and Reid, section 3.9)."""
+
+ASPECT_UNKNOWN = 3.0  # of a tail or fin whose span is not stated
+WING_DAMPING = 0.1  # of Cm_q, over the lift slope of the wing
+POINTS = 60
+"""Collocation points of the lifting line: rolling moments are then within 3 % of those with ten times as many."""
 
 OSWALD = 0.8  # span efficiency; 0.7 to 0.9 of light aircraft (Raymer, section 12.6)
 CD_0 = 0.03  # clean light aircraft 0.02 to 0.04 (Raymer, table 12.3)
@@ -42,11 +47,11 @@ TAIL_PRESSURE = 0.9  # dynamic pressure at the tail over that of the wing (Etkin
 
 
 class HandbookShape(BaseModel):
-    """`[shape]`: what the handbook methods need beyond span, area and chord [m, m2, rad].
+    """`[shape]`: the input of the handbook methods besides span, area and chord [m, m2, rad].
 
     wing_ac: aerodynamic centre of the wing from the CG, + forward. Tail and fin arms: CG to their quarter chord, + aft;
     fin_height: its centre of pressure above the CG. *_flap: chord of the control over that of its surface. aileron: inner
-    and outer end as fractions of the half span. speed: at which it flies level, for what depends on lift [m/s].
+    and outer end as fractions of the half span. speed: of level flight, for terms that depend on lift [m/s].
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -81,14 +86,14 @@ def flap_effectiveness(chord_ratio: float) -> float:
 
 
 def _surface(area: float, span: float) -> float:
-    """Lift slope of a tail or fin; of aspect ratio 3 where its span is not said."""
-    return lift_slope(span**2 / area if span and area else 3.0)
+    """Lift slope of a tail or fin [1/rad]."""
+    return lift_slope(span**2 / area if span and area else ASPECT_UNKNOWN)
 
 
 def beliefs(aircraft: "Aircraft", shape: HandbookShape) -> "dict[str, PriorDerivative]":
-    """Derivatives with standard deviation, source "handbook". Raises AircraftError without span, area, chord and mass.
+    """Derivatives [1/rad] with standard deviations, source "handbook". Raises AircraftError without span, area, chord and mass.
 
-    What no surface makes (an elevator without a tail) is left out.
+    Derivatives of a missing surface (an elevator without a tail) are left out.
     """
     from estimation.aircraft.aircraft import PriorDerivative
 
@@ -119,7 +124,7 @@ def _longitudinal(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
         "CD_k": 1.0 / (math.pi * aspect * OSWALD),
         "Cm_0": 0.0,
         "Cm_alpha": wing * s.wing_ac / aircraft.chord - tail * volume * (1.0 - downwash),
-        "Cm_q": -2.0 * tail * volume * s.tail_arm / aircraft.chord - 0.1 * wing,  # a tenth for the wing's own damping
+        "Cm_q": -2.0 * tail * volume * s.tail_arm / aircraft.chord - WING_DAMPING * wing,
     }
     if s.tail_area:
         power = tail * flap_effectiveness(s.elevator_flap)
@@ -128,7 +133,7 @@ def _longitudinal(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
 
 
 def _lateral(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
-    """Fin: Etkin and Reid sections 3.8 to 3.11. Wing: lifting line, and strips for what depends on lift."""
+    """Fin: Etkin and Reid sections 3.8 to 3.11. Wing: lifting line, and strips for terms that depend on lift."""
     aspect = aircraft.span**2 / aircraft.area
     wing, fin = lift_slope(aspect, s.sweep), TAIL_PRESSURE * _surface(s.fin_area, s.fin_span)
     lift = aircraft.mass * GRAVITY / (0.5 * SEA_LEVEL_DENSITY * s.speed**2 * aircraft.area)
@@ -141,10 +146,10 @@ def _lateral(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
         "CY_p": -2.0 * fin * share * height,
         "CY_r": 2.0 * fin * share * arm,
         "Cl_0": 0.0,
-        "Cl_beta": -s.dihedral * wing_moment(aspect, s.taper, wing, _side)
+        "Cl_beta": -s.dihedral * wing_moment(aspect, s.taper, wing, _sideslipping)
         - lift * math.tan(s.sweep) * middle
         - fin * share * height,
-        "Cl_p": -wing_moment(aspect, s.taper, wing, _helix) - 2.0 * fin * share * height**2,
+        "Cl_p": -wing_moment(aspect, s.taper, wing, _rolling) - 2.0 * fin * share * height**2,
         "Cl_r": 2.0 * lift * outer + 2.0 * fin * share * arm * height,
         "Cl_da": -flap_effectiveness(s.aileron_flap) * wing_moment(aspect, s.taper, wing, partial(_aileron, s.aileron)),
         "Cn_0": 0.0,
@@ -159,7 +164,7 @@ def _lateral(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
 
 
 def wing_moment(aspect: float, taper: float, slope: float, angle: Callable[[Array], Array]) -> float:
-    """Rolling moment coefficient, + to the side where `angle` is below zero, of a straight-tapered wing by the lifting line.
+    """Rolling moment coefficient of a straight-tapered wing by the lifting line, + towards the side where `angle` is negative.
 
     angle: angle of attack [rad] as a function of y over the half span (-1 .. 1), odd in it. The series is scaled from the
     line's own lift slope to `slope`, which is right for small aspect ratios and sweep too.
@@ -176,18 +181,16 @@ def wing_moment(aspect: float, taper: float, slope: float, angle: Callable[[Arra
     return float(0.25 * math.pi * aspect * twisted[1] * slope / (math.pi * aspect * straight[0]))
 
 
-POINTS = 60
-"""Collocation points of the lifting line: rolling moments are then within 3 % of those with ten times as many."""
-
-
-def _helix(y: Array) -> Array:
-    """A wing that rolls: p y / V is p_hat times y over the half span."""
+def _rolling(y: Array) -> Array:
+    """Angle of attack of a rolling wing: p y / V is p_hat times y over the half span."""
     return y
 
 
-def _side(y: Array) -> Array:
+def _sideslipping(y: Array) -> Array:
+    """Angle of attack of a wing with dihedral in sideslip."""
     return np.sign(y)
 
 
 def _aileron(ends: tuple[float, float], y: Array) -> Array:
+    """Angle of attack of a wing with ailerons deflected between `ends` of the half span."""
     return np.where((np.abs(y) > ends[0]) & (np.abs(y) < ends[1]), np.sign(y), 0.0)

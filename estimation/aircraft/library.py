@@ -1,4 +1,4 @@
-"""Aircraft by name or file, and which aircraft a flight is of: the one asked for, the one it carries, or the one it names."""
+"""Aircraft by name or file, and the aircraft of a flight: the one given by the caller, carried by the flight, or named in it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,7 +24,7 @@ def built_in_aircraft() -> tuple[str, ...]:
 def load_aircraft(name_or_path: str | Path) -> Aircraft:
     """Read an aircraft from a built-in name or a TOML file.
 
-    Raises AircraftError, naming file and key, when the file is missing, not TOML, or says something impossible.
+    Raises AircraftError, naming file and key, when the file is missing, not TOML, or has an impossible value.
     """
     text = str(name_or_path)
     path = BUILT_IN_FOLDER / f"{text}.toml" if text in built_in_aircraft() else Path(text)
@@ -38,10 +38,10 @@ def load_aircraft(name_or_path: str | Path) -> Aircraft:
 
 
 def aircraft_of(flights: "Sequence[Flight]", given: str | Path | Aircraft | None = None) -> Aircraft:
-    """The aircraft of all flights; `given`, one, a built-in name or a file, goes before what they say themselves.
+    """The aircraft of all flights: `given` (an aircraft, a built-in name or a file), else the one that the flights name.
 
-    Raises AircraftError with the way out where a flight names none, or one that is neither built in nor carried, or where
-    the flights are of different aircraft.
+    Raises AircraftError with a way out where a flight names none, or one that is neither built in nor carried, or where the
+    flights are of different aircraft.
     """
     from groundstation.flight import AIRCRAFT_FILE
 
@@ -66,7 +66,6 @@ def aircraft_of(flights: "Sequence[Flight]", given: str | Path | Aircraft | None
         raise AircraftError(
             f"the flights carry different files of aircraft {names[0]}; choose one with --aircraft FILE"
         )
-
     return aircraft_from_text(carried_files[0], f"aircraft carried by {flights[0].name}", names[0])
 
 

@@ -1,4 +1,4 @@
-"""What an aircraft file may say, checked key by key, and the `Aircraft` it makes."""
+"""The schema of an aircraft file, checked key by key, and the `Aircraft` made from it."""
 
 import math
 from collections.abc import Mapping
@@ -62,7 +62,7 @@ class Mass(_AircraftTable):
 
 
 class Derivative(_AircraftTable):
-    """One belief."""
+    """One prior derivative [1/rad]."""
 
     value: Number
     std: Positive | None = None
@@ -106,7 +106,7 @@ Share = Annotated[Number, Field(gt=0.0, lt=1.0)]
 
 
 class UncertaintyTable(_AircraftTable):
-    """[uncertainty]: relative 1 sigma of what is stated of geometry, mass and inertia."""
+    """[uncertainty]: relative 1 sigma of geometry, mass and inertia."""
 
     span: Share | None = None
     area: Share | None = None
@@ -132,7 +132,7 @@ class SimulationTable(_AircraftTable):
 
 
 class AircraftFile(_AircraftTable):
-    """The whole file; only what is said is checked here, what is missing where it is needed."""
+    """The file. Only its values are checked here; missing ones are refused where they are needed."""
 
     name: Annotated[str, Field(min_length=1)] | None = None
     title: str = ""
@@ -157,9 +157,9 @@ def read_file(text: str, where: str) -> AircraftFile:
 
 
 def aircraft_from_text(text: str, where: str, name: str) -> Aircraft:
-    """The aircraft of a file's text. where: what errors call it; name: its name where the file says none.
+    """The aircraft of a file's text. where: name of the file in errors; name: of the aircraft, where the file has none.
 
-    Derivatives that the file does not state are those of `handbook.beliefs`, where it describes its shape.
+    Derivatives that the file does not state come from `handbook.beliefs` where it has a [shape].
     """
     file = read_file(text, where)
     geometry, mass = file.geometry, file.mass
@@ -195,7 +195,7 @@ def _or_nan(value: float | None) -> float:
 
 
 def _sentence(error: ValidationError) -> str:
-    """The first mistake as key, value and what it must be."""
+    """The first mistake: key, value and what it must be."""
     first: Any = error.errors(include_url=False)[0]
     key = ".".join(map(str, first["loc"])) or "the file as a whole"
     if first["type"] == "extra_forbidden":

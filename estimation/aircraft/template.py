@@ -1,4 +1,4 @@
-"""The file that `sideslip aircraft new` writes: every key with unit, sign and meaning, to be filled in where known."""
+"""The file that `sideslip aircraft new` writes: every key with unit, sign and meaning, for the user to fill in."""
 
 import json
 

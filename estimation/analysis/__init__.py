@@ -1,1 +1,1 @@
-"""From flights to one page: stretches, air data, the richest model, its estimate with a verdict, and what the model lacks."""
+"""From flights to one page: stretches, air data, the richest possible model, its estimate with a verdict, and its gap."""

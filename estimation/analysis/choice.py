@@ -1,4 +1,4 @@
-"""Which stretches of a flight an analysis uses, and which model: the richest that the channels and the inputs allow."""
+"""The choice of stretches and model: the richest model that the channels and the inputs allow."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,31 +17,30 @@ from groundstation.flight.marks import marks_of
 from groundstation.flight.stretches import airborne
 
 BY_HAND = ("MANUAL",)
-"""Modes in which the pilot alone moves the surfaces: elsewhere an autopilot moves them with the motion, which hides damping."""
+"""Modes in which the pilot alone moves the surfaces: an autopilot moves them with the motion, which hides damping."""
 ENOUGH = 5.0
-"""[s] of a mode with inputs in it that are worth an estimate."""
+"""[s] of flight that suffice for an estimate."""
 MOSTLY = 0.6
-"""Share of a flight in manoeuvres from which on the rest is not worth a cut."""
+"""Share of a flight in manoeuvres from which on the rest is not cut off."""
 MOVED = 0.01
-"""[rad] of a control, from its 5th to its 95th percentile, that is an input and no trimming."""
-LONGEST_TEXT = 400
+"""[rad] between the 5th and 95th percentile of a control, from which on it was an input and not trimming."""
+LONGEST_TEXT = 400  # characters of a list from a log
 
 RICHEST = ("six-dof", "lateral", "longitudinal", "lateral-simple")
-"""Models in the order in which they are tried: the first that is possible, whose inputs were moved and whose estimate is
-recommended."""
+"""Models in the order of trial, until the estimate of one is recommended."""
 NEEDS_MOVED = {
     "six-dof": (("delta_a", "delta_r"), ("delta_e",)),
     "lateral": (("delta_a", "delta_r"),),
     "lateral-simple": (("delta_a", "delta_r"),),
     "longitudinal": (("delta_e",),),
 }
-"""Model -> of each group of controls one must have moved."""
+"""Model -> groups of controls, of each of which one must have moved."""
 
 
 @dataclass(frozen=True)
 class ChosenStretches:
-    """flight: its stretches as segments. by: how they were chosen, as `--segments` takes it where it can. notes: what was left
-    out; hint: what would be better."""
+    """flight: its stretches as segments. by: how they were chosen, where possible as for `--segments`. notes: what was left out;
+    hint: how a better flight would be flown."""
 
     flight: Flight
     by: str
@@ -58,8 +57,8 @@ class ChosenStretches:
 
 
 def without_failures(flight: Flight) -> tuple[Flight, tuple[Contradiction, ...]]:
-    """The flight without the times in which a sensor failed, where enough is left; and what the flight contradicts of itself,
-    of which what is left out stops nothing."""
+    """The flight without the times in which a sensor failed, where enough is left; and its contradictions, of which those that
+    were cut out do not stop the analysis."""
     contradicted = contradictions(flight)
     sound = np.ones(len(flight), bool)
     for begin, end in (span for c in contradicted for span in c.spans):
@@ -75,7 +74,7 @@ def without_failures(flight: Flight) -> tuple[Flight, tuple[Contradiction, ...]]
 
 
 def choose_stretches(flight: Flight) -> ChosenStretches:
-    """By mode where the pilot flew by hand, else by manoeuvres, else all that was flown."""
+    """Stretches flown by hand with inputs, else manoeuvres, else all of the flight."""
     modes = {m.name.upper() for m in marks_of(flight).modes}
     hint = ""
     for mode in BY_HAND:
@@ -84,7 +83,7 @@ def choose_stretches(flight: Flight) -> ChosenStretches:
         try:
             part = select_segments(flight, f"mode:{mode}")
         except FlightError:
-            continue  # never in it on the wings, or for a moment only
+            continue  # not in flight in this mode, or too briefly
         if _duration(part) >= ENOUGH and moved_controls(part):
             return ChosenStretches(part, f"mode:{mode}", _new_notes(flight, part))
     if modes:
@@ -127,6 +126,6 @@ def moved_controls(flight: Flight) -> tuple[str, ...]:
 
 
 def models_to_try(recipe: Recipe, controls: Sequence[str]) -> list[str]:
-    """Models that the channels allow and the inputs can tell, the richest first."""
-    able = {m.model for m in recipe.models if m.able}
-    return [m for m in RICHEST if m in able and all(set(group) & set(controls) for group in NEEDS_MOVED[m])]
+    """Models that the channels allow and for which the inputs suffice, the richest first."""
+    possible = {m.model for m in recipe.models if m.able}
+    return [m for m in RICHEST if m in possible and all(set(group) & set(controls) for group in NEEDS_MOVED[m])]

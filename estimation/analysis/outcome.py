@@ -1,4 +1,4 @@
-"""What an analysis answers: one sentence, what stands behind it, and what to do next."""
+"""The answer of an analysis: a verdict in one sentence, the numbers behind it, and next steps."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ from estimation.answers.answer import Answer, Rows
 from estimation.report.tables import value_and_bound
 
 SHOWN = 10
-"""Derivatives in the sentence."""
+"""Derivatives in the verdict."""
 ROUGH = 0.25
-"""Share of its value from which on the bound of a derivative is said beside it: a design would change within it."""
+"""Bound over value from which on a derivative is reported as roughly known: too wide for a design."""
 
 
 @dataclass(frozen=True, repr=False)
 class Analysis(Answer):
-    """content: as `answer.json` has it. pages: name -> page beside it. repeated: stages that were done in this run."""
+    """content: of `answer.json`. pages: title -> path from the folder. repeated: stages that this run did."""
 
     content: Mapping[str, Any]
     pages: Mapping[str, str]
@@ -29,7 +29,7 @@ class Analysis(Answer):
 
     @property
     def passed(self) -> bool:
-        """Whether something is recommended, and nothing contradicts it."""
+        """Whether an estimate is recommended, and no contradiction stops it."""
         stopped = any(c.get("stops") for c in self.content["contradictions"])
         return recommendation_of(self.content["estimate"]).get("method", "none") != "none" and not stopped
 
@@ -44,7 +44,7 @@ class Analysis(Answer):
         yield from (f"  next: {n}" for n in self.content["next"])
 
     def derivatives(self) -> list[tuple[str, str, str, str]]:
-        """Name, estimate, corrected bound and why not, of the method that is recommended, or the first."""
+        """Name, estimate, corrected bound and reason for doubt, by the recommended method, else the first."""
         rows = []
         for name, p in parameters_of(self.content["estimate"]).items():
             if p.get("estimate") is not None:
@@ -117,12 +117,12 @@ def _spans(entries: Sequence[Mapping[str, Any]], key: str) -> tuple[tuple[str, .
 
 
 def is_coefficient(name: str) -> bool:
-    """Whether a parameter is a derivative of an aerodynamic coefficient, no constant and no lag or scale of a sensor."""
+    """Whether a parameter is a derivative of an aerodynamic coefficient: no constant, and no lag or scale of a sensor."""
     return name.startswith("C") and not name.endswith("_0")
 
 
 def roughly(parameter: Mapping[str, Any]) -> float:
-    """Bound over value of an estimate that is known to no better than ROUGH; else 0. parameter: as in the JSON of `estimate`."""
+    """Bound over value of an estimate where that is above ROUGH, else 0. parameter: as in the JSON of `estimate`."""
     value, bound = parameter.get("estimate"), parameter.get("std_coloured")
     share = abs(bound / value) if parameter.get("identifiable") and value and bound else 0.0
     return share if share > ROUGH else 0.0
@@ -146,7 +146,7 @@ def _channels(content: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
 
 
 def recommendation_of(estimate: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """The recommendation on all flights together, else on the first."""
+    """The recommendation for all flights together, else for the first."""
     if not estimate:
         return {}
     recommendation = estimate.get("recommended") or next(
@@ -156,7 +156,7 @@ def recommendation_of(estimate: Mapping[str, Any] | None) -> Mapping[str, Any]:
 
 
 def parameters_of(estimate: Mapping[str, Any] | None) -> Mapping[str, Mapping[str, Any]]:
-    """Of the method that is recommended, or the first: jointly where there is a joint estimate."""
+    """Parameters by the recommended method, else the first; of the joint estimate where there is one."""
     if not estimate:
         return {}
     methods: Mapping[str, Any] = estimate.get("joint") or next((f["methods"] for f in estimate.get("flights", [])), {})
@@ -165,10 +165,8 @@ def parameters_of(estimate: Mapping[str, Any] | None) -> Mapping[str, Mapping[st
     return dict((methods.get(method) or first).get("parameters", {}))
 
 
-def verdict_of(estimate: Mapping[str, Any] | None, place: str, contradictions: Sequence[Mapping[str, Any]]) -> str:
-    """One sentence: what is recommended with its numbers, or why nothing is."""
-    if not estimate:
-        return place
+def verdict_of(estimate: Mapping[str, Any], place: str, contradictions: Sequence[Mapping[str, Any]]) -> str:
+    """The recommended derivatives in one sentence, or why none are recommended. place: which stretches were used."""
     recommendation = recommendation_of(estimate)
     method = recommendation.get("method", "none")
     model, aircraft = estimate.get("model", ""), estimate.get("aircraft", "")

@@ -24,19 +24,20 @@ from groundstation.flight.marks import marks_of
 
 METHODS_MEASURED = ("ml", "fem", "ls")
 METHODS_RECONSTRUCTED = ("ml",)
-"""Where angles are reconstructed others take them for known, which they are not."""
+"""Where angles are reconstructed: the other methods would take them as exact."""
 STRUCTURES = ("test", "auto")
-"""How terms beside the model are treated: as it is, and where it is found to lack some, with those added."""
+"""Values of `--structure` in the order of trial: the model as it is, then with the terms that it lacks."""
 FEWEST_FOR_GAP = 2
-"""Flights, those held out included, of which one tells what another lacks."""
-MOST_NEXT = 12
+"""Flights, those held out included."""
+MOST_NEXT = 12  # steps that are proposed
 
 Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class Given:
-    """flights: imported, to be estimated from; holdout: kept out of every fit; keys: of what the import of each depends on."""
+class ImportedFlights:
+    """flights: imported, for the estimate; holdout: left out of every fit; keys: of the import of each; repeated: whether an
+    import was done in this run."""
 
     flights: tuple[Flight, ...]
     holdout: tuple[Flight, ...]
@@ -44,21 +45,23 @@ class Given:
     repeated: bool
 
 
-def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stages: Stages, tell: Tell) -> Analysis:
+def analyse_flights(
+    imported: ImportedFlights, aircraft: str | None, aircraft_key: str, stages: Stages, tell: Tell
+) -> Analysis:
     """Everything after the import; writes `answer.json` and `index.html` into the folder of the stages.
 
-    aircraft: as `--aircraft`; aircraft_key: of what its file says. tell: told what is being done, and the share of the whole.
+    aircraft: as for `--aircraft`; aircraft_key: digest of its file. tell: takes the present step and the fraction done.
     """
     tell("contradictions", 0.15)
-    parts = [without_failures(f) for f in (*given.flights, *given.holdout)]
-    contradicted = [{"flight": f.name, **c.to_json()} for f, found in parts[: len(given.flights)] for c in found]
-    air = [_with_air(f, [key, aircraft_key], stages, tell) for (f, _), key in zip(parts, given.keys, strict=True)]
+    parts = [without_failures(f) for f in (*imported.flights, *imported.holdout)]
+    contradicted = [{"flight": f.name, **c.to_json()} for f, found in parts[: len(imported.flights)] for c in found]
+    air = [_with_air(f, [key, aircraft_key], stages, tell) for (f, _), key in zip(parts, imported.keys, strict=True)]
     tell("stretches", 0.3)
     stretches = [choose_stretches(f) for f, _ in air]
-    training, holdout = stretches[: len(given.flights)], stretches[len(given.flights) :]
+    training, holdout = stretches[: len(imported.flights)], stretches[len(imported.flights) :]
     recipe_of_log = recipe(training[0].flight)
     key_content = {"air": _keys(air[: len(training)]), "by": [c.by for c in training], "aircraft": aircraft_key}
-    unknown_aircraft = aircraft is None and not any(f.provenance.aircraft for f in given.flights)
+    unknown_aircraft = aircraft is None and not any(f.provenance.aircraft for f in imported.flights)
     estimate = without_file = None
     if unknown_aircraft:
         tell("what can be said without an aircraft file", 0.4)
@@ -76,17 +79,14 @@ def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stage
         if unknown_aircraft
         else _gap(training, holdout, estimate, aircraft, {"air": _keys(air), "estimate": stage.key}, stages, tell)
     )
-    repeated = [
-        n
-        for n, repeated_stage in (("import", given.repeated), ("air", any(s.repeated for _, s in air)))
-        if repeated_stage
-    ]
-    repeated += [
-        n
-        for n, s in (("without aircraft" if unknown_aircraft else "estimate", stage), ("gap", gap))
-        if s and s.repeated
-    ]
-    content = _content(given, training, contradicted, recipe_of_log, estimate, gap, without_file)
+    stages_repeated = {
+        "import": imported.repeated,
+        "air": any(s.repeated for _, s in air),
+        "without aircraft" if unknown_aircraft else "estimate": stage.repeated,
+        "gap": gap is not None and gap.repeated,
+    }
+    repeated = [name for name, done in stages_repeated.items() if done]
+    content = _content(imported, training, contradicted, recipe_of_log, estimate, gap, without_file)
     answer = Analysis(content, _pages(stages.folder, estimate, gap), tuple(repeated))
     write_json(answer.to_json(), stages.folder / "answer.json")
     answer.report(stages.folder)
@@ -99,7 +99,7 @@ def _keys(air: Sequence[tuple[Flight, Stage]]) -> list[str]:
 
 
 def _with_air(flight: Flight, key: Sequence[str], stages: Stages, tell: Tell) -> tuple[Flight, Stage]:
-    """The flight with reconstructed air data where no vane measured them and they can be had."""
+    """The flight with reconstructed air data where they were not measured and can be reconstructed; and that stage."""
     path = stages.path(f"air_{flight.name}.mcap")
     have = {c for c in flight.columns if flight.measured(c)}
     if have.issuperset(AIR) or not (have.issuperset(RECONSTRUCTION) and have & set(AIRSPEED)):
@@ -141,21 +141,21 @@ def _estimated(
         lacks = False
         for i, (model, structure) in enumerate((m, s) for m in models for s in STRUCTURES):
             if structure == "auto" and not lacks:
-                continue  # no term would help
+                continue  # no term is lacking
             tell(f"estimate of {model}", 0.35 + 0.3 * i / (len(STRUCTURES) * len(models)))
             answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1, structure=structure)
             recommendation = recommendation_of(answer.to_json())
             if recommendation.get("method", "none") != "none":
-                return _kept(answer, stages.folder, rejected)
+                return _write_estimate(answer, stages.folder, rejected)
             lacks = bool(recommendation.get("lacks"))
             rejected.append(f"{model}: {recommendation.get('why', 'nothing recommended')}")
             first = first or answer
-        return _kept(first, stages.folder, rejected[1:]) if first is not None else {}
+        return _write_estimate(first, stages.folder, rejected[1:]) if first is not None else {}
 
     return stages.run("estimate", {**key_content, "models": models}, work)
 
 
-def _kept(answer: Any, folder: Path, rejected: Sequence[str]) -> dict[str, Any]:
+def _write_estimate(answer: Any, folder: Path, rejected: Sequence[str]) -> dict[str, Any]:
     """The estimate as JSON, its page and its model as files."""
     answer.report(folder / "estimate")
     answer.save(folder / "model.toml")
@@ -171,7 +171,7 @@ def _gap(
     stages: Stages,
     tell: Tell,
 ) -> Stage | None:
-    """What the model lacks, where flights are enough and something is recommended that could lack it."""
+    """What the model lacks, where there are flights enough and an estimate is recommended."""
     if len(training) + len(holdout) < FEWEST_FOR_GAP or recommendation_of(estimate).get("method", "none") == "none":
         return None
     model = str((estimate or {}).get("model", RICHEST[1]))
@@ -201,7 +201,7 @@ def _pages(folder: Path, estimate: Mapping[str, Any] | None, gap: Stage | None) 
 
 
 def _content(
-    given: Given,
+    imported: ImportedFlights,
     training: Sequence[ChosenStretches],
     contradicted: Sequence[Mapping[str, Any]],
     recipe_of_log: Recipe,
@@ -209,22 +209,20 @@ def _content(
     gap: Stage | None,
     without_file: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    place = _where(training)
-    verdict = (
-        str(without_file["verdict"])
-        if without_file
-        else verdict_of(estimate, _no_model(training, recipe_of_log), contradicted)
-    )
     if estimate:
-        verdict = verdict_of(estimate, place, contradicted)
+        verdict = verdict_of(estimate, _stretches_text(training), contradicted)
+    elif without_file:
+        verdict = str(without_file["verdict"])
+    else:
+        verdict = _why_no_model(training, recipe_of_log)
     return {
         "version": 1,
-        "flights": [_about(f) for f in given.flights],
-        "holdout": [_about(f) for f in given.holdout],
+        "flights": [_flight_entry(f) for f in imported.flights],
+        "holdout": [_flight_entry(f) for f in imported.holdout],
         "contradictions": list(contradicted),
         "modes": [
             {"flight": f.name, "mode": m.name, "from": m.start, "to": m.stop}
-            for f in given.flights
+            for f in imported.flights
             for m in marks_of(f).modes
         ],
         "stretches": [s for c in training for s in c.to_json()],
@@ -233,14 +231,14 @@ def _content(
         "gap": None if gap is None else gap.content,
         **({"without_aircraft": without_file} if without_file else {}),
         "verdict": verdict,
-        "next": _next(training, given, contradicted, recipe_of_log, estimate, gap, without_file)[:MOST_NEXT],
+        "next": _next_steps(training, imported, contradicted, recipe_of_log, estimate, gap, without_file)[:MOST_NEXT],
         "notes": list(
-            dict.fromkeys([n for c in training for n in c.notes] + [n.text for f in given.flights for n in f.notes])
+            dict.fromkeys([n for c in training for n in c.notes] + [n.text for f in imported.flights for n in f.notes])
         ),
     }
 
 
-def _about(flight: Flight) -> dict[str, Any]:
+def _flight_entry(flight: Flight) -> dict[str, Any]:
     return {
         "name": flight.name,
         "path": flight.provenance.path,
@@ -251,7 +249,7 @@ def _about(flight: Flight) -> dict[str, Any]:
     }
 
 
-def _where(training: Sequence[ChosenStretches]) -> str:
+def _stretches_text(training: Sequence[ChosenStretches]) -> str:
     count = sum(len(c.flight.segments) for c in training)
     criteria = ", ".join(dict.fromkeys(c.by if c.by.startswith("mode:") else c.by.partition(" ")[0] for c in training))
     return (
@@ -261,7 +259,7 @@ def _where(training: Sequence[ChosenStretches]) -> str:
     )
 
 
-def _no_model(training: Sequence[ChosenStretches], recipe_of_log: Recipe) -> str:
+def _why_no_model(training: Sequence[ChosenStretches], recipe_of_log: Recipe) -> str:
     """Why no model can be estimated."""
     able = [m.model for m in recipe_of_log.models if m.able]
     if able:
@@ -273,16 +271,16 @@ def _no_model(training: Sequence[ChosenStretches], recipe_of_log: Recipe) -> str
     return f"No derivatives: the log is not enough for any model; nearest is {nearest.model}: {reason}"
 
 
-def _next(
+def _next_steps(
     training: Sequence[ChosenStretches],
-    given: Given,
+    imported: ImportedFlights,
     contradicted: Sequence[Mapping[str, Any]],
     recipe_of_log: Recipe,
     estimate: Mapping[str, Any] | None,
     gap: Stage | None,
     without_file: Mapping[str, Any] | None,
 ) -> list[str]:
-    """What a person can do, the most telling first."""
+    """Steps that a person can take, the most important first."""
     steps = [f"settle in {c['flight']}: {c['text']}" for c in contradicted if c.get("stops")]
     steps += list(without_file["next"]) if without_file else []
     if without_file and not any(m.able for m in recipe_of_log.models):
@@ -297,7 +295,7 @@ def _next(
         steps += [str(d.get("text", "")) for f in estimate.get("flights", []) for d in f.get("doubts", [])]
     if not estimate and not without_file:
         steps += [f"{sensor} would make possible: {', '.join(models)}" for sensor, models in recipe_of_log.adds.items()]
-        if not any(f.measured(c) for f in given.flights for c in ("delta_a", "delta_e", "delta_r")):
+        if not any(f.measured(c) for f in imported.flights for c in ("delta_a", "delta_e", "delta_r")):
             steps.append(
                 "say which servo output moves which surface: 'sideslip import LOG --draft-map -o map.toml', then --map map.toml"
             )
@@ -306,6 +304,6 @@ def _next(
         steps.append(
             f"known to a quarter or worse: {', '.join(rough)}; larger inputs, or more flights of them, narrow that"
         )
-    if estimate and gap is None and len(given.flights) + len(given.holdout) < FEWEST_FOR_GAP:
+    if estimate and gap is None and len(imported.flights) + len(imported.holdout) < FEWEST_FOR_GAP:
         steps.append("give a second flight, or one with --holdout, to find out what the model lacks")
     return [s for s in dict.fromkeys(steps) if s]

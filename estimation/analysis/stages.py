@@ -1,4 +1,4 @@
-"""Stages of an analysis, each kept in its folder under the key of all that went into it: a rerun does what has changed."""
+"""Stages of an analysis, stored in its folder under a key of all their inputs: a rerun repeats those whose inputs changed."""
 
 import hashlib
 import json
@@ -13,13 +13,13 @@ FOLDER = "stages"
 
 
 def digest(content: object) -> str:
-    """Of anything that JSON can say."""
+    """SHA-256 of JSON-able content; other objects count by their text."""
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
 class Stage:
-    """content: what a stage has found; key: of all that went into it; repeated: whether it was done in this run."""
+    """content: result of the stage; key: digest of its inputs; repeated: whether this run did it."""
 
     content: Mapping[str, Any]
     key: str
@@ -28,7 +28,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Stages:
-    """folder: of the analysis. software: version, on which every key depends."""
+    """folder: of the analysis. software: its version, part of every key."""
 
     folder: Path
     software: str
@@ -37,10 +37,10 @@ class Stages:
         """A file of a stage."""
         return self.folder / FOLDER / name
 
-    def run(self, name: str, made_of: object, work: Callable[[], Mapping[str, Any]], *files: Path) -> Stage:
-        """The content of a stage: as kept where its key is the same and its files are there, else made by `work` and kept."""
-        key = digest([self.software, name, made_of])
-        stored = self._kept(name)
+    def run(self, name: str, inputs: object, work: Callable[[], Mapping[str, Any]], *files: Path) -> Stage:
+        """The stage as stored, where its key is the same and its files exist; else the result of `work`, which is stored."""
+        key = digest([self.software, name, inputs])
+        stored = self._stored(name)
         if stored.get("key") == key and isinstance(stored.get("content"), Mapping) and all(f.is_file() for f in files):
             return Stage(stored["content"], key, False)
         content = work()
@@ -48,9 +48,9 @@ class Stages:
         write_text(self.path(f"{name}.json"), json.dumps({"key": key, "content": content}, default=str))
         return Stage(content, key, True)
 
-    def _kept(self, name: str) -> Mapping[str, Any]:
+    def _stored(self, name: str) -> Mapping[str, Any]:
         try:
             stored = json.loads(self.path(f"{name}.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
-            return {}  # not done yet, or cut off: done anew
+            return {}  # not done yet, or cut off while it was written
         return stored if isinstance(stored, Mapping) else {}

@@ -1,8 +1,8 @@
-"""What can be said of a flight without an aircraft file: do the instruments agree, the wind, and the natural motion.
+"""Results that need no aircraft file: agreement of the instruments, wind, and natural motion.
 
-The motion is that of dimensional derivatives, which need neither mass nor geometry: an aircraft file only makes them
-dimensionless. So the model is estimated with a stand-in's geometry,
-and what is kept of it are frequencies, dampings and time constants.
+The natural motion follows from dimensional derivatives, which need neither mass nor geometry; an aircraft file only makes them
+dimensionless. So the model is estimated with the geometry of a stand-in, and only frequencies, dampings and time constants are
+reported.
 """
 
 import math
@@ -18,19 +18,20 @@ from estimation.analysis.choice import models_to_try, moved_controls
 from estimation.session.recipe import Recipe
 from groundstation.flight import Flight
 
-STAND_IN = "cdfp"
+STAND_IN = "cdfp"  # a built-in aircraft
 NEEDS = (
     "span, wing area, mean chord, mass and moments of inertia: 'sideslip aircraft new NAME -o NAME.toml' writes a file to "
     "fill in, then --aircraft NAME.toml"
 )
-SEED = 3
+SEED = 3  # of the draws for the spread of the modes
+OFF = 3.0  # bounds from its ideal value, beyond which an instrument factor is reported
 
 
 def without_aircraft(
     flights: Sequence[Flight], recipe_of_log: Recipe, air: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """`verdict`, `lines` and `next`, with the numbers behind them. flights: their stretches as segments; air: what
-    the reconstruction of each has found."""
+    """`verdict`, `lines` and `next`, with the numbers behind them. flights: with their stretches as segments; air: content of the
+    stage of air data of each."""
     lines: list[str] = []
     compatibility = _compatibility(flights, lines)
     wind = _wind(flights, air, lines)
@@ -41,9 +42,9 @@ def without_aircraft(
     ]
     modes = [m for model in models[:1] for m in _modes(flights, model, lines)]
     answers = ", ".join(
-        [*(["wind"] if wind else []), *(["natural motion"] if modes else []), "what the instruments say of each other"]
+        [*(["wind"] if wind else []), *(["natural motion"] if modes else []), "agreement of the instruments"]
     )
-    verdict = f"No derivatives without an aircraft file; {answers} can be told: {'; '.join(lines)}"
+    verdict = f"No derivatives without an aircraft file; {answers} can be found: {'; '.join(lines)}"
     return {
         "verdict": verdict, "lines": lines, "next": [f"for derivatives give {NEEDS}"],
         "compatibility": compatibility, "wind": wind, "modes": modes,
@@ -51,7 +52,7 @@ def without_aircraft(
 
 
 def _compatibility(flights: Sequence[Flight], lines: list[str]) -> list[dict[str, Any]]:
-    """Instrument factors of each flight that are beyond three of their bounds."""
+    """Instrument factors of each flight; adds to `lines` those that are off by more than OFF of their bounds."""
     from estimation.answers.checks import check
 
     results = []
@@ -67,7 +68,7 @@ def _compatibility(flights: Sequence[Flight], lines: list[str]) -> list[dict[str
             for n, f in factors.items()
             if f.get("identifiable")
             and f.get("std_coloured")
-            and abs(f["estimate"] - (n[:2] == "K_")) > 3 * f["std_coloured"]
+            and abs(f["estimate"] - (n[:2] == "K_")) > OFF * f["std_coloured"]
         ]
         lines.append(
             f"instruments of {flight.name}: "
@@ -78,7 +79,7 @@ def _compatibility(flights: Sequence[Flight], lines: list[str]) -> list[dict[str
 
 
 def _wind(flights: Sequence[Flight], air: Sequence[Mapping[str, Any]], lines: list[str]) -> list[dict[str, Any]]:
-    """Mean wind of each flight whose air data were reconstructed."""
+    """Mean wind of each flight whose air data were reconstructed; adds to `lines`."""
     winds = []
     for flight, reconstruction in zip(flights, air, strict=False):
         if not isinstance(reconstruction.get("wind"), Mapping):
@@ -92,7 +93,7 @@ def _wind(flights: Sequence[Flight], air: Sequence[Mapping[str, Any]], lines: li
 
 
 def _modes(flights: Sequence[Flight], model: str, lines: list[str]) -> list[dict[str, Any]]:
-    """Frequencies and dampings, where an estimate is recommended."""
+    """Frequencies and dampings, where an estimate is recommended; adds to `lines`."""
     from estimation.answers.estimates import estimate
     from estimation.report.modes import modes_with_spread
 

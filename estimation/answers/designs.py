@@ -157,7 +157,7 @@ class DesignAnswer(Answer):
 
         time, commands = self.design.best.motion.time, self.design.best.commands
         axes = panels(ax, commands.shape[1])
-        for panel, name, column in zip(axes, self.design.bench.controls, commands.T, strict=True):
+        for panel, name, column in zip(axes, self.design.setting.controls, commands.T, strict=True):
             panel.plot(time, [math.degrees(v) for v in column])
             panel.set_ylabel(f"{name} [deg]")
         axes[-1].set_xlabel("time [s]")
@@ -186,13 +186,13 @@ def _lines(answer: "InputDesign") -> list[str]:
     """What a person reads on the terminal."""
     task = answer.task
     lines = [
-        f"{answer.best.kind} of {task.duration:g} s at {task.speed:.1f} m/s on {', '.join(answer.bench.controls)}: "
+        f"{answer.best.kind} of {task.duration:g} s at {task.speed:.1f} m/s on {', '.join(answer.setting.controls)}: "
         f"worst relative error {_against_doublets(answer.gain)} than of doublets of equal length under the same limits"
     ]
     lines += [f"note: {note}" for note in answer.notes]
     peaks = answer.peak_factors()
     lines += ["", f"  {'control':<10}{'peak [deg]':>12}{'peak factor':>13}"]
-    for i, control in enumerate(answer.bench.controls):
+    for i, control in enumerate(answer.setting.controls):
         peak = math.degrees(abs(answer.best.commands[:, i]).max())
         lines.append(f"  {control:<10}{peak:>12.2f}{peaks[control]:>13.3f}")
     lines += ["", f"  {'limit':<14}{'used':>10}{'allowed':>10}"]

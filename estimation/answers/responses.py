@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from estimation.frequency.answer import FrequencyResult as Responded
-    from estimation.frequency.handling import Craft
+    from estimation.frequency.handling import RatedAircraft
     from estimation.resolve import AnyAircraft, Flights, Names
     from groundstation.flight import Flight
 
@@ -63,7 +63,7 @@ def frequency(
     """
     from estimation.frequency.answer import frequency_answer
     from estimation.frequency.forms import form_for
-    from estimation.frequency.handling import Craft
+    from estimation.frequency.handling import RatedAircraft
     from estimation.frequency.response import ResponseOptions
     from estimation.frequency.response import frequency_response as responded
     from estimation.resolve import read_flights
@@ -71,7 +71,7 @@ def frequency(
     form_name = form or ("auto" if fit else None)
     if form_name is not None:
         form_for(input, output, form_name)  # what is mistyped is said before a flight is read
-    craft_asked = Craft(kind, category)
+    craft_asked = RatedAircraft(kind, category)
     other_inputs = None if with_ is None else tuple(n for n in comma_separated(with_) if n != "none")
     options = ResponseOptions(other_inputs, band, points, tuple(windows))
     read = read_flights(flights, segments)
@@ -79,7 +79,7 @@ def frequency(
     return Response(frequency_answer(responded(read, input, output, options), form_name, craft), tuple(read))
 
 
-def _with_mass(craft: "Craft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "Craft":
+def _with_mass(craft: "RatedAircraft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "RatedAircraft":
     """What is asked for, with the mass of the aircraft where it is known."""
     from estimation.aircraft.library import aircraft_of
     from estimation.errors import AircraftError
@@ -107,9 +107,9 @@ class Response(Answer):
         aircraft where it is known.
         """
         from estimation.frequency.answer import frequency_answer
-        from estimation.frequency.handling import Craft
+        from estimation.frequency.handling import RatedAircraft
 
-        craft = Craft(kind, category, self.answer.craft.mass if mass is None else mass)
+        craft = RatedAircraft(kind, category, self.answer.aircraft.mass if mass is None else mass)
         return replace(self, answer=frequency_answer(self.answer.response, form, craft))
 
     def to_json(self) -> dict[str, Any]:

@@ -1,5 +1,5 @@
-"""Campaigns: many flights, estimated one by one on an engine that may span machines, then looked at together.
+"""Campaigns: many flights, estimated one by one on an engine that may span machines, then compared with each other.
 
-A plan names flights and what is known of each; every piece of work has a key made of its content, and what lies in the
-output folder under its key is not done again. Results are Parquet tables of a stated schema.
+A plan names the flights and the conditions of each. Every piece of work has a key made of its content; work whose key is in the
+output folder already is not done again. Results are Parquet tables of the schema in `schema`.
 """

@@ -1,4 +1,4 @@
-"""Flights of one group looked at together, each parameter by itself: pooled estimates, scatter against bounds, outliers."""
+"""The flights of a group, parameter by parameter: pooled estimates, scatter against bounds, outliers."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.utilities.plain_words import file_name
 from estimation.campaign import pooling
 from estimation.campaign.pooling import LEVEL
 from estimation.campaign.schema import usable_estimates
@@ -18,19 +19,20 @@ from groundstation.flight import Array
 if TYPE_CHECKING:
     import pyarrow as pa
 
+FEWEST_TO_POOL = 2  # flights
+FEWEST_FOR_OUTLIERS = 5  # flights: the median of fewer is no measure of an outlier
+FEWEST_NEIGHBOURS = 3  # flights on one side from which their median is taken
+NEIGHBOURS = 5  # flights before and after with whose medians an estimate is compared
+TOO_MUCH_SCATTER = 0.01  # probability of the scatter by the bounds alone, below which a warning is given
 
-FEWEST_TO_POOL = 2
-FEWEST_FOR_OUTLIERS = 5  # below, the median of the others says too little
-FEWEST_BEFORE_A_STEP = 3  # flights on either side
 Starts = Mapping[tuple[str, str, str], Sequence[tuple[str, str]]]
 """Group, method, parameter -> date and name of the first flight after each step that moved it, in order of time."""
-NEIGHBOURS = 5  # flights before and after whose medians an estimate may follow
 
 
 @dataclass(frozen=True)
 class ParameterSeries:
-    """One parameter by one method over the flights of a group, in order of date. y, v: (flights,) estimates and variances;
-    places: (key, manoeuvre) of each."""
+    """One parameter by one method over the flights of a group, in order of date. group: column -> value; places: (key, manoeuvre)
+    of each flight; y, v: (flights,) estimates and their variances."""
 
     group: Mapping[str, str]
     label: str
@@ -43,6 +45,7 @@ class ParameterSeries:
     v: Array
 
     def part(self, keep: NDArray[np.bool_]) -> "ParameterSeries":
+        """The flights where `keep` (flights,) is true."""
         indices = [i for i, k in enumerate(keep) if k]
         return replace(
             self,
@@ -55,16 +58,22 @@ class ParameterSeries:
 
 
 def label_of(group: Mapping[str, str]) -> str:
-    """`configuration=new rudder, day=2026-03-01`; `all flights` where nothing tells groups apart."""
+    """`configuration=new rudder, day=2026-03-01`; `all flights` where the plan has no groups."""
     return ", ".join(f"{k}={v}" for k, v in group.items() if v) or "all flights"
 
 
 def label_in(row: Row, keys: Sequence[str]) -> str:
+    """Label of the group of a row."""
     return label_of({key: row[key] or "" for key in keys})
 
 
+def stem_of(*labels: str) -> str:
+    """Stem of a file for a group, method and the like."""
+    return file_name("_".join(labels).replace(", ", "_").replace(" ", "_"))
+
+
 def series_of(results: "pa.Table", keys: Sequence[str]) -> list[ParameterSeries]:
-    """Every usable estimate of every flight, by group, method and parameter."""
+    """The usable estimates of all flights, one series for each group, method and parameter. keys: columns that make groups."""
     places: dict[tuple[Any, ...], list[tuple[Any, ...]]] = {}
     for row in usable_estimates(results, ("estimate", "check"), ("manoeuvre", *keys)):
         place = (tuple(row[k] or "" for k in keys), row["method"], row["parameter"])
@@ -82,22 +91,22 @@ def series_of(results: "pa.Table", keys: Sequence[str]) -> list[ParameterSeries]
 
 
 def group_rows(results: "pa.Table", keys: Sequence[str], starts: Starts = MappingProxyType({})) -> list[Row]:
-    """What each parameter of each group says by itself: flights far from the others, and the pooled value of the rest.
+    """For each parameter of each group its outliers, and the pooled value of the other flights.
 
-    starts: of what a step in time moved; it is pooled on each side by itself.
+    starts: first flights after steps in time; each side of a step is pooled by itself.
     """
     rows: list[Row] = []
     for s in series_of(results, keys):
-        distances = outlying(s)
+        distances = distances_from_neighbours(s)
         rows += outlier_rows(s, distances)
         inliers = s.part(~(distances > _limit(s)))
         for side in _sides(inliers, starts.get((s.label, s.method, s.parameter), ())):
-            rows += pooled_rows(side, apart=side is not inliers)
+            rows += pooled_rows(side, one_side=side is not inliers)
     return rows
 
 
 def _sides(s: ParameterSeries, starts: Sequence[tuple[str, str]]) -> Iterator[ParameterSeries]:
-    """The flights between steps. starts: date and name of the first flight after each, in order."""
+    """The flights between steps. starts: date and name of the first flight after each step, in order."""
     if not starts:
         yield s
         return
@@ -109,10 +118,10 @@ def _sides(s: ParameterSeries, starts: Sequence[tuple[str, str]]) -> Iterator[Pa
 # ------------------------------------------------------------------------------------------- within a group
 
 
-def outlying(s: ParameterSeries) -> Array:
-    """(flights,) distance from the nearer of the medians of the flights before and after, in widened bounds.
+def distances_from_neighbours(s: ParameterSeries) -> Array:
+    """(flights,) distance from the nearer of the medians of the flights before and after, in bounds widened to the scatter.
 
-    So a step in time makes no outliers. Without dates, and with few flights, all are compared with one median.
+    A step in time so makes no outliers. Without dates, and with few flights, all are compared with one median.
     """
     if s.y.size < FEWEST_FOR_OUTLIERS:
         return np.zeros(s.y.size)
@@ -121,7 +130,7 @@ def outlying(s: ParameterSeries) -> Array:
     distances = np.full(s.y.size, np.inf)
     for i in range(s.y.size):
         for neighbours in (s.y[max(0, i - NEIGHBOURS) : i], s.y[i + 1 : i + 1 + NEIGHBOURS]):
-            if neighbours.size >= FEWEST_BEFORE_A_STEP:
+            if neighbours.size >= FEWEST_NEIGHBOURS:
                 distances[i] = min(distances[i], abs(s.y[i] - float(np.median(neighbours))))
     z = distances / np.sqrt(s.v)
     widened: Array = z / max(1.0, pooling.ROBUST * float(np.median(z)))
@@ -133,7 +142,7 @@ def _limit(s: ParameterSeries) -> float:
 
 
 def outlier_rows(s: ParameterSeries, distance: Array) -> Iterator[Row]:
-    """A sentence on each flight that is far from the others of its group."""
+    """A row with a sentence for each outlier. distance: (flights,) from `distances_from_neighbours`."""
     for i in np.flatnonzero(distance > _limit(s)):
         text = (
             f"{s.flights[i]}: {s.parameter} ({s.method}) is {s.y[i]:.4g}, {distance[i]:.1f} widened bounds from the flights"
@@ -151,20 +160,20 @@ def outlier_rows(s: ParameterSeries, distance: Array) -> Iterator[Row]:
         }
 
 
-def pooled_rows(s: ParameterSeries, *, apart: bool = False) -> Iterator[Row]:
-    """The group's estimate, its scatter and what that says of the bounds. apart: these flights are one side of a step."""
+def pooled_rows(s: ParameterSeries, *, one_side: bool = False) -> Iterator[Row]:
+    """The pooled estimate with the scatter of the flights against their bounds. one_side: of a step."""
     if s.y.size < FEWEST_TO_POOL:
         return
     fit = pooling.pool(s.y, s.v)
     low, high = fit.interval()
     scatter, bound = float(np.std(s.y, ddof=1)), float(np.sqrt(np.mean(s.v)))
     text = ""
-    if fit.p < 0.01:  # as the mean over flights of sideslip estimate says it
+    if fit.p < TOO_MUCH_SCATTER:
         text = f"scatter is {scatter / bound:.1f} times the bounds: these are too small, or the flights differ"
     yield {
         **_group_columns(s),
-        "since": s.dates[0] if apart else None,
-        "until": s.dates[-1] if apart else None,
+        "since": s.dates[0] if one_side else None,
+        "until": s.dates[-1] if one_side else None,
         "kind": "pooled",
         "estimate": float(fit.b[0]),
         "std": float(fit.std[0]),
@@ -184,19 +193,19 @@ def _group_columns(s: ParameterSeries) -> Row:
     return {"group": s.label, "method": s.method, "parameter": s.parameter, "flights": s.y.size, **group}
 
 
-FIRST = ("difference", "step", "envelope", "outlying flight", "outlier")
-"""Kinds that say something, those about the aircraft before those about single flights."""
+CLAIMS = ("difference", "step", "envelope", "outlying flight", "outlier")
+"""Kinds of rows that a person should read: first those about the aircraft, then those about single flights."""
 
 
 def claims_of(groups: Sequence[Row]) -> list[Row]:
-    """Rows that say something that a person must read, the most important first. A flight that is off as a whole is told once,
-    not for each of its parameters again."""
+    """The rows that a person must read, the most important first. A flight that is off as a whole is reported once, not for each
+    of its parameters."""
     outlying_flights = {(r["group"], r["method"], r["flight"]) for r in groups if r["kind"] == "outlying flight"}
     claims = [
         r
         for r in groups
-        if r["kind"] in FIRST
+        if r["kind"] in CLAIMS
         and (r["kind"] != "difference" or r["probability"] <= LEVEL)
         and (r["kind"] != "outlier" or (r["group"], r["method"], r["flight"]) not in outlying_flights)
     ]
-    return sorted(claims, key=lambda r: FIRST.index(r["kind"]))
+    return sorted(claims, key=lambda r: CLAIMS.index(r["kind"]))

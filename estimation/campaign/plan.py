@@ -1,4 +1,4 @@
-"""The plan of a campaign: which flights, what is known of each, what is done with them. From TOML or from options."""
+"""The plan of a campaign, from TOML or from options: which flights, the conditions of each, and what to do with them."""
 
 import contextlib
 import datetime as dt
@@ -17,8 +17,9 @@ from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import check_extras, find_estimator
 
 GROUPABLE = ("aircraft", "configuration", "day", "manoeuvre")
-LONGEST_LIMIT = 1e6  # s, eleven days: the clocks that end work count no longer
-MOST_REPLICATES = 100_000  # a flight: a spread is known to 0.3 % by then
+LONGEST_LIMIT = 1e6  # s, eleven days: the timers that end work hold no longer times
+MOST_REPLICATES = 100_000  # a flight: a spread is then known to 0.3 %
+DATE_LENGTH = len("2026-03-01")
 FLIGHT_SUFFIXES = (".mcap", ".csv", ".parquet")
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -29,7 +30,7 @@ class _CampaignTable(BaseModel):
 
 
 def _path(value: object) -> str:
-    """A path as the system has it, which need not be text: pydantic takes texts only."""
+    """A path that need not be valid Unicode, which pydantic's own text type refuses."""
     if not isinstance(value, str) or not value:
         raise ValueError("should be a path, a pattern or an address")
     return value
@@ -39,8 +40,8 @@ SomePath = Annotated[str, PlainValidator(_path)]
 
 
 class RecordConditions(_CampaignTable):
-    """What is known of a record besides its columns. mass [kg] goes before that of the aircraft's file; cg [m] behind the
-    nose is kept beside the results. segments: stretches of it, as of `estimate --segments`."""
+    """The conditions of a flight. mass [kg]: in place of that in the aircraft's file; cg [m]: behind the nose, only copied into
+    the results. segments: its stretches, as of `estimate --segments`."""
 
     aircraft: str = ""
     configuration: str = ""
@@ -53,12 +54,12 @@ class RecordConditions(_CampaignTable):
     @field_validator("date", mode="before")
     @classmethod
     def _as_text(cls, value: object) -> object:
-        """A TOML date, or ISO 8601 text; so that text sorts by time."""
+        """A TOML date or ISO 8601 text as ISO 8601 text, whose order is that of time."""
         if isinstance(value, dt.date | dt.datetime):
             return value.isoformat()
         if isinstance(value, str) and value:
             try:
-                kind = dt.datetime if len(value) > 10 else dt.date
+                kind = dt.datetime if len(value) > DATE_LENGTH else dt.date
                 return kind.fromisoformat(value).isoformat()
             except ValueError as error:
                 raise ValueError(f"{value!r} is no date; write it like 2026-03-01 or 2026-03-01T10:30:00") from error
@@ -78,12 +79,13 @@ class RecordConditions(_CampaignTable):
 
     @property
     def day(self) -> str:
-        return self.date[:10]
+        """The date without its time."""
+        return self.date[:DATE_LENGTH]
 
 
 @contextlib.contextmanager
 def _as_value_error() -> Iterator[None]:
-    """What a person can act on, in the form that validation puts the key before."""
+    """Turn a UserError into a ValueError, before whose message pydantic puts the key."""
     try:
         yield
     except UserError as error:
@@ -97,8 +99,8 @@ class FlightEntry(RecordConditions):
 
 
 class SimulateEntry(RecordConditions):
-    """One [[simulate]]: a scenario flown `count` times with seeds of its own. `set`: dotted keys of the scenario and their
-    values (tables are taken apart into them); `vary`: dotted keys, each drawn evenly between two ends."""
+    """One [[simulate]]: a scenario flown `count` times, each time with another seed. set: dotted keys of the scenario, or tables
+    of keys, and their values; vary: dotted keys, each drawn evenly between two ends."""
 
     scenario: str = Field(min_length=1)
     count: int = Field(default=1, ge=1, le=limits.FLIGHTS)
@@ -179,7 +181,7 @@ class CampaignPlan(_CampaignTable):
 def read_plan(path: Path, *, trust_code: bool = False) -> CampaignPlan:
     """The plan in a TOML file; CampaignError names file and key.
 
-    trust_code: whether programs that it names may run. Without, a plan that names one is refused before anything is imported.
+    trust_code: whether programs that it names may run. If not, a plan that names one is refused before anything is imported.
     """
     data = read_toml(path, "plan", CampaignError)
     programs = named_programs(data)
@@ -192,7 +194,7 @@ def read_plan(path: Path, *, trust_code: bool = False) -> CampaignPlan:
 
 
 def named_programs(data: Mapping[str, Any]) -> tuple[str, ...]:
-    """What a plan names as `module:NAME`: a model or methods of somebody's own, which are Python and run."""
+    """The model and methods that a plan names as `module:NAME`: Python code that would run."""
     methods = data.get("methods", ())
     program_names = [data.get("model", ""), *(methods if isinstance(methods, list | tuple) else [methods])]
     return tuple(
@@ -203,15 +205,15 @@ def named_programs(data: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def plan_from(data: Mapping[str, Any], where: str) -> CampaignPlan:
-    """A plan from plain data; CampaignError names `where` and the key."""
+    """A plan from the content of a TOML file; CampaignError names `where` and the key."""
     try:
         return CampaignPlan.model_validate(dict(data))
     except ValidationError as error:
-        raise CampaignError(f"plan {where}: {said_of(error)}; see docs/campaign.md for the keys") from error
+        raise CampaignError(f"plan {where}: {first_mistake(error)}; see docs/campaign.md for the keys") from error
 
 
-def said_of(error: ValidationError) -> str:
-    """The first complaint: which key, and what of it."""
+def first_mistake(error: ValidationError) -> str:
+    """The first mistake: its key, and what is wrong."""
     first = error.errors()[0]
     key_path = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
@@ -221,6 +223,6 @@ def said_of(error: ValidationError) -> str:
 
 
 def _keys_beside(where: tuple[int | str, ...]) -> Iterable[str]:
-    """Names of the keys that stand where an unknown one does."""
+    """Names of the keys of the table that an unknown key stands in."""
     tables: dict[str, type[BaseModel]] = {"flight": FlightEntry, "simulate": SimulateEntry}
     return (tables.get(str(where[0]), CampaignPlan) if len(where) > 1 else CampaignPlan).model_fields

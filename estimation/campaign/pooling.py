@@ -1,8 +1,8 @@
-"""Estimates of many flights brought together: y = X b + u + e, with the flights' own variances and one between flights.
+"""Pooled estimates of many flights: y = X b + u + e, a random-effects model.
 
-y: one estimate a flight; e: its corrected bound, variance v, taken as known; u: what differs from flight to flight
-beyond the bounds, variance tau2 >= 0 by restricted maximum likelihood (Viechtbauer 2005, J. Educ. Behav. Stat. 30,
-261-293). Standard errors after Knapp and Hartung (2003, Stat. Med. 22, 2693-2710), never below those of known variances.
+y: one estimate a flight; e: its error, of known variance v (the corrected bound squared); u: difference of the flight from the
+others, of variance tau2 >= 0 by restricted maximum likelihood (Viechtbauer 2005, J. Educ. Behav. Stat. 30, 261-293). Standard
+errors after Knapp and Hartung (2003, Stat. Med. 22, 2693-2710), never below those of known variances.
 """
 
 from dataclasses import dataclass
@@ -13,14 +13,16 @@ from groundstation.flight import Array
 
 LEVEL = 0.05
 """Two-sided, of every test and interval here."""
-WANTED_POWER = 0.8  # of what is called detectable: the usual convention
-ROBUST = 1.4826  # median absolute deviation of a normal variable to its standard deviation
+WANTED_POWER = 0.8  # of a difference that is called detectable: the usual convention
+ROBUST = 1.4826  # standard deviation of a normal variable over its median absolute deviation
+CERTAIN = 30.0  # standard errors from which a difference is found for certain; scipy's noncentral t fails out there
+ONE_SIDED = 3.0  # standard errors from which the other tail is below 1e-7; scipy often gives nan for it
 
 
 @dataclass(frozen=True)
 class Pooled:
     """b: (terms,); covariance: (terms, terms) with Knapp and Hartung's factor; tau2: variance between flights; q, p: Cochran's
-    statistic of no variance between flights and its probability; freedom: flights less terms."""
+    statistic for no variance between flights, and its probability; freedom: flights less terms."""
 
     b: Array
     covariance: Array
@@ -35,12 +37,12 @@ class Pooled:
         return deviation
 
     def interval(self, term: int = 0) -> tuple[float, float]:
-        """95 % of one term."""
+        """95 % interval of one term."""
         half = t_quantile(1.0 - LEVEL / 2.0, self.freedom) * float(self.std[term])
         return float(self.b[term]) - half, float(self.b[term]) + half
 
     def probability(self, term: int) -> float:
-        """Two-sided, of a term as large were it zero."""
+        """Two-sided probability of an estimate this large of a term that is zero."""
         return two_sided(float(self.b[term] / self.std[term]), self.freedom)
 
 
@@ -70,7 +72,7 @@ def _weighted(y: Array, v: Array, X: Array) -> tuple[Array, Array, Array]:
 
 
 def restricted_likelihood(tau2: Array, y: Array, v: Array, X: Array) -> Array:
-    """(candidates,) logarithms of the restricted likelihood, without its constant, of (candidates,) tau2."""
+    """(candidates,) logarithms of the restricted likelihood, without its constant, at (candidates,) values of tau2."""
     w = 1.0 / (v + tau2[:, None])
     information = np.einsum("gn,ni,nj->gij", w, X, X)
     b = np.linalg.solve(information, np.einsum("gn,ni,n->gi", w, X, y)[:, :, None])[:, :, 0]
@@ -82,14 +84,15 @@ def restricted_likelihood(tau2: Array, y: Array, v: Array, X: Array) -> Array:
 
 
 def restricted_variance(y: Array, v: Array, X: Array) -> float:
-    """tau2 at the largest restricted likelihood: the best of a logarithmic grid and zero, then refined by sections.
+    """tau2 at the largest restricted likelihood: the best of zero and a logarithmic grid, then refined; zero where that is best.
 
-    In units of the mean of v and of the spread of y; where the likelihood falls from zero on, zero.
+    The grid is in units of the mean of v plus the variance of y.
     """
     from scipy.optimize import minimize_scalar
 
     scale = float(np.mean(v)) + float(np.var(y))
-    grid = np.concatenate([[0.0], scale * np.logspace(-8, 1, 37)])  # a fourth of a decade: the likelihood is smooth
+    # steps of a quarter decade: the likelihood is smooth
+    grid = np.concatenate([[0.0], scale * np.logspace(-8, 1, 37)])
     best_index = int(np.argmax(restricted_likelihood(grid, y, v, X)))
     if best_index == 0:
         return 0.0
@@ -104,7 +107,7 @@ def restricted_variance(y: Array, v: Array, X: Array) -> float:
 
 
 def outliers(y: Array, v: Array) -> Array:
-    """(flights,) distance of each estimate from the median, over its bound widened to the scatter of the middle half."""
+    """(flights,) distance of each estimate from the median, in bounds widened to the scatter of the middle half."""
     z = (y - np.median(y)) / np.sqrt(v)
     scale = max(1.0, ROBUST * float(np.median(np.abs(z))))  # sound bounds need no widening
     distance: Array = np.abs(z) / scale
@@ -112,36 +115,35 @@ def outliers(y: Array, v: Array) -> Array:
 
 
 def outlier_limit(flights: int) -> float:
-    """Distance that one of so many sound flights exceeds with probability LEVEL."""
+    """Distance that one of this many sound flights exceeds with probability LEVEL."""
     return t_quantile(1.0 - LEVEL / (2.0 * flights), max(1, flights - 1))
 
 
 def two_sided(t: float, freedom: int) -> float:
-    """Probability of Student's t as large on either side."""
+    """Probability of a Student's t beyond +-|t|."""
     from scipy.special import stdtr
 
     return float(2.0 * stdtr(freedom, -abs(t)))
 
 
 def detectable(std: float, freedom: int, tests: int = 1) -> float:
-    """The least difference found with WANTED_POWER at LEVEL over so many tests."""
+    """The least difference found with WANTED_POWER at LEVEL, corrected for this many tests. std: of the difference."""
     return std * (t_quantile(1.0 - LEVEL / (2.0 * tests), freedom) + t_quantile(WANTED_POWER, freedom))
 
 
 def power(difference: float, std: float, freedom: int, tests: int = 1) -> float:
-    """Probability that a true difference of that size would be found at LEVEL over so many tests."""
+    """Probability that a true difference is found at LEVEL, corrected for this many tests. std: of the difference."""
     from scipy.special import nctdtr
 
     limit, size = t_quantile(1.0 - LEVEL / (2.0 * tests), freedom), abs(difference) / std
-    if size > 30.0:  # found for certain; the noncentral distribution is not evaluated out there
+    if size > CERTAIN:
         return 1.0
-    other_side = (
-        nctdtr(freedom, size, -limit) if size < 3.0 else 0.0
-    )  # beyond, less than 1e-7, and scipy often gives nan
-    return float(1.0 - nctdtr(freedom, size, limit) + other_side)
+    other_tail = nctdtr(freedom, size, -limit) if size < ONE_SIDED else 0.0
+    return float(1.0 - nctdtr(freedom, size, limit) + other_tail)
 
 
 def t_quantile(probability: float, freedom: int) -> float:
+    """Quantile of Student's t."""
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, probability))

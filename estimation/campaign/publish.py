@@ -1,4 +1,4 @@
-"""The data set of a finished campaign: rows of today's plan with its conditions, groups, manifest."""
+"""The data set of a finished campaign: the rows of the present plan with its conditions, and the manifest."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -20,39 +20,38 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 ORDER = ("flight", "source", "group", "key", "manoeuvre", "kind", "place", "parameter")
-
-
-FOUND = ("aircraft", "manoeuvre", "group")
-"""Columns in which what the worker found goes before what the plan says."""
+CONDITIONS = ("flight", "source", "manoeuvre", "aircraft", "configuration", "date", "day", "mass", "cg", "group")
+"""Columns that come from the present plan, which may have changed since the work."""
+BY_WORKER = ("aircraft", "manoeuvre", "group")
+"""Those of them in which a worker's value replaces the plan's."""
 
 
 def planned_rows(table: "pa.Table", conditions_by_key: Mapping[str, Row]) -> "tuple[pa.Table, pa.Table]":
-    """(rows of the plan with what it says of each flight, rows of other plans). conditions_by_key: by today's keys of work."""
+    """(rows of the present plan with its conditions, rows of other plans). conditions_by_key: key of work -> conditions."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
     is_planned = pc.is_in(table["key"], value_set=pa.array(list(conditions_by_key), pa.string()))
     planned = _with_conditions(table.filter(is_planned), conditions_by_key)
-    has_content = pc.or_(
-        pc.is_valid(table["sha256"]), pc.is_valid(table["group"])
-    )  # others are of bytes that could not be had
+    # rows with neither are of flights whose bytes could not be read
+    has_content = pc.or_(pc.is_valid(table["sha256"]), pc.is_valid(table["group"]))
     return ordered(planned), table.filter(pc.and_(pc.invert(is_planned), has_content))
 
 
 def ordered(table: "pa.Table") -> "pa.Table":
-    """Rows in the one order that the data set has."""
+    """Rows in the order of the data set."""
     return table.sort_by([(name, "ascending") for name in ORDER])
 
 
 def _with_conditions(table: "pa.Table", conditions_by_key: Mapping[str, Row]) -> "pa.Table":
-    """Names and conditions are of today's plan, not of the day the flight was worked on."""
+    """The table with the names and conditions of the present plan."""
     import pyarrow as pa
 
     keys = table["key"].to_pylist()
-    for name in ("flight", "source", "manoeuvre", "aircraft", "configuration", "date", "day", "mass", "cg", "group"):
+    for name in CONDITIONS:
         pairs = list(zip([conditions_by_key[key].get(name) for key in keys], table[name].to_pylist(), strict=True))
         values = [
-            (worker_value if worker_value is not None else planned_value) if name in FOUND else planned_value
+            (worker_value if worker_value is not None else planned_value) if name in BY_WORKER else planned_value
             for planned_value, worker_value in pairs
         ]
         field = table.schema.field(name)
@@ -61,7 +60,7 @@ def _with_conditions(table: "pa.Table", conditions_by_key: Mapping[str, Row]) ->
 
 
 def conditions_of(entry: CampaignFlight) -> Row:
-    """What the plan says of a flight, by the columns of the results."""
+    """The conditions that the plan states of a flight, as columns of the results."""
     c = entry.conditions
     return {
         "flight": entry.name,
@@ -77,8 +76,7 @@ def conditions_of(entry: CampaignFlight) -> Row:
 
 
 def unreadable_rows(entries: Sequence[CampaignFlight]) -> "pa.Table":
-    """A row for each flight whose bytes could not be had."""
-
+    """A row with the reason for each flight whose bytes cannot be read."""
     rows = [
         {**conditions_of(e), "kind": "run", "status": "failed", "why": e.why, "key": key_of("unreadable", e.location)}
         for e in entries
@@ -87,6 +85,7 @@ def unreadable_rows(entries: Sequence[CampaignFlight]) -> "pa.Table":
 
 
 def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> None:
+    """Write rows as a Parquet file of these columns."""
     import pyarrow.parquet as pq
 
     make_directories(path.parent)
@@ -95,7 +94,7 @@ def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> Non
 
 
 def write_texts(texts: Mapping[str, str], folder: Path, ending: str) -> None:
-    """`folder`/<name><ending> for each text, none besides."""
+    """Write `folder`/<name><ending> for each text; delete all other files of that ending."""
     from daq.utilities.outputs import write_text
 
     for old in folder.glob(f"*{ending}"):
@@ -106,7 +105,7 @@ def write_texts(texts: Mapping[str, str], folder: Path, ending: str) -> None:
 
 
 def manifest(plan: CampaignPlan, work: WorkList, store: Store, failures: Mapping[str, str]) -> dict[str, Any]:
-    """What was put in and what came out, with digests: names of flights to keys, files to SHA-256."""
+    """Versions, plan, flights with their digests and keys, and files with their SHA-256."""
     flights = [
         {
             "flight": p.entry.name,
@@ -135,7 +134,7 @@ def manifest(plan: CampaignPlan, work: WorkList, store: Store, failures: Mapping
 
 
 def write_manifest(data: Mapping[str, Any], folder: Path) -> bool:
-    """`folder`/manifest.json; whether it says anything else than before."""
+    """Write `folder`/manifest.json; returns whether it differs from the one before."""
     path = folder / "manifest.json"
     old_bytes = path.read_bytes() if path.is_file() else b""
     write_json(data, path)

@@ -1,4 +1,4 @@
-"""Runs a campaign: unfinished work goes to the engine, its rows into the store, then the groups, tables and files are made."""
+"""Runs a campaign: unfinished work goes to the engine, its rows into the store; then groups, tables and files are made."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,13 +25,13 @@ from estimation.campaign.schema import DATABASE, GROUPS, usable_estimates
 from estimation.campaign.sources import CampaignFlight
 from estimation.campaign.store import Store
 from estimation.campaign.tasks import Finished, Row, Work
-from estimation.campaign.work_list import Member, WorkList, envelope_work, joint_work, left_to_do, match_works
+from estimation.campaign.work_list import Member, WorkList, envelope_work, joint_work, match_works, unfinished
 from estimation.campaign.workers.work import OK
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-LEAST_VARIANCE = 1e-300  # in place of 0, by which a weight cannot be divided
+LEAST_VARIANCE = 1e-300  # in place of 0: weights are inverse variances
 
 
 class CampaignEngine(Protocol):
@@ -41,7 +41,7 @@ class CampaignEngine(Protocol):
     dashboard: str
 
     def run(self, works: Iterator[Work]) -> Iterator[Finished | None]:
-        """Finished work in any order; None now and then while nothing ends."""
+        """Finished work in any order; None from time to time while no work ends."""
 
     def close(self) -> None:
         """Release the workers."""
@@ -49,8 +49,9 @@ class CampaignEngine(Protocol):
 
 @dataclass(frozen=True)
 class CampaignOutcome:
-    """flights: of the plan; done: with results; failed: location -> sentence; skipped: done by an earlier run; fitted: pieces of
-    work done now; duplicates: (location, location of the same flight); unchanged: no file differs from the earlier run's."""
+    """flights: in the plan; done: with results; failed: location -> reason; skipped: done by an earlier run; fitted: pieces of
+    work done by this run; duplicates: (location, location of the same flight); damaged: result parts that could not be read;
+    unchanged: no file differs from those of the run before."""
 
     flights: int
     done: int
@@ -80,8 +81,8 @@ class CampaignOutcome:
 
 
 class Campaign:
-    """One run of a plan into a store. make_engine: pieces of work -> engine, called only when there is work. tell: takes a text
-    and the fraction done."""
+    """One run of a plan into a store. make_engine: number of pieces of work -> engine, called only when there is work. tell:
+    takes a text and the fraction done."""
 
     def __init__(
         self,
@@ -99,7 +100,7 @@ class Campaign:
         self._workers = 0
 
     def run(self, *, retry_failed: bool = False) -> CampaignOutcome:
-        """Do the unfinished work and publish. All finished work is on disk, whatever interrupts the run."""
+        """Do the unfinished work and publish the tables. Finished work is on disk whatever interrupts the run."""
         stored_table = self._store.load()
         if retry_failed:
             stored_table = self._without_failures(stored_table)
@@ -115,7 +116,7 @@ class Campaign:
         return self._publish(skipped)
 
     def _without_failures(self, table: "pa.Table") -> "pa.Table":
-        """The table without failed work, which is then done again."""
+        """The table without the rows of failed work, so that it is done again."""
         import pyarrow as pa
         import pyarrow.compute as pc
 
@@ -125,8 +126,8 @@ class Campaign:
         return successful
 
     def _run_work(self, works: Iterable[Work], done: set[str], what: str) -> None:
-        """Run the pieces of work whose keys are not in `done`; what: their name in messages."""
-        open_works = list(left_to_do(works, done))
+        """Run the pieces of work whose keys are not in `done`. what: their name in messages."""
+        open_works = list(unfinished(works, done))
         if not open_works:
             return
         if self._engine is None:
@@ -144,7 +145,7 @@ class Campaign:
         self._store.flush()
 
     def _run_groups(self, done: set[str]) -> None:
-        """Joint fits and matches: they need the estimates of all flights of a group."""
+        """Joint fits, models over the envelope and matches, which need the estimates of all flights of a group."""
         results, _ = planned_rows(self._store.load(), self._conditions)
         works: list[Work] = []
         for group, members in members_of(results, self._work, self._plan).items():
@@ -166,7 +167,7 @@ class Campaign:
         import pyarrow as pa
 
         results, superseded = planned_rows(self._store.load(), self._conditions)
-        unusable_entries = [*self._work.unreadable, *self._failed_twice(failures_of(results))]
+        unusable_entries = [*self._work.unreadable, *self._duplicates_of_failed(failures_of(results))]
         if unusable_entries:
             results = ordered(pa.concat_tables([results, unreadable_rows(unusable_entries)]))
         self._store.replace_all(results, superseded)
@@ -204,8 +205,8 @@ class Campaign:
             unchanged,
         )
 
-    def _failed_twice(self, failures: Mapping[str, str]) -> list[CampaignFlight]:
-        """Entries whose bytes are those of a flight that failed: several empty files are several bad flights."""
+    def _duplicates_of_failed(self, failures: Mapping[str, str]) -> list[CampaignFlight]:
+        """Duplicates of a flight that failed, with its reason: several empty files are several bad flights."""
         return [
             replace(entry, why=f"{failures[first.location]} (the same bytes as {first.location})")
             for entry, first in self._work.duplicates
@@ -214,7 +215,7 @@ class Campaign:
 
 
 def failures_of(results: "pa.Table") -> dict[str, str]:
-    """Location -> the sentences on a flight that a method could not use, or whose estimates are not recommended."""
+    """Location -> why a method could not use a flight, or why its estimates are not recommended."""
     import pyarrow.compute as pc
 
     runs = results.filter(
@@ -232,7 +233,7 @@ def failures_of(results: "pa.Table") -> dict[str, str]:
 def members_of(
     results: "pa.Table", work: WorkList, plan: CampaignPlan
 ) -> dict[tuple[tuple[str, str], ...], list[Member]]:
-    """Group (key, value pairs of the plan's group columns) -> its flights with their estimates and variances by method."""
+    """Group (column, value pairs of the plan's group columns) -> its flights with their estimates and variances by method."""
     groups: dict[tuple[tuple[str, str], ...], dict[str, dict[str, dict[str, tuple[float, float]]]]] = {}
     by_key = work.by_key
     for row in usable_estimates(results, ("estimate",), plan.groups):

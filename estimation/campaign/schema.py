@@ -16,7 +16,7 @@ VERSION_KEY = "sideslip.campaign.schema"
 
 
 def _columns(text: str) -> dict[str, str]:
-    """Name -> kind, of lines `kind: name name ...` in the order of the columns."""
+    """Column -> kind, from lines `kind: name name ...` in the order of the columns."""
     lines = (line.partition(":") for line in text.strip().splitlines())
     return {name: kind.strip() for kind, _, names in lines for name in names.split()}
 
@@ -60,7 +60,7 @@ DATABASE = _columns("""
 """)
 
 UNREPEATABLE = ("attempts", "cpu")
-"""Columns that tell of the run and not of the flight: all others are the same whatever the number of workers."""
+"""Columns that describe the run, not the flight: all others are the same whatever the number of workers."""
 
 
 def arrow_schema(columns: dict[str, str]) -> "pa.Schema":
@@ -72,7 +72,7 @@ def arrow_schema(columns: dict[str, str]) -> "pa.Schema":
 
 
 def table_of(rows: Sequence[Mapping[str, Any]], columns: dict[str, str]) -> "pa.Table":
-    """Rows as a table; text that holds what is no text (names of files need not be) with that shown by its number."""
+    """Rows as a table, their texts made printable: names of files may hold any bytes."""
     import pyarrow as pa
 
     printable_rows = [{name: printed(value) for name, value in row.items()} for row in rows]
@@ -80,7 +80,7 @@ def table_of(rows: Sequence[Mapping[str, Any]], columns: dict[str, str]) -> "pa.
 
 
 def usable_estimates(results: "pa.Table", kinds: Sequence[str], columns: Sequence[str]) -> list[dict[str, Any]]:
-    """Rows of identifiable estimates with a bound from sound runs. kinds: of rows; columns: beside those that say so."""
+    """Rows of identifiable estimates with a bound, from runs of status ok. kinds: of rows; columns: further ones to read."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

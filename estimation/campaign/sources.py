@@ -1,4 +1,4 @@
-"""Where flights come from: paths, patterns, folders, tables, URLs, scenarios; each with a digest of its content."""
+"""The flights of a plan, from paths, patterns, folders, tables, URLs and scenarios; each with a digest of its content."""
 
 import csv
 import glob
@@ -27,18 +27,18 @@ from estimation.campaign.plan import (
     FlightEntry,
     RecordConditions,
     SimulateEntry,
-    said_of,
+    first_mistake,
 )
 from estimation.campaign.tasks import CampaignError, FlightMaker, FlightSource
 
-CHUNK = 1 << 20  # bytes read at a time: a record of any size is looked at in little memory
+CHUNK = 1 << 20  # bytes read at a time: a flight of any size is digested in little memory
 REMOTE_ERRORS = (OSError, ValueError, ImportError, RuntimeError, TypeError, AttributeError, LookupError, AssertionError)
 """What fsspec and its back ends raise for an address that cannot be read, a protocol not known or not installed."""
 
 
 @dataclass(frozen=True)
 class CampaignFlight:
-    """One flight of the plan. source: None where its bytes cannot be had, and `why` says so."""
+    """One flight of the plan. source: None where its bytes cannot be read; `why` has the reason."""
 
     location: str
     conditions: RecordConditions
@@ -47,7 +47,7 @@ class CampaignFlight:
 
     @property
     def name(self) -> str:
-        """As the results call it."""
+        """Name in the results."""
         return self.source.name if self.source is not None else Path(self.location).stem
 
 
@@ -76,7 +76,7 @@ def entries_of(
 
 
 def _table(name: str, folder: Path) -> Iterator[FlightEntry]:
-    """Rows of a CSV with a column `path`; columns of other names are somebody else's."""
+    """Rows of a CSV with a column `path`; unknown columns are ignored."""
     path = folder / name
     text = read_bytes(path, "table", CampaignError, limits.TABLE_BYTES)
     try:
@@ -88,7 +88,7 @@ def _table(name: str, folder: Path) -> Iterator[FlightEntry]:
         try:
             yield FlightEntry.model_validate(flight_fields)
         except ValidationError as error:
-            raise CampaignError(f"table {path}, line {number}: {said_of(error)}; correct it there") from error
+            raise CampaignError(f"table {path}, line {number}: {first_mistake(error)}; correct it there") from error
 
 
 def _flights_at(text: str, folder: Path, conditions: RecordConditions, send: bool) -> Iterator[CampaignFlight]:
@@ -102,7 +102,7 @@ def _flights_at(text: str, folder: Path, conditions: RecordConditions, send: boo
 
 
 def _paths(path: Path, text: str) -> Sequence[Path]:
-    """A file as it is named, all flights of a folder, or those that a pattern matches."""
+    """The file itself, all flights of a folder, or those that a pattern matches."""
     if path.is_dir():
         files = sorted(islice(path.iterdir(), limits.LOOKED_AT))
     elif path.exists() or not glob.has_magic(text):
@@ -119,7 +119,7 @@ def _local(path: Path, conditions: RecordConditions, send: bool) -> CampaignFlig
     entry = CampaignFlight(str(path), conditions)
     try:
         status = path.stat()
-        if not stat.S_ISREG(status.st_mode):  # a pipe would be waited for, a device read without end
+        if not stat.S_ISREG(status.st_mode):  # reading would wait for a pipe, and never end for a device
             return replace(entry, why=f"{path}: not a file that can be read again; copy the flight into one")
         if status.st_size > limits.DATA_BYTES:
             return replace(entry, why=f"{path}: {status.st_size} bytes long; at most {limits.DATA_BYTES} are read")
@@ -158,18 +158,18 @@ def _filesystem(url: str) -> tuple[Any, str]:
         raise CampaignError(
             f"{url[:200]}: flights are read by {protocols}, one at a time; copy it to where one of them leads"
         )
-    files, path = url_to_fs(url, **_patience(protocol))
+    files, path = url_to_fs(url, **_time_limits(protocol))
     return files, str(path)
 
 
-def _patience(protocol: str) -> dict[str, Any]:
-    """What makes a web server that says nothing an error: by itself it is waited for, five minutes a question."""
+def _time_limits(protocol: str) -> dict[str, Any]:
+    """Time limits for a web server that does not answer; aiohttp's own is five minutes a request."""
     if protocol not in ("http", "https"):
         return {}
     timeout = optional("aiohttp", "a flight by URL").ClientTimeout(
         total=None, connect=limits.SILENCE_S, sock_read=limits.SILENCE_S
     )
-    return {"client_kwargs": {"timeout": timeout}, "block_size": 0}  # 0: in one go, with the size known or not
+    return {"client_kwargs": {"timeout": timeout}, "block_size": 0}  # 0: a stream, whether or not the size is known
 
 
 def _remote(url: str, conditions: RecordConditions) -> CampaignFlight:
@@ -182,7 +182,7 @@ def _remote(url: str, conditions: RecordConditions) -> CampaignFlight:
 
 
 def fetched(url: str) -> bytes:
-    """The bytes at a URL; CampaignError where they cannot be had."""
+    """The bytes at a URL; CampaignError where they cannot be read."""
     try:
         files, path = _filesystem(url)
         size = files.size(path)
@@ -191,22 +191,22 @@ def fetched(url: str) -> bytes:
         if "file" in files.protocol:
             return read_bytes(Path(path), "flight", CampaignError)
         with files.open(path, "rb") as stream:
-            return b"".join(_pieces(stream, url))
+            return b"".join(_chunks(stream, url))
     except REMOTE_ERRORS as error:
         raise CampaignError(f"{url}: cannot be read ({error}); check address and access") from error
 
 
-def _pieces(stream: IO[bytes], url: str) -> Iterator[bytes]:
-    """All that a server gives; CampaignError where that is too much, or comes too slowly to end."""
-    begun, received = time.monotonic(), 0
-    while piece := stream.read(CHUNK):
-        received += len(piece)
+def _chunks(stream: IO[bytes], url: str) -> Iterator[bytes]:
+    """The content in chunks; CampaignError where it is too long, or arrives too slowly."""
+    start_s, received = time.monotonic(), 0
+    while chunk := stream.read(CHUNK):
+        received += len(chunk)
         if received > limits.DATA_BYTES:
             raise CampaignError(f"{url}: longer than the {limits.DATA_BYTES} bytes that are read")
-        seconds = time.monotonic() - begun
+        seconds = time.monotonic() - start_s
         if seconds > limits.SILENCE_S and received < seconds * limits.SLOWEST_BYTES_PER_S:
             raise CampaignError(f"{url}: {received} bytes in {seconds:.0f} s; copy it to where it can be read faster")
-        yield piece
+        yield chunk
 
 
 # ---------------------------------------------------------------------------------------------- simulated
@@ -221,7 +221,7 @@ def _simulated(
     scenario_file = folder / entry.scenario
     scenario = str(scenario_file) if scenario_file.is_file() else entry.scenario
     label = f"{Path(scenario).stem}{number}"
-    for end in (0, 1):  # what lies between the ends of what varies can be flown if they can
+    for end in (0, 1):  # where both ends of all ranges can be flown, so can the values between
         try:
             simulator.describe(scenario, {**entry.set, **{key: ends[end] for key, ends in entry.vary.items()}})
         except UserError as error:
@@ -241,6 +241,6 @@ def _simulated(
 
 
 def _drawn_values(entry: SimulateEntry, number: int) -> dict[str, float]:
-    """What varies, drawn for the flight of that number alone: another count changes none of the others."""
+    """Values of the varied keys for one flight, drawn with its number: another count changes no other flight."""
     rng = np.random.default_rng([entry.seed, number])
     return {key: float(rng.uniform(*ends)) for key, ends in sorted(entry.vary.items())}

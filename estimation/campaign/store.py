@@ -1,7 +1,7 @@
-"""Results on disk: parts written whole or not at all, known by their keys, joined into one file at the end.
+"""Results on disk: parts, each written whole or not at all, joined into one file at the end.
 
-A part is written under another name, forced to the disk and renamed, by one client alone: a kill at any instant leaves
-whole parts, and what was not in one yet is done again. A part holds all rows of every key in it.
+One client alone writes a part: under another name, forced to the disk, then renamed. So a kill at any instant leaves whole
+parts; work whose rows were in none yet is done again. A part holds all rows of every key in it.
 """
 
 import hashlib
@@ -17,19 +17,19 @@ from estimation.campaign.tasks import CampaignError, Row
 if TYPE_CHECKING:
     import pyarrow as pa
 
-EVERY_S = 10.0  # the most that a kill costs
-FIRST_S = 1.0  # until the first part, each next one twice as long: whoever begins a campaign sees soon that it works
-EVERY_ROWS = 20_000  # some 500 flights: a part of 1 MB
+EVERY_S = 10.0  # longest time between parts: the work that a kill can cost
+FIRST_S = 1.0  # until the first part, doubled for each next one: a person sees soon that the campaign works
+EVERY_ROWS = 20_000  # about 500 flights: a part of 1 MB
 RESULTS_FOLDER, SUPERSEDED_FOLDER, DAMAGED_FOLDER = "results", "superseded", "damaged"
 
 
 class Store:
-    """The result parts in `folder`, held against other campaigns while it is open. clock: seconds, ever rising."""
+    """The result parts in `folder`, locked against other campaigns while open. clock: monotonic seconds."""
 
     def __init__(self, folder: Path, clock: Callable[[], float]) -> None:
         self.folder, self._clock = folder, clock
         self._rows: list[Row] = []
-        self._since, self._wait = 0.0, FIRST_S
+        self._oldest_s, self._wait_s = 0.0, FIRST_S  # time of the oldest unwritten row; longest time it stays unwritten
         self.damaged: list[Path] = []
 
     def __enter__(self) -> Self:
@@ -41,7 +41,7 @@ class Store:
                 f"--out {self.folder}: cannot be written ({error.strerror}); choose another folder"
             ) from error
         try:
-            lock_file(self._lock)  # the kernel lets go of it however we end
+            lock_file(self._lock)  # the kernel releases it however the process ends
         except OSError as error:
             self._lock.close()
             raise CampaignError(f"--out {self.folder}: another campaign writes there; wait, or take another") from error
@@ -58,7 +58,7 @@ class Store:
             self._lock.close()
 
     def load(self) -> "pa.Table":
-        """All rows of every part, each key once; parts that cannot be read are set aside, and their keys done again."""
+        """All rows, each key from one part only. Parts that cannot be read are set aside, so that their work is done again."""
         import pyarrow as pa
 
         tables = [arrow_schema(RESULTS).empty_table()]
@@ -95,21 +95,20 @@ class Store:
             return None
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Keep rows; they are on disk at the latest EVERY_S later, if `tick` is called meanwhile."""
+        """Take rows. They are on disk within EVERY_S, provided that `tick` is called meanwhile."""
         if not self._rows:
-            self._since = self._clock()
+            self._oldest_s = self._clock()
         self._rows += rows
         self.tick()
 
     def tick(self) -> None:
-        """Write a part where it is time."""
-        if self._rows and (len(self._rows) >= EVERY_ROWS or self._clock() - self._since >= self._wait):
+        """Write a part when one is due."""
+        if self._rows and (len(self._rows) >= EVERY_ROWS or self._clock() - self._oldest_s >= self._wait_s):
             self.flush()
-            self._wait = min(EVERY_S, 2.0 * self._wait)
+            self._wait_s = min(EVERY_S, 2.0 * self._wait_s)
 
     def flush(self) -> None:
-        """Write what is kept."""
-
+        """Write all rows that are not on disk yet."""
         if not self._rows:
             return
         table = table_of(self._rows, RESULTS)
@@ -117,17 +116,17 @@ class Store:
         self._rows = []
 
     def replace_all(self, results: "pa.Table", superseded: "pa.Table") -> None:
-        """One file in place of all parts: the new ones are there before the old ones go."""
-        old = {p for n in (RESULTS_FOLDER, SUPERSEDED_FOLDER) for p in (self.folder / n).glob("*.parquet")}
+        """Replace all parts by one file of results and one of superseded results; both are written before a part is deleted."""
+        old_parts = {p for n in (RESULTS_FOLDER, SUPERSEDED_FOLDER) for p in (self.folder / n).glob("*.parquet")}
         for table, name in ((superseded, SUPERSEDED_FOLDER), (results, RESULTS_FOLDER)):
             if table.num_rows:
-                old.discard(write_part(table, self.folder / name, "all", set(table["key"].to_pylist())))
-        for path in sorted(old):
+                old_parts.discard(write_part(table, self.folder / name, "all", set(table["key"].to_pylist())))
+        for path in sorted(old_parts):
             path.unlink()
 
 
 def conformed(table: "pa.Table") -> "pa.Table":
-    """An older table with today's columns, the new ones empty; columns that nobody knows are an error of Arrow."""
+    """An older table with today's columns, new ones filled with null. pa.ArrowException where a column has another type."""
     import pyarrow as pa
 
     schema = arrow_schema(RESULTS)
@@ -139,7 +138,7 @@ def conformed(table: "pa.Table") -> "pa.Table":
 
 
 def write_part(table: "pa.Table", folder: Path, stem: str, content: Iterable[str]) -> Path:
-    """Write `folder`/`stem`-<digest of content>.parquet in one step that outlasts a power cut; returns it."""
+    """Write `folder`/`stem`-<digest of content>.parquet, whole or not at all even in a power cut; returns its path."""
     import pyarrow.parquet as pq
 
     digest = hashlib.sha256("\n".join(sorted(content)).encode()).hexdigest()[:16]

@@ -10,14 +10,14 @@ Row = dict[str, Any]
 """One row of a result table, by the names of `estimation.campaign.schema`."""
 
 Maker = Callable[[Mapping[str, Any]], bytes]
-"""Flies a simulated flight from its description and returns the bytes of a CSV. Importable by name on every worker."""
+"""Flies a simulated flight from its description and returns the bytes of a CSV. Every worker must be able to import it."""
 
 
 @dataclass(frozen=True)
 class FlightMaker:
-    """The simulator of a plan's simulated flights; given from outside, for estimation itself has no simulator.
+    """The simulator of a plan's simulated flights, passed in by the caller: this package must not import one.
 
-    describe: scenario and dotted changes -> a description, checked. fly: description -> bytes of a CSV. digest: of its code.
+    describe: scenario and dotted changes -> checked description. fly: description -> bytes of a CSV. digest: of its code.
     """
 
     describe: Callable[[str, Mapping[str, Any]], Mapping[str, Any]]
@@ -49,7 +49,11 @@ class FlightSource:
 
 @dataclass(frozen=True)
 class Subject:
-    """One flight and how to read it: the model (a name, or TOML text), its aircraft's file and mass [kg], segments."""
+    """One flight and how to read it.
+
+    model: name; model_text: its TOML, empty for a built-in one. aircraft: name; aircraft_text: its file, empty for none. mass
+    [kg]: in place of that in the file. segments: stretches, as of `--segments`.
+    """
 
     source: FlightSource
     model: str
@@ -65,9 +69,9 @@ class Work:
     """Work on one flight, or on several together. pieces: name of a piece -> its key in the store (`keys.key_of`).
 
     kind: `flight` (pieces are methods, and `check`), `joint` (pieces are methods), `envelope` (one piece) or `match` (pieces
-    are methods; `values` has the parameters that each predicts with). versions: of `keys.versions`. seeds: method -> seed.
-    quality: refuse data that fails its checks. bootstrap: replicates. each_segment: fit each segment by itself, too. limit_s:
-    time [s] after which it is abandoned.
+    are methods; `values` has the parameters that each predicts with). versions: from `keys.versions`. seeds: method -> seed.
+    quality: refuse data that fail their checks. bootstrap: replicates. each_segment: fit each segment by itself. limit_s: time
+    [s] after which it is abandoned.
     """
 
     kind: str
@@ -91,7 +95,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Finished:
-    """Finished work: its rows, with status and sentence where it failed; attempts: how many it took."""
+    """rows: results, or the reason of a failure. attempts: how often the work was started."""
 
     work: Work
     rows: list[Row]

@@ -1,4 +1,4 @@
-"""From a plan to pieces of work: every flight with its keys, flights that are one and the same, and what is left to do."""
+"""From a plan to pieces of work: the keys of every flight, duplicate flights, and the work that is still to be done."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from daq.utilities.errors import UserError
-from estimation.aircraft import built_in_aircraft, load_aircraft, unknown_aircraft
-from estimation.campaign.keys import digest_of_files, key_of, seed_of, versions
+from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft, unknown_aircraft
+from estimation.campaign.keys import digest_of_files, digest_of_own_code, key_of, seed_of, versions
 from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.schema import VERSION
 from estimation.campaign.sources import CampaignFlight
@@ -17,13 +17,13 @@ from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import find_estimator
 
 ENVELOPE_METHOD = "ml"
-"""The method that a model over the envelope is fitted by: flights held out are judged by a likelihood."""
-LONGEST_CLOCK = 1e9  # s; timers of Python end at 9e9
+"""The method that fits a model over the envelope: flights held out are judged by a likelihood."""
+LONGEST_CLOCK = 1e9  # s; timers of Python overflow at 9e9
 
 
 @dataclass(frozen=True)
 class Planned:
-    """One flight to be worked on: what the plan says of it, and the work that makes its results."""
+    """One flight: its entry in the plan, and the work that makes its results."""
 
     entry: CampaignFlight
     work: Work
@@ -31,7 +31,8 @@ class Planned:
 
 @dataclass(frozen=True)
 class WorkList:
-    """Flights with their work; entries whose bytes cannot be had; (entry, flight that is the same) twice."""
+    """planned: flights with their work. unreadable: entries whose bytes cannot be read. duplicates: (entry, earlier entry with
+    the same work)."""
 
     planned: Sequence[Planned]
     unreadable: Sequence[CampaignFlight]
@@ -39,12 +40,12 @@ class WorkList:
 
     @property
     def by_key(self) -> Mapping[str, Planned]:
-        """The flight whose work each key is of."""
+        """Key of a piece of work -> its flight."""
         return {key: p for p in self.planned for key in p.work.pieces.values()}
 
 
 def work_list(plan: CampaignPlan, entries: Iterable[CampaignFlight], folder: Path) -> WorkList:
-    """Keys for all flights. Raises UserError, before any work, for a model, method or aircraft that cannot be used."""
+    """The work of all flights. Raises UserError for a model, method or aircraft that cannot be used."""
     subjects = _Subjects(plan, folder)
     planned: list[Planned] = []
     unreadable: list[CampaignFlight] = []
@@ -52,7 +53,7 @@ def work_list(plan: CampaignPlan, entries: Iterable[CampaignFlight], folder: Pat
     first: dict[str, CampaignFlight] = {}
     for entry in entries:
         if entry.source is None:
-            subjects.aircraft_text(entry)  # a wrong name is refused whether or not the flight is there
+            subjects.aircraft_text(entry)  # a wrong name of an aircraft is refused even where the flight is missing
             unreadable.append(entry)
             continue
         work = _flight_work(plan, subjects.subject_of(entry))
@@ -70,7 +71,7 @@ class _Subjects:
     def __init__(self, plan: CampaignPlan, folder: Path) -> None:
         self._plan, self._folder = plan, folder
         self._aircraft: dict[str, str] = {}
-        self._judged = False
+        self._model_checked = False
         self._text = self._model_text()
 
     def subject_of(self, entry: CampaignFlight) -> Subject:
@@ -81,18 +82,18 @@ class _Subjects:
         stem = Path(self._name_of(entry)).stem
         text = self.aircraft_text(entry)
         subject = Subject(entry.source, self._plan.model, self._text, stem, text, c.mass, c.segments)
-        self._judge(subject)
+        self._check_methods(subject)
         return subject
 
-    def _judge(self, subject: Subject) -> None:
-        """CampaignError for a model that a method has no way for; a built-in one is seen with the first aircraft named."""
-        if self._judged or not (subject.model_text or subject.aircraft_text):
+    def _check_methods(self, subject: Subject) -> None:
+        """CampaignError for a model that a method cannot estimate; a built-in model is built for the first aircraft named."""
+        if self._model_checked or not (subject.model_text or subject.aircraft_text):
             return
-        self._judged = True
-        craft = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
+        self._model_checked = True
+        aircraft = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
         try:
-            model = model_of(subject, craft or unknown_aircraft("not stated"))
-        except UserError:  # this aircraft lacks something: its flights will say so, those of others can do without
+            model = model_of(subject, aircraft or unknown_aircraft("not stated"))
+        except UserError:  # this aircraft lacks something: its flights fail with that reason, those of others need not
             return
         for method in self._plan.methods:
             if problem := find_estimator(method).refuses(model):
@@ -105,12 +106,15 @@ class _Subjects:
         """TOML of the aircraft that the plan names for a flight, empty for none; UserError where it cannot be had."""
         name = self._name_of(entry)
         if name and name not in self._aircraft:
-            location = name if name in built_in_aircraft() else str(self._folder / name)
-            self._aircraft[name] = load_aircraft(location).text
+            self._aircraft[name] = self._load(name).text
         return self._aircraft[name] if name else ""
 
+    def _load(self, name: str) -> Aircraft:
+        """A built-in aircraft by name, or one by its file; paths are relative to the plan."""
+        return load_aircraft(name if name in built_in_aircraft() else str(self._folder / name))
+
     def _model_text(self) -> str:
-        """TOML of a model of one's own; empty for a built-in one, which takes each flight's aircraft."""
+        """TOML of a user's model; empty for a built-in one, which each flight builds for its own aircraft."""
         from estimation.models import load_model
         from estimation.models.library import BUILDERS
         from estimation.models.load import asks_for_aircraft, model_text
@@ -120,13 +124,12 @@ class _Subjects:
             return ""
         if model_name.endswith(".toml"):
             return model_text(load_model(self._folder / model_name))
-        craft = self._plan.aircraft
-        if asks_for_aircraft(model_name) and not craft:
+        aircraft = self._plan.aircraft
+        if asks_for_aircraft(model_name) and not aircraft:
             raise CampaignError(f"model {model_name} takes constants of an aircraft: say of which with --aircraft")
-        if not craft:
+        if not aircraft:
             return model_text(load_model(model_name))
-        location = craft if craft in built_in_aircraft() else str(self._folder / craft)
-        return model_text(load_model(model_name, load_aircraft(location)))
+        return model_text(load_model(model_name, self._load(aircraft)))
 
 
 def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
@@ -135,10 +138,12 @@ def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
     model = [subject.model_text or subject.model, subject.aircraft_text, subject.mass]
     pieces, seeds = {}, {}
     for method in dict.fromkeys(plan.methods):
-        able = find_estimator(method).supports
-        replicates = plan.bootstrap if Extra.BOOTSTRAP in able else 0
-        seeds[method] = seed_of(plan.seed, subject.source.sha256, method) if Extra.SEED in able else 0
-        pieces[method] = key_of("flight", data, model, method, replicates, seeds[method])
+        estimator = find_estimator(method)
+        supported, own_code = estimator.supports, digest_of_own_code(estimator)
+        replicates = plan.bootstrap if Extra.BOOTSTRAP in supported else 0
+        seeds[method] = seed_of(plan.seed, subject.source.sha256, method) if Extra.SEED in supported else 0
+        content = [data, model, method, replicates, seeds[method], *([own_code] if own_code else [])]
+        pieces[method] = key_of("flight", *content)
     if plan.check == "full":
         pieces[CHECK] = key_of("check", data)
     return Work(
@@ -155,8 +160,8 @@ def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
     )
 
 
-def left_to_do(works: Iterable[Work], done: set[str]) -> Iterator[Work]:
-    """Work reduced to the pieces whose keys are not there."""
+def unfinished(works: Iterable[Work], done: set[str]) -> Iterator[Work]:
+    """The work without pieces whose keys are in `done`; none where all are."""
     for work in works:
         pieces = {piece: key for piece, key in work.pieces.items() if key not in done}
         if pieces:
@@ -168,14 +173,14 @@ def left_to_do(works: Iterable[Work], done: set[str]) -> Iterator[Work]:
 
 @dataclass(frozen=True)
 class Member:
-    """One flight of a group with the estimates that others are predicted by: method -> parameter -> (value, variance)."""
+    """One flight of a group with its usable estimates: method -> parameter -> (value, variance)."""
 
     planned: Planned
     estimates: Mapping[str, Mapping[str, tuple[float, float]]]
 
 
 def joint_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Work | None:
-    """All flights of a group in one fit by each method that found something in at least two of them."""
+    """All flights of a group in one fit by each method that has usable estimates of at least two; None for no such method."""
     pieces, seeds = {}, {}
     for method in plan.methods:
         flight_keys = sorted(m.planned.work.pieces[method] for m in members if method in m.estimates)
@@ -189,11 +194,17 @@ def joint_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Wor
     return replace(work, bootstrap=plan.bootstrap, seeds=seeds)
 
 
+def _in_order(members: Sequence[Member]) -> list[Member]:
+    """Flights in the order of their content: no number depends on the order of the plan, or on versions, which are in the
+    keys."""
+    return sorted(members, key=lambda m: (m.planned.work.subjects[0].source.sha256, m.planned.work.identity))
+
+
 def _group_work(
     plan: CampaignPlan, kind: str, name: str, label: str, pieces: Mapping[str, str], members: Sequence[Member]
 ) -> Work:
-    """Work on several flights, in an order that no plan changes; as long as for one after the other, as far as clocks count."""
-    ordered = sorted(members, key=lambda m: m.planned.work.identity)
+    """Work on several flights. Its time limit is the sum of theirs."""
+    ordered = _in_order(members)
     subjects = tuple(m.planned.work.subjects[0] for m in ordered)
     limit = min(plan.time_limit * len(subjects), LONGEST_CLOCK)
     segments = plan.each_segment
@@ -201,7 +212,7 @@ def _group_work(
 
 
 def envelope_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Work | None:
-    """All flights of a group, those with a usable estimate, in one model over the envelope; None for too few of them."""
+    """All flights of a group with a usable estimate in one model over the envelope; None for too few of them."""
     from estimation.campaign.aerodynamics.joint import FEWEST
 
     if len(members) < FEWEST:
@@ -212,9 +223,11 @@ def envelope_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> 
 
 
 def match_works(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Iterator[Work]:
-    """Each flight predicted by the weighted mean of the others."""
-    ordered = sorted(members, key=lambda m: m.planned.work.identity)  # sums do not depend on the order of the plan
-    sums = {method: _Sums(m.estimates[method] for m in ordered if method in m.estimates) for method in plan.methods}
+    """Each flight predicted with the weighted means of the others' estimates."""
+    ordered = _in_order(members)
+    sums = {
+        method: _WeightedSums(m.estimates[method] for m in ordered if method in m.estimates) for method in plan.methods
+    }
     for member in ordered:
         values = {
             method: sums[method].without(estimates)
@@ -235,8 +248,8 @@ def match_works(plan: CampaignPlan, label: str, members: Sequence[Member]) -> It
             )
 
 
-class _Sums:
-    """Weighted sums of each parameter over flights, from which one flight can be taken out again."""
+class _WeightedSums:
+    """Sums of each parameter over flights, weighted by inverse variance, from which one flight can be subtracted."""
 
     def __init__(self, tables: Iterable[Mapping[str, tuple[float, float]]]) -> None:
         self.flights = 0
@@ -244,14 +257,14 @@ class _Sums:
         for table in tables:
             self.flights += 1
             for name, (value, variance) in table.items():
-                top, weight, count = self._sums.get(name, (0.0, 0.0, 0))
-                self._sums[name] = (top + value / variance, weight + 1.0 / variance, count + 1)
+                weighted_sum, weight, count = self._sums.get(name, (0.0, 0.0, 0))
+                self._sums[name] = (weighted_sum + value / variance, weight + 1.0 / variance, count + 1)
 
-    def without(self, own: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-        """Means over the other flights; parameters that no other flight tells are left out."""
+    def without(self, flight: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+        """Weighted means over all flights but this one, of the parameters that another flight has."""
         means = {}
-        for name, (top, weight, count) in self._sums.items():
-            value, variance = own.get(name, (0.0, math.inf))
-            if count > (name in own):
-                means[name] = (top - value / variance) / (weight - 1.0 / variance)
+        for name, (weighted_sum, weight, count) in self._sums.items():
+            value, variance = flight.get(name, (0.0, math.inf))
+            if count > (name in flight):
+                means[name] = (weighted_sum - value / variance) / (weight - 1.0 / variance)
         return means

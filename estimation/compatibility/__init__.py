@@ -1,1 +1,1 @@
-"""Data compatibility: do accelerations, rates, attitude and air data of a flight tell the same story?"""
+"""Data compatibility: do the accelerations, rates, attitude and air data of a flight agree?"""

@@ -1,9 +1,9 @@
 """Airspeed, angle of attack, sideslip and wind of an aircraft without vanes, from GNSS velocity, IMU, attitude and pitot.
 
-What flies between two fixes is integrated from specific force; wind, gusts and the slow errors of the instruments are states
-of a Kalman filter and smoother (`air_filter`). The level of the gusts is found by maximum likelihood: the pitot feels those along
-the path, and as strong ones are taken to blow across it, where nothing measures them. So an uncertainty holds for the true
-angle, gust included.
+Specific force is integrated from fix to fix; wind, gusts and the slow errors of the instruments are states of a Kalman filter and
+smoother (`air_filter`). The level of the gusts comes from the likelihood: the pitot measures those along the path, and across
+the path, where no instrument measures them, they are assumed as strong. So an uncertainty is that of the true angle, gusts
+included.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,28 +36,27 @@ from groundstation.flight.findings import Finding, FindingKind
 
 AIR = ("alpha", "beta", "V")
 
-MOST_AGE = 1.0  # [s]: what comes later than that is of another flight condition
+MOST_AGE = 1.0  # [s] of a velocity fix: an older one is of another flight condition
 
 GUSTS = (0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6)
-"""Levels [m/s] among which the likelihood chooses, steps of the root of 2: what a calm morning has near the ground, to moderate
+"""Levels of gusts [m/s] that the likelihood weighs, in steps of sqrt(2): from a calm morning near the ground to moderate
 turbulence at low height (MIL-F-8785C)."""
 
 LEAST_AIRSPEED_NOISE = 0.1
-"""Of an airspeed [m/s], 1 sigma: pneumatics and gusts shorter than the filter knows; quantised ones show no noise."""
+"""Of an airspeed [m/s], 1 sigma: pneumatics, and gusts shorter than in the filter; a quantised airspeed may show no noise."""
 LEAST_FORCE_NOISE = 0.02
-"""Of a specific force [m/s2 per root Hz]: vibration and scale errors that a still sensor does not show."""
+"""Of a specific force [m/s2 per root Hz]: vibration and scale errors, which a sensor at rest does not show."""
 FAST_ATTITUDE = 0.35
 """Part of an attitude's slow error that comes and goes within a second; see docs/compatibility.md."""
-"""[kg/m3] that calibrated airspeed refers to (ICAO standard atmosphere)."""
 
 
 @dataclass(frozen=True)
 class AirData:
     """Air data over a flight's samples; NaN outside the stretches that could be reconstructed.
 
-    values, std: alpha, beta [rad], V [m/s] -> (N,), std being 1 sigma of what an ideal vane or pitot would have shown less the
-    value. wind, wind_std: (3,) mean over the flight, NED [m/s]. gust: level found [m/s]. scatter: root-mean-square innovation
-    in sigmas, by kind of measurement. airspeed: what it was taken from.
+    values, std: alpha, beta [rad], V [m/s] -> (N,); std: 1 sigma of the difference to an ideal vane or pitot. wind, wind_std:
+    (3,) mean over the flight, NED [m/s]. gust: level [m/s]. scatter: rms innovation in sigmas, by kind of measurement. airspeed:
+    the columns that it comes from.
     """
 
     values: Mapping[str, Array]
@@ -75,9 +74,11 @@ class AirData:
 
 
 WORTH_SAYING = 1.5
-"""Scatter of innovations from which a person should know: noises are assumed, and twice as large or small happens."""
+"""Scatter of innovations that a note reports: the assumed noises are right to about a factor of two."""
 
-GUSTS_UNSEEN = "gusts across the path are not in reconstructed angles: estimate with ml; ls and fem take them for known"
+GUSTS_UNSEEN = (
+    "gusts across the path are not in reconstructed angles: estimate with ml; ls and fem take the angles as exact"
+)
 
 USUAL = Assumptions()
 
@@ -85,7 +86,7 @@ USUAL = Assumptions()
 def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
     """Air data of a flight with ax..az, p..r, phi, theta, psi, vn, ve, vd and an airspeed or dynamic pressure.
 
-    Vanes are not looked at. Raises MissingColumnError naming what is missing, DataError where nothing can be reconstructed.
+    Vanes are not used. Raises MissingColumnError naming what is missing, DataError where nothing can be reconstructed.
     """
     flight.require((*INERTIAL, *FIX), "the reconstruction of air data")
     airspeed, origin = airspeed_of(flight)
@@ -98,7 +99,7 @@ def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
     wind = _first_wind(stretches)
     gust = _expected_gust(gust_likelihoods(nodes, noise, GUSTS, assumed, wind))
     smoothed = smooth_states(nodes, noise, gust, assumed, wind)
-    # a fix of before has the motion of before, which a linear state does not know in a roll of 2 rad/s
+    # an old fix belongs to the motion at that time, which the linear state AGE does not describe in a roll of 2 rad/s
     age = float(np.clip(smoothed.states[-1, AGE], -MOST_AGE, MOST_AGE))
     stretches, _ = stretches_of(flight, airspeed, age)
     nodes = [s.nodes for s in stretches]
@@ -125,16 +126,16 @@ def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
 
 
 def airspeed_of(flight: Flight) -> tuple[Array, str]:
-    """(N,) true airspeed [m/s] and what it comes from: V, else dynamic pressure or calibrated airspeed with the density.
+    """(N,) true airspeed [m/s] and its columns: V, else dynamic pressure or calibrated airspeed with the density.
 
-    Raises DataError naming the ways where there is none.
+    Raises DataError where there is none.
     """
     if flight.measured("V"):
         return flight["V"], "V"
-    dense = with_derived(flight, ["rho"])
+    with_density = with_derived(flight, ["rho"])
     rho, source = (
-        (dense["rho"], "rho")
-        if dense.measured("rho")
+        (with_density["rho"], "rho")
+        if with_density.measured("rho")
         else (np.full(len(flight), SEA_LEVEL_DENSITY), "sea-level density")
     )
     if flight.measured("p_dynamic"):
@@ -147,10 +148,9 @@ def airspeed_of(flight: Flight) -> tuple[Array, str]:
 
 
 def with_air(flight: Flight, air: AirData) -> Flight:
-    """The flight with alpha, beta and V as reconstructed where no instrument measured them, and how sure of it.
+    """The flight with the reconstructed V, and with the reconstructed alpha and beta where no vane measured them.
 
-    Columns alpha_std, beta_std, V_std (1 sigma) and wind_n, wind_e, wind_d [m/s] are added; a vane's own columns stay, and an
-    airspeed that was measured becomes `V_measured`.
+    Adds columns alpha_std, beta_std, V_std (1 sigma) and wind_n, wind_e, wind_d [m/s]; a measured V becomes `V_measured`.
     """
     filled = [n for n in AIR if n == "V" or not flight.measured(n)]
     columns = {n: air.values[n] for n in filled} | {f"{n}_std": air.std[n] for n in filled}
@@ -183,7 +183,7 @@ def with_air(flight: Flight, air: AirData) -> Flight:
 
 
 def air_data_sentence(air: AirData, names: Sequence[str] = AIR) -> str:
-    """How sure the reconstruction is, for a person."""
+    """The uncertainties of a reconstruction, in words."""
     size = {"alpha": (RADIAN, "deg"), "beta": (RADIAN, "deg"), "V": (1.0, "m/s")}
     parts = [f"{n} +- {air.typical(n) * size[n][0]:.2g} {size[n][1]}" for n in names]
     return f"{', '.join(parts)} (1 sigma, gusts of {air.gust:.2g} m/s included)"
@@ -207,21 +207,22 @@ def _noise(flight: Flight, airspeed: Array, assumed: Assumptions) -> Noise:
 
 
 def _first_wind(stretches: Sequence[AirStretch]) -> Array:
-    """(3,) mean of what is left of the ground velocity when the aircraft flies where it points; no vertical wind."""
+    """(3,) NED [m/s]: mean ground velocity less airspeed along the nose; vertical wind zero."""
     ground = np.concatenate([s.nodes.velocity + np.nan_to_num(s.nodes.fix) for s in stretches])
     nose = np.concatenate([s.nodes.axes[:, :, 0] for s in stretches])
     speed = np.concatenate([s.nodes.airspeed for s in stretches])
     fixed = np.concatenate([s.nodes.fixes for s in stretches]) > 0
-    rest = (ground - nose * speed[:, None])[fixed & np.isfinite(speed)]
-    if not len(rest):
+    wind = (ground - nose * speed[:, None])[fixed & np.isfinite(speed)]
+    if not len(wind):
         raise DataError("no velocity fix and airspeed at the same time; nothing to tell the wind from")
-    return np.array([rest[:, 0].mean(), rest[:, 1].mean(), 0.0])
+    return np.array([wind[:, 0].mean(), wind[:, 1].mean(), 0.0])
 
 
 def _expected_gust(likelihood: Mapping[float, float]) -> float:
-    """Root-mean-square level [m/s] given the flight, all levels of `GUSTS` being equally likely before it.
+    """Root mean square of the level of gusts [m/s] given the flight; a priori all levels are equally likely.
 
-    The mean and not the likeliest: a short flight in light turbulence is as likely in none, and none would be a promise.
+    The mean, not the likeliest level: for a short flight in light turbulence the likeliest may be the least, which would give too
+    small uncertainties.
     """
     levels = np.array(sorted(likelihood))
     logs = np.array([likelihood[level] for level in levels])
@@ -242,14 +243,14 @@ def _air(
         time = flight.time[stretch.rows]
         middle = stretch.nodes.time
 
-        def at(x: Array, middle: Array = middle, time: Array = time) -> Array:
+        def at_samples(x: Array, middle: Array = middle, time: Array = time) -> Array:
             return np.column_stack([np.interp(time, middle, c) for c in x.T])
 
-        x = at(smoothed.states[nodes])
+        x = at_samples(smoothed.states[nodes])
         velocity = stretch.velocity + x[:, VELOCITY] - x[:, WIND] - x[:, GUST]
         axes = stretch.axes + np.cross(x[:, None, ATTITUDE], stretch.axes.transpose(0, 2, 1)).transpose(0, 2, 1)
         flow, slopes = _flow(velocity, axes)
-        P = at(smoothed.covariances[nodes].reshape(-1, STATES**2)).reshape(-1, STATES, STATES)
+        P = at_samples(smoothed.covariances[nodes].reshape(-1, STATES**2)).reshape(-1, STATES, STATES)
         fast = FAST_ATTITUDE * np.array([noise.level, noise.level, 0.0])
         for i, name in enumerate(AIR):
             values[name][stretch.rows] = flow[i]

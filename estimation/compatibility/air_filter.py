@@ -1,10 +1,10 @@
-"""Kalman filter and smoother of what stands between the measured inertial motion and the air the aircraft flies in.
+"""Kalman filter and smoother for the wind and for the slow errors of the inertial motion and the airspeed.
 
-The motion itself comes from integrating specific forces (nominal velocity); the filter estimates its slow errors, and the
-wind. States, NED unless said otherwise: error of the nominal velocity (3) [m/s], error of the attitude (3, rotation
-vector) [rad], accelerometer biases (3, body axes) [m/s2], wind (3) [m/s], gust (3) [m/s], scale error of the airspeed [1],
-sideslip in trim [rad], age of the satellite velocity [s], age of the airspeed [s]. Airspeed is not linear in them: filter and
-smoother are run again about what the smoother found.
+The nominal velocity is the integral of the specific forces; the filter estimates its errors and the wind. States, NED unless
+stated otherwise: error of the nominal velocity (3) [m/s], error of the attitude (3, rotation vector) [rad], accelerometer
+biases (3, body axes) [m/s2], wind (3) [m/s], gust (3) [m/s], scale error of the airspeed [1], sideslip in trim [rad], age of the
+satellite velocity [s], age of the airspeed [s]. Airspeed is not linear in them: filter and smoother are run again, linearised
+about the smoothed states.
 
 Source: Jategaonkar, Flight Vehicle System Identification (2015), ch. 10 (flight-path reconstruction with wind states);
 Rauch, Tung, Striebel (1965) for the smoother.
@@ -25,30 +25,35 @@ SCALE, TRIM, AGE, AIRSPEED_AGE = 15, 16, 17, 18
 STATES = 19
 
 INTERVAL = 0.2
-"""Time between nodes [s]: several to a gust of 50 m, and to the time in which an attitude error changes."""
+"""Time between nodes [s]: several within a gust of 50 m, and within the time in which an attitude error changes."""
 
 UPDRAUGHT_S = 60.0
 """[s] over which an updraught lasts, at most: a kilometre for a small aircraft, the width of a thermal and its sink."""
 
 PASSES = 3
-"""Runs about the last result; the air velocity moves by less than 1 mm/s in the fourth (checked on simulated flights)."""
+"""Runs, each linearised about the one before; a fourth moves the air velocity by less than 1 mm/s (simulated flights)."""
+
+FIRST_VELOCITY = 30.0
+"""Error of the nominal velocity before the first fix [m/s], 1 sigma: as good as unknown."""
+
+VERTICAL_DRIFT = 0.01
+"""Variance of the drift of the vertical wind over that of the horizontal wind."""
 
 
 @dataclass(frozen=True, slots=True)
 class Assumptions:
-    """What is taken to be known before the flight is looked at, 1 sigma each.
+    """Prior standard deviations, and the scales of time and length of what varies.
 
     trim_sideslip [rad]: mean sideslip of a symmetric aircraft whose pilot or autopilot coordinates (propeller, rigging);
     it matters where the heading hardly changes, for there crosswind and sideslip look alike. manoeuvre_sideslip [rad] over
     manoeuvre_s: sideslip about it. vertical_wind [m/s]: mean updraught over UPDRAUGHT_S; over a longer flight it averages out by
     the root of the time. wind [m/s]: either way, about the first guess. wind_drift [m/s per root second]: 1 m/s in 20 minutes.
-    airspeed_scale: position error and calibration factor of the pitot (PX4 and ArduPilot start from 1 and find a few per cent).
-    bias [m/s2]: accelerometer of an autopilot
-    after its own calibration. fix [m/s]: horizontal, vertical noise of a GNSS velocity. fix_age [s]: of it when logged.
-    airspeed_age [s]: of an airspeed (tubes, and the mean of a few samples that autopilots log); not looked for, it shows as a
-    vertical wind of g times the age, because an aircraft that descends gains speed.
-    attitude [rad]: least slow error of an attitude (mounting, alignment); attitude_s: how long it lasts. gust_length [m]: at
-    heights at which small aircraft fly (MIL-F-8785C).
+    airspeed_scale: position error and calibration factor of the pitot (PX4 and ArduPilot start from 1 and estimate a few per
+    cent). bias [m/s2]: accelerometer of an autopilot after its calibration. fix [m/s]: horizontal, vertical noise of a GNSS
+    velocity. fix_age [s]: of that velocity when logged. airspeed_age [s]: of an airspeed (tubes, and the mean of a few samples
+    that autopilots log); not estimated, it would look like a vertical wind of g times the age, because a descending aircraft
+    gains speed. attitude [rad]: least slow error of an attitude (mounting, alignment); attitude_s: how long it lasts. gust_length
+    [m]: at heights at which small aircraft fly (MIL-F-8785C).
     """
 
     trim_sideslip: float = 0.03
@@ -69,7 +74,7 @@ class Assumptions:
 
 @dataclass(frozen=True)
 class Nodes:
-    """One stretch of a flight without gap, looked at a few times a second; K nodes.
+    """One stretch of a flight without a gap, as K nodes INTERVAL apart.
 
     time (K,) [s]; velocity (K, 3): nominal, at the node; mean_velocity (K, 3): over the node's samples; axes (K, 3, 3): body
     axes as columns, NED; force, turn: integrals from the node before of the specific force (K, 3) and of `axes` (K, 3, 3);
@@ -93,7 +98,7 @@ class Nodes:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Of a flight: accelerometers [m/s2 per root Hz], airspeed at a node [m/s], slow errors of phi/theta and psi [rad]."""
+    """Noise of a flight: accelerometers [m/s2 per root Hz], airspeed at a node [m/s], slow errors of phi/theta and psi [rad]."""
 
     force: float
     airspeed: float
@@ -103,8 +108,8 @@ class Noise:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """States (K, 19) and their covariances (K, 19, 19) given the whole flight; log-likelihood of the innovations, their
-    root-mean-square in sigmas per kind of measurement."""
+    """States (K, 19) and their covariances (K, 19, 19) given the whole flight; likelihood: logarithm, of the innovations;
+    scatter: rms innovation in sigmas, by kind of measurement."""
 
     states: Array
     covariances: Array
@@ -122,7 +127,7 @@ def smooth_states(
 ) -> Smoothed:
     """Filter and smoother over all stretches of a flight, wind and instruments carried on from one to the next.
 
-    gust: standard deviation of a gust component [m/s]; first_wind: (3,) guess about which airspeed is linearised first.
+    gust: standard deviation of a gust component [m/s]; first_wind: (3,) NED [m/s], about which airspeed is linearised first.
     """
     chain = _Chain(stretches, noise, gust, assumed, first_wind)
     smoothed = chain.run(chain.first_guess())
@@ -134,7 +139,7 @@ def smooth_states(
 def gust_likelihoods(
     stretches: Sequence[Nodes], noise: Noise, gusts: Sequence[float], assumed: Assumptions, first_wind: Array
 ) -> dict[float, float]:
-    """Log-likelihood of the innovations by level of the gusts [m/s]: forward only, all about the same air velocity."""
+    """Log-likelihood of the innovations by level of the gusts [m/s]; filter only, all linearised about the same air velocity."""
     middle = gusts[len(gusts) // 2]
     chain = _Chain(stretches, noise, middle, assumed, first_wind)
     still_air = chain.still_air(chain.run(chain.first_guess()).states)
@@ -144,7 +149,7 @@ def gust_likelihoods(
 
 @dataclass(frozen=True)
 class _Forward:
-    """States and covariances before and after the measurements of each node; what the innovations say."""
+    """States and covariances before and after the measurements of each node; statistics of the innovations."""
 
     before_x: Array
     before_P: Array
@@ -176,17 +181,17 @@ class _Chain:
     def still_air(self, states: Array) -> Array:
         """(K, 3) velocity through the air without its gusts, NED [m/s].
 
-        Linearised about the gusts too, the airspeed would stand on both sides of the equation that tells its scale: a gust of
-        0.6 m/s then shows as a scale error of 4 % (simulated flights).
+        Airspeed is not linearised about the gusts: they are estimated from the airspeed itself, so that its scale would follow
+        them. A gust of 0.6 m/s then looks like a scale error of 4 % (simulated flights).
         """
         return np.asarray(self._velocity + states[:, VELOCITY] - states[:, WIND])
 
     def first_guess(self) -> Array:
-        """(K, 3) the nominal velocity in the first guess of the wind."""
+        """(K, 3) velocity through the air by the nominal velocity and the first wind, NED [m/s]."""
         return np.asarray(self._velocity - self._first_wind)
 
     def run(self, still_air: Array) -> Smoothed:
-        """Once forward and once back, airspeed and sideslip linearised about the air velocity `still_air` (K, 3)."""
+        """Filter and smoother, with airspeed and sideslip linearised about the air velocity `still_air` (K, 3)."""
         f = self.forward(still_air)
         states, covariances = _smoothed(self._phi, f)
         if not np.isfinite(states).all():
@@ -206,16 +211,16 @@ class _Chain:
             if k:
                 x, P = self._phi[k] @ x, self._phi[k] @ P @ self._phi[k].T + self._q[k]
             before_x[k], before_P[k] = x, P
-            for kind, residual, row, variance in self._seen(k, still_air[k]):
+            for kind, residual, row, variance in self._measurements(k, still_air[k]):
                 x, P = _updated(x, P, residual, row, variance, kind, tally)
-            P = 0.5 * (P + P.T)  # rounding makes it lopsided, and a lopsided one grows
+            P = 0.5 * (P + P.T)  # asymmetry from rounding would grow
             after_x[k], after_P[k] = x, P
         return _Forward(before_x, before_P, after_x, after_P, tally)
 
     def _start(self) -> tuple[Array, Array]:
         a, n = self._assumed, self._noise
         sigma = np.empty(STATES)
-        sigma[VELOCITY] = 30.0  # nothing is known before the first fix
+        sigma[VELOCITY] = FIRST_VELOCITY
         sigma[ATTITUDE] = n.level, n.level, n.heading
         sigma[BIAS] = a.bias
         sigma[WIND] = a.wind, a.wind, a.vertical_wind * min(1.0, np.sqrt(UPDRAUGHT_S / self._seconds))
@@ -226,7 +231,7 @@ class _Chain:
         return x, np.diag(sigma**2)
 
     def _steps(self, stretches: Sequence[Nodes]) -> tuple[Array, Array]:
-        """Transition to each node and the variance that it adds."""
+        """Transition matrix (K, 19, 19) to each node, and covariance (K, 19, 19) of its process noise."""
         phi, q = [], []
         last = stretches[0].time[0]
         for stretch in stretches:
@@ -234,9 +239,9 @@ class _Chain:
                 dt = float(time - last)
                 last = time
                 step = self._decay(dt)
-                if k == 0:  # a velocity integrated anew
+                if k == 0:  # the velocity is integrated anew
                     step[0][VELOCITY] = 0.0
-                    step[1][VELOCITY, VELOCITY] = np.eye(3) * 30.0**2
+                    step[1][VELOCITY, VELOCITY] = np.eye(3) * FIRST_VELOCITY**2
                 else:
                     step[0][VELOCITY, VELOCITY] = np.eye(3)
                     step[0][VELOCITY, ATTITUDE] = -skew(stretch.force[k])
@@ -247,7 +252,7 @@ class _Chain:
         return np.array(phi), np.array(q)
 
     def _decay(self, dt: float) -> tuple[Array, Array]:
-        """Transition and added variance of all but the velocity over dt [s]."""
+        """Transition matrix and process noise of all states but the velocity over dt [s]."""
         a, n = self._assumed, self._noise
         phi, q = np.eye(STATES), np.zeros((STATES, STATES))
         slow, gust = np.exp(-dt / a.attitude_s), np.exp(-dt / self._gust_s)
@@ -255,11 +260,11 @@ class _Chain:
         q[ATTITUDE, ATTITUDE] = np.diag(np.array([n.level, n.level, n.heading]) ** 2) * (1 - slow**2)
         phi[GUST, GUST] *= gust
         q[GUST, GUST] = np.eye(3) * self._gust**2 * (1 - gust**2)
-        q[WIND, WIND] = np.diag([1.0, 1.0, 0.01]) * a.wind_drift**2 * dt
+        q[WIND, WIND] = np.diag([1.0, 1.0, VERTICAL_DRIFT]) * a.wind_drift**2 * dt
         return phi, q
 
-    def _seen(self, k: int, still_air: Array) -> list[tuple[str, float, Array, float]]:
-        """Measurements at a node: kind, what is left of it when the state is zero, its row, its variance."""
+    def _measurements(self, k: int, still_air: Array) -> list[tuple[str, float, Array, float]]:
+        """Measurements at a node: kind, measured value less the one predicted at zero state, row of derivatives, variance."""
         a = self._assumed
         measurements: list[tuple[str, float, Array, float]] = []
         if self._fixes[k]:
@@ -275,7 +280,7 @@ class _Chain:
             row = np.zeros(STATES)
             row[VELOCITY], row[WIND], row[GUST], row[SCALE] = direction, -direction, -direction, speed
             row[AIRSPEED_AGE] = -float(direction @ self._speed_acceleration[k])
-            # |v| about `about`: along . v; the part of the nominal velocity does not depend on the state
+            # |v| linearised: direction . v; the part of the nominal velocity does not depend on the state
             nominal = float(direction @ self._mean_velocity[k])
             measurements.append(("airspeed", float(self._airspeed[k]) - nominal, row, self._noise.airspeed**2))
         row = np.zeros(STATES)
@@ -283,7 +288,7 @@ class _Chain:
         row[VELOCITY], row[WIND], row[GUST] = right / speed, -right / speed, -right / speed
         row[ATTITUDE] = np.cross(right, still_air) / speed
         row[TRIM] = -1.0
-        # white noise that averages out as slowly as sideslip that lasts manoeuvre_s does
+        # as white noise that averages out as slowly as a sideslip that lasts manoeuvre_s
         variance = a.manoeuvre_sideslip**2 * 2 * a.manoeuvre_s / INTERVAL
         measurements.append(("sideslip", -float(right @ self._velocity[k]) / speed, row, variance))
         return measurements

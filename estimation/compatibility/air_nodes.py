@@ -1,4 +1,4 @@
-"""From a flight to what the air-data filter looks at: smoothed attitude, integrated velocity, fixes and airspeed."""
+"""From a flight to the nodes of the air-data filter: smoothed attitude, integrated velocity, fixes and airspeed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ from estimation.compatibility.air_filter import INTERVAL, Nodes
 from estimation.compatibility.records import (
     SHORTEST,
     attitude_jumps,
+    finite_values,
     short_stretches,
     unbroken_stretches,
 )
@@ -26,13 +27,22 @@ INERTIAL = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi")
 FIX = ("vn", "ve", "vd")
 
 SMOOTH_S = 1.0
-"""Over this long a gyro tells the change of attitude better than any attitude does; its noise over 1 s is 0.001 rad."""
+"""[s] up to which the gyro has the change of attitude better than the attitude itself; its noise over 1 s is 0.001 rad."""
+
+FEWEST_FOR_RATE = 4  # samples from which the rate of a channel is estimated: below, every one counts as new
+LEAST_BEND, LEAST_SIZE = 1e-6, 1e-3
+"""Second difference, over the size of the channel (at least LEAST_SIZE), from which neighbouring samples lie on no straight
+line."""
+ALL_BEND = 0.8
+"""Share of samples off straight lines from which every sample counts as measured."""
+LEAST_SHARE = 0.01
+"""Share of samples off straight lines that is assumed at least."""
 
 
 @dataclass(frozen=True)
 class AirStretch:
-    """Samples `rows` of a flight without gap: velocity (n, 3) integrated from specific force, NED; axes (n, 3, 3) body axes
-    as columns, NED; node (n,): the node each sample belongs to."""
+    """Samples `rows` of a flight without a gap: velocity (n, 3) integrated from the specific force, NED [m/s]; axes (n, 3, 3)
+    body axes as columns, NED; nodes: of the filter."""
 
     rows: slice
     velocity: Array
@@ -41,9 +51,8 @@ class AirStretch:
 
 
 def stretches_of(flight: Flight, airspeed: Array, fix_age: float = 0.0) -> tuple[list[AirStretch], list[str]]:
-    """Stretches in which the inertial motion is measured and the aircraft flies, and notes. airspeed: (N,) [m/s], true.
-
-    fix_age: how much older than its stamp a velocity fix is [s], as far as it is known.
+    """Stretches in flight with the inertial motion measured; and notes on what is left out. airspeed: (N,) true [m/s]. fix_age:
+    of a velocity fix at its time stamp [s].
 
     Raises DataError when no stretch is long enough or none has a fix and an airspeed.
     """
@@ -69,15 +78,15 @@ def stretches_of(flight: Flight, airspeed: Array, fix_age: float = 0.0) -> tuple
 
 
 def fresh_samples(flight: Flight, columns: Sequence[str]) -> NDArray[np.bool_]:
-    """(N,) where a new sample of channels that come together stands, for a channel slower than the flight's rate.
+    """(N,) whether a row has a new sample of `columns`, channels that are sampled together, maybe slower than the flight.
 
-    Its rate is the one stated by the import (`native_hz`), or is seen: repeated values are held ones, and values on straight
-    lines between bends are interpolated.
+    Their rate is the one that the import states (`native_hz`); else repeated values count as held, and values on straight lines
+    as interpolated.
     """
     values = np.column_stack([flight[c] for c in columns])
     complete = np.all(np.isfinite(values), axis=1)
     rows = np.flatnonzero(complete)
-    if rows.size < 4:
+    if rows.size < FEWEST_FOR_RATE:
         return complete
     changed = np.any(np.diff(values[rows], axis=0) != 0.0, axis=1)
     candidates = rows[np.concatenate([[True], changed])]
@@ -92,20 +101,20 @@ def fresh_samples(flight: Flight, columns: Sequence[str]) -> NDArray[np.bool_]:
 
 
 def _interval(flight: Flight, columns: Sequence[str], values: Array) -> float:
-    """Least time between two samples of their own [s]."""
+    """Least time between two new samples [s]."""
     rates = [rate for rate in map(flight.native_rate, columns) if rate is not None]
     dt = flight.sample_interval
     if rates:
         return max(1.0 / min(rates), dt) - 0.5 * dt
     bend = np.abs(np.diff(values, 2, axis=0)).max(axis=1)
-    bending = bend > 1e-6 * max(float(np.median(np.abs(values).max(axis=1))), 1e-3)
+    bending = bend > LEAST_BEND * max(float(np.median(np.abs(values).max(axis=1))), LEAST_SIZE)
     share = float(bending.mean())
-    # a line between samples bends at one or two rows of each interval: taken for one, which is the fewer samples
-    return 0.5 * dt if share > 0.8 else dt / max(share, 0.01) - 0.5 * dt
+    # interpolation bends at one or two rows of each interval: one is assumed, which makes fewer samples
+    return 0.5 * dt if share > ALL_BEND else dt / max(share, LEAST_SHARE) - 0.5 * dt
 
 
 def fresh_values(flight: Flight, column: str, values: Array) -> NDArray[np.bool_]:
-    """(N,) where a new sample of a channel stands that is not, or not as it is, a column of the flight."""
+    """(N,) whether a row has a new sample of `values`, which take the place of a column of the flight."""
     return fresh_samples(flight.with_columns(**{column: values}), (column,))
 
 
@@ -139,7 +148,7 @@ def _stretch(
 
 
 def _node_of(time: Array) -> NDArray[np.int64]:
-    """The node of each sample; a rest shorter than half an interval joins the last."""
+    """(n,) the node of each sample; a last node shorter than half an interval joins the one before."""
     node = np.floor((time - time[0]) / INTERVAL + 1e-9).astype(np.int64)
     _, node = np.unique(node, return_inverse=True)
     if np.sum(node == node[-1]) * np.median(np.diff(time)) < 0.5 * INTERVAL and node[-1] > 0:
@@ -148,7 +157,7 @@ def _node_of(time: Array) -> NDArray[np.int64]:
 
 
 def _mean(values: Array, node: NDArray[np.int64], use: NDArray[np.bool_] | None = None) -> Array:
-    """Mean over the samples of each node that are of use; NaN where there is none."""
+    """Mean over the samples of each node where `use` is true; NaN where there is none."""
     flat = values.reshape(len(values), -1)
     weight = np.ones(len(values)) if use is None else use.astype(float)
     count = np.bincount(node, weight)
@@ -159,7 +168,7 @@ def _mean(values: Array, node: NDArray[np.int64], use: NDArray[np.bool_] | None 
 
 
 def _earlier(values: Array, time: Array, age: float) -> Array:
-    """(n, m) values of that long before; at the beginning the first."""
+    """(n, m) the values `age` [s] before; at the start the first ones."""
     return values if age == 0.0 else np.column_stack([np.interp(time - age, time, column) for column in values.T])
 
 
@@ -169,22 +178,22 @@ def _at_middle(values: Array, time: Array, node: NDArray[np.int64]) -> Array:
 
 
 def _between(integral: Array, time: Array, node: NDArray[np.int64]) -> Array:
-    """What an integral gains from the middle of the node before; zeros for the first."""
+    """Increase of an integral from the middle of the node before to that of each node; zeros for the first."""
     midpoints = _at_middle(integral, time, node)
     return np.vstack([np.zeros(midpoints.shape[1]), np.diff(midpoints, axis=0)])
 
 
 def _attitude(flight: Flight, rows: slice) -> tuple[Array, Array, Array]:
-    """phi, theta, psi [rad]: fast from the gyros, slow from the attitude measured."""
+    """phi, theta, psi [rad]: fast changes from the gyros, slow ones from the measured attitude."""
     time = flight.time[rows]
     angles = {c: np.unwrap(flight[c][rows]) for c in ("phi", "theta", "psi")}
     rates = attitude_rates(flight["p"][rows], flight["q"][rows], flight["r"][rows], angles["phi"], angles["theta"])
-    phi, theta, psi = (_joined(time, angle, rates[name]) for name, angle in angles.items())
+    phi, theta, psi = (_complementary(time, angle, rates[name]) for name, angle in angles.items())
     return phi, theta, psi
 
 
-def _joined(time: Array, angle: Array, rate: Array) -> Array:
-    """A measured angle with its noise taken out by the rate that is measured beside it."""
+def _complementary(time: Array, angle: Array, rate: Array) -> Array:
+    """A measured angle, de-noised with its measured rate: integral of the rate plus the smoothed difference."""
     from scipy.signal import savgol_filter
 
     fast = integral(time, rate)
@@ -194,6 +203,5 @@ def _joined(time: Array, angle: Array, rate: Array) -> Array:
 
 
 def measured_noise(flight: Flight, column: str, rows: NDArray[np.bool_]) -> float:
-    """Sample-to-sample noise of a channel over its own samples."""
-    values = flight[column][rows]
-    return noise_level(values[np.isfinite(values)])
+    """Sample-to-sample noise of a channel over its new samples `rows` (N,)."""
+    return noise_level(finite_values(flight[column][rows]))

@@ -1,20 +1,20 @@
-"""A flight with its instrument factors taken out: those that were estimated, and those that were given."""
+"""A flight with its instrument factors removed: estimated ones and given ones."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from estimation.compatibility.reconstruction import Compatibility
-from estimation.compatibility.records import with_rate_derivatives
+from estimation.compatibility.records import PARABOLA, with_rate_derivatives
 from estimation.structure.odd_flights import CORRECTION_BOUNDS
 from groundstation.flight import Flight
 
 
 def correct_flight(flight: Flight, result: Compatibility) -> Flight:
-    """Biases and scales removed, late channels moved back, accelerations and flow angles moved to the centre of gravity.
+    """The flight with biases and scales removed, delays undone, accelerations and flow angles moved to the centre of gravity.
 
-    Factors held at a value given are applied as those that were estimated; of the latter only the identifiable ones. Those
-    left alone, for that reason or because a channel they need is not measured, are named in a note.
+    Given factors and identifiable estimated ones are applied. A warning names those that are not, because they are not
+    identifiable or need a channel that was not measured.
     """
     value = {**result.known, **{n: f.estimate for n, f in result.factors.items() if f.identifiable}}
     unidentifiable = [n for n, f in result.factors.items() if not f.identifiable]
@@ -51,7 +51,7 @@ def correct_flight(flight: Flight, result: Compatibility) -> Flight:
 
 
 def _earlier(flight: Flight, values: np.ndarray, delay: float) -> np.ndarray:
-    """The channel as it would stand without its delay; within segments only, NaN where that is beyond the end."""
+    """The channel without its delay [s], segment by segment; NaN at the end, where the samples are missing."""
     result = np.full_like(values, np.nan)
     for part in flight.segments:
         time = flight.time[part]
@@ -63,13 +63,13 @@ def _earlier(flight: Flight, values: np.ndarray, delay: float) -> np.ndarray:
 
 
 def _move(flight: Flight, columns: dict[str, np.ndarray], arm: np.ndarray) -> None:
-    """Specific force from the IMU's place (m from the centre of gravity, body axes) to the centre of gravity."""
+    """Move the specific force in `columns` from the IMU to the centre of gravity. arm: IMU from there, body axes [m]."""
     with_rates = with_rate_derivatives(flight, ("p_dot", "q_dot", "r_dot"))
     omega = _smooth_rates(flight, columns)
     omega_dot = np.column_stack([with_rates[f"{r}_dot"] for r in "pqr"])
-    extra = np.cross(omega_dot, arm) + np.cross(omega, np.cross(omega, arm))
+    due_to_arm = np.cross(omega_dot, arm) + np.cross(omega, np.cross(omega, arm))
     for i, axis in enumerate("xyz"):
-        columns[f"a{axis}"] = columns[f"a{axis}"] - extra[:, i]
+        columns[f"a{axis}"] = columns[f"a{axis}"] - due_to_arm[:, i]
 
 
 def _smooth_rates(flight: Flight, columns: dict[str, np.ndarray]) -> np.ndarray:
@@ -80,16 +80,16 @@ def _smooth_rates(flight: Flight, columns: dict[str, np.ndarray]) -> np.ndarray:
     for rate in "pqr":
         smooth[rate] = columns[rate].copy()
         for part in flight.segments:
-            if part.stop - part.start >= 5 and np.isfinite(columns[rate][part]).all():
-                smooth[rate][part] = savgol_filter(columns[rate][part], 5, 2)
+            if part.stop - part.start >= PARABOLA[0] and np.isfinite(columns[rate][part]).all():
+                smooth[rate][part] = savgol_filter(columns[rate][part], *PARABOLA)
     return np.column_stack([smooth[r] for r in "pqr"])
 
 
 def _move_vanes(flight: Flight, columns: dict[str, np.ndarray], arm: np.ndarray) -> bool:
-    """Flow angles from the vanes' place (m from the centre of gravity, body axes) to the centre of gravity; False without V.
+    """Move the flow angles in `columns` from the vanes to the centre of gravity; False without V. arm: vanes from there [m].
 
-    At the vane the air comes along d = (cos a cos b, sin b, sin a cos b) with the speed s that gives V at the centre of
-    gravity: |s d - omega x arm| = V, as the kinematic model has it. Without one of the angles it counts as zero in d.
+    The velocity through the air at the vane is s d with d = (cos a cos b, sin b, sin a cos b) and the speed s that gives V at the
+    centre of gravity: |s d - omega x arm| = V, as in the kinematic model. An angle that was not measured counts as zero in d.
     """
     if "V" not in columns or not flight.measured("V"):
         return False

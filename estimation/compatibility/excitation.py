@@ -1,10 +1,9 @@
-"""Which derivatives a flight can tell at all, said before anything is fitted.
+"""Which derivatives a flight can determine, predicted before a fit.
 
-The motion that the prior model makes of the measured inputs has exact sensitivities; with the noise of the measured
-outputs they give the Cramer-Rao bound of every derivative: the inverse of the information matrix, initial states
-taken out. A bound is a promise about a model that
-is right in white noise; residuals of real flights are coloured, so the verdict widens it by `USUAL_WIDENING`.
-The rules of the verdict are those of a fit (`estimation.estimators.uncertainty.estimates`).
+The prior model is driven with the measured inputs. Its sensitivities and the noise of the measured outputs give the Cramer-Rao
+bound of every derivative: the inverse of the information matrix, initial states eliminated. That bound holds for white residuals;
+those of real flights are coloured, so the verdict widens it by `USUAL_WIDENING`. The rules of the verdict are those of a fit
+(`estimation.estimators.uncertainty.judge_estimates`).
 """
 
 import math
@@ -33,7 +32,12 @@ USUAL_WIDENING = 2.0
 """Corrected over Cramer-Rao bound: 1.5 to 4.2, median 2.2, over derivatives of ordinary_0, cdfp_ld1 and cdfp_ld4."""
 
 WANDERED = 5.0
-"""Prior motion beyond this many times the measured one has left the flight: it is started again in shorter pieces."""
+"""Prior motion beyond this many times the measured one has diverged: it is started again in shorter pieces."""
+
+LEAST_REACH = 3.0
+"""Noise levels that a measured output counts as having moved at least."""
+LEAST_RMS = 1e-12
+"""Movement of the elevator [rad rms], in recordings without noise, up to which it stood still."""
 
 ELEVATOR = "delta_e"
 _RUDDER = "a rudder doublet or 3-2-1-1 of 5 deg or more, its steps about half a Dutch-roll period, ailerons held"
@@ -58,8 +62,8 @@ _TRIM = "a stretch of steady, wings-level flight before the manoeuvre"
 
 @dataclass(frozen=True, slots=True)
 class PredictedBound:
-    """One derivative before the fit. prior, bound: [1/rad]; relative: bound/|prior|, None where the prior is zero;
-    reason, manoeuvre: why it cannot be told and what would tell it, empty where it can."""
+    """One derivative before the fit. prior, bound: [1/rad], bound 1 sigma; relative: bound/|prior|, None where the prior is zero;
+    reason, manoeuvre: why the flight cannot determine it and which manoeuvre would, empty where it can."""
 
     model: str
     name: str
@@ -73,7 +77,7 @@ class PredictedBound:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a flight holds for one model. why: one sentence where the model cannot be judged on it, else empty."""
+    """The predicted bounds of one model. why: reason where they cannot be predicted, else empty."""
 
     model: str
     bounds: tuple[PredictedBound, ...]
@@ -81,16 +85,16 @@ class Prediction:
 
 
 def predicted_bounds(flight: Flight, aircraft: Aircraft) -> tuple[Prediction, ...]:
-    """Predicted bounds of the `lateral` and `longitudinal` derivatives; never raises for what a flight lacks."""
+    """Predicted bounds of the `lateral` and `longitudinal` derivatives. A flight without the data has a reason, no error."""
     return tuple(_prediction(load_model(name, aircraft), flight, aircraft.name) for name in ("lateral", "longitudinal"))
 
 
 def excitation_findings(predictions: Sequence[Prediction]) -> tuple[Finding, ...]:
-    """One finding of what can be told per model, and one warning per reason why something cannot."""
+    """For each model a finding with the derivatives that can be determined, and a warning for each reason why others cannot."""
     findings: list[Finding] = []
     for prediction in predictions:
         if prediction.why:
-            # the quality report has its own warning for missing and unmoved controls
+            # no warning: the quality report warns of missing and unmoved controls
             findings.append(Finding(CHECK, f"{prediction.model}: not judged: {prediction.why}", "ok"))
             continue
         identifiable = [b for b in prediction.bounds if b.can_tell]
@@ -122,7 +126,7 @@ def _prediction(model: Model, flight: Flight, aircraft: str) -> Prediction:
         return Prediction(model.name, (), str(error))
     if model.name == "longitudinal":
         rms, level = input_movement(model, [data])[ELEVATOR]
-        if rms <= max(STILL * level, 1e-12):
+        if rms <= max(STILL * level, LEAST_RMS):
             reason = f"{ELEVATOR} moved only {math.degrees(rms):.2g} deg rms; would tell it: {_ELEVATOR}"
             return Prediction(model.name, (), reason)
     bound = _covariance(model, data, _output_noise(model, flight))
@@ -149,9 +153,9 @@ def _manoeuvre(name: str) -> str:
 
 
 def _output_noise(model: Model, flight: Flight) -> Array:
-    """(ny,) noise of each output: as measured, and no less than the sensor's own.
+    """(ny,) noise of each output, 1 sigma: as measured from sample to sample, and no less than that of its sensor.
 
-    A filtered channel (attitude) or a coarse one shows less from sample to sample than the error it carries.
+    A filtered channel (attitude) or a coarsely quantised one has larger errors than its samples show.
     """
     sensor_noise = {**SENSOR_NOISE, **_stated_noise(flight)}
     levels = []
@@ -167,9 +171,10 @@ def _stated_noise(flight: Flight) -> dict[str, float]:
 
 
 def _covariance(model: Model, data: FlightData, sigma: Array) -> tuple[Array, NDArray[np.bool_]] | None:
-    """(n, n) Cramer-Rao bound and which derivatives the data does not see, at the prior; initial states taken out.
+    """(n, n) Cramer-Rao covariance at the prior, initial states eliminated, and (n,) which derivatives leave no trace in the
+    data.
 
-    None where the prior motion does not stay in the flight: it is another aircraft's.
+    None where the prior motion diverges from the measured one: the aircraft is another one.
     """
     simulated = _staying_near(model, data, sigma)
     if simulated is None:
@@ -190,9 +195,8 @@ def _covariance(model: Model, data: FlightData, sigma: Array) -> tuple[Array, ND
 
 
 def _staying_near(model: Model, data: FlightData, sigma: Array) -> tuple[FlightData, Array, Array] | None:
-    """The flight and its sensitivities, cut into the longest pieces over which the prior motion stays in it, if any.
-
-    Sensitivities along a motion that has run away promise bounds no flight could give.
+    """The flight and its sensitivities, cut into the longest pieces over which the prior motion stays near the measured one; None
+    where it never does. Sensitivities along a diverged motion would predict bounds that are far too small.
     """
     for seconds in (None, *PIECES):
         candidate = data if seconds is None else cut_into_pieces(data, seconds)
@@ -212,7 +216,7 @@ def _near(y: Array, data: FlightData, sigma: Array) -> bool:
             if not finite.size:
                 continue
             middle = float(np.median(finite))
-            reach = max(float(np.abs(finite - middle).max()), 3.0 * level)
+            reach = max(float(np.abs(finite - middle).max()), LEAST_REACH * level)
             if float(np.abs(modelled - middle).max()) > WANDERED * reach:
                 return False
     return True

@@ -1,8 +1,8 @@
 """The part of a long record that its instrument factors are estimated from.
 
-Factors and noise come of some hundred runs of the filter; five minutes of flight that move tell them, and three hours no better
-than drift and temperature allow. So a long record is cut into even pieces, and of each of as many equal spans of it the piece
-that moves most is taken: what excites is used, and no hour of the flight is left out. What is shown is of the whole record.
+An estimate of factors and noise takes about a hundred runs of the filter. Five minutes of motion suffice, and in three hours
+temperature and drift move the factors themselves. So a long record is cut into even pieces and divided into equal spans, and
+the piece that moves most is taken from each span: all of the flight is represented. Fit and motion are shown for the full record.
 """
 
 from collections.abc import Sequence
@@ -13,17 +13,17 @@ from estimation.compatibility.kalman import FilterRecord
 from groundstation.flight import Array
 
 LONG_SAMPLES = 30_000
-"""Of a flight, up to which factors are estimated from all of it: 10 minutes at 50 Hz."""
+"""Longest flight of which all samples are used: 10 minutes at 50 Hz."""
 MOST_SAMPLES = 15_000
-"""Of a longer one, from which they are estimated: 5 minutes at 50 Hz that move most (docs/compatibility.md)."""
+"""Samples that are used of a longer flight: 5 minutes at 50 Hz (docs/compatibility.md)."""
 PIECE_SAMPLES = 1_500
 SHORTEST_PIECE_S, LONGEST_PIECE_S = 20.0, 60.0
-"""[s] of a piece: several periods of what moves; errors of the attitude filter come and go within some 20 s."""
-FEWEST_PIECES = 5
+"""[s] of a piece: several periods of the motion; errors of an attitude filter come and go within about 20 s."""
+FEWEST_PIECES = 5  # whatever the sample rate
 
 
 def excited_pieces(records: list[FilterRecord]) -> tuple[list[FilterRecord], str]:
-    """Records to estimate from, all of them in a flight of up to LONG_SAMPLES, and a note where it is."""
+    """Records to estimate from, and a note for a flight of more than LONG_SAMPLES; a shorter one is used as it is."""
     total = sum(len(r.time) for r in records)
     step = records[0].step
     length = round(float(np.clip(PIECE_SAMPLES * step, SHORTEST_PIECE_S, LONGEST_PIECE_S)) / step)
@@ -46,20 +46,20 @@ def excited_pieces(records: list[FilterRecord]) -> tuple[list[FilterRecord], str
 
 
 def even_parts(record: FilterRecord, length: int) -> list[FilterRecord]:
-    """Even pieces of a record, none much longer than so many samples."""
+    """Pieces of equal length of a record, about `length` samples each."""
     return record.parts(max(1, round(len(record.time) / length)))
 
 
 def _movement(pieces: Sequence[FilterRecord]) -> Array:
-    """(pieces,) how much each moves: the mean over channels of its place among the others, so that a fault of one channel,
-    however large, does not decide."""
+    """(pieces,) movement of each: mean over channels of its rank among the pieces, which a fault of one channel does not
+    decide."""
     spread = np.array([_spread(np.hstack([r.u, r.z])) for r in pieces])
-    places = np.argsort(np.argsort(spread[:, np.ptp(spread, axis=0) > 0.0], axis=0), axis=0)
-    return np.asarray(places.mean(axis=1)) if places.size else np.zeros(len(pieces))
+    ranks = np.argsort(np.argsort(spread[:, np.ptp(spread, axis=0) > 0.0], axis=0), axis=0)
+    return np.asarray(ranks.mean(axis=1)) if ranks.size else np.zeros(len(pieces))
 
 
 def _spread(values: Array) -> Array:
-    """Standard deviation of the measured samples of each channel (N, n), 0 where there are none."""
+    """(n,) standard deviation of the measured samples of each channel (N, n), 0 where there are none."""
     measured = np.isfinite(values)
     count = np.maximum(measured.sum(axis=0), 1)
     mean = np.where(measured, values, 0.0).sum(axis=0) / count

@@ -1,10 +1,9 @@
 """A time-varying extended Kalman filter for any traced model, as one CasADi function per step.
 
-Flight-path reconstruction drives its motion with measured accelerations and rates. Their noise integrates to a random
-walk, so output error would call everything the walk explains a bias, with bounds tens of times too small. Here the
-noise of each input sample is process noise of known size, and the likelihood is that of the innovations (Maine and
-Iliff 1981; Jategaonkar, Flight Vehicle System Identification, ch. 5). Normalised innovations are white with variance
-one when model and noise levels are right: that is what the bounds rest on and what is tested.
+Flight-path reconstruction integrates measured accelerations and rates. Their noise integrates to a random walk, which output
+error would take for biases, with bounds tens of times too small. Here the noise of each input sample is process noise of known
+size, and the likelihood is that of the innovations (Maine and Iliff 1981; Jategaonkar, Flight Vehicle System Identification,
+ch. 5). The bounds hold if normalised innovations are white with variance one, as they are for the right model and noise levels.
 """
 
 from collections.abc import Sequence
@@ -24,12 +23,13 @@ from estimation.models.parts import ModelStructure
 Array = NDArray[np.float64]
 
 LONGEST_DELAY = 0.3
-"""Delay of a channel [s] that is looked for, either way."""
+"""Largest delay or lead of a channel [s] that is estimated."""
 
 
 @dataclass(frozen=True)
 class FilterRecord:
-    """One gap-free stretch. time: (N,); u: (N, nu) inputs; z: (N, ny) outputs, NaN where not measured."""
+    """One stretch without a gap. first: row in the flight; time: (N,); u: (N, nu) inputs; z: (N, ny) outputs, NaN if not
+    measured."""
 
     first: int
     time: Array
@@ -43,17 +43,17 @@ class FilterRecord:
 
     @cached_property
     def measured(self) -> NDArray[np.bool_]:
-        """(N, ny) which outputs are."""
+        """(N, ny) which outputs were measured."""
         return np.isfinite(self.z)
 
     @cached_property
     def table(self) -> Array:
-        """(N, 2 nu + 2 ny) what the filter reads at each sample: inputs there and at the next, outputs, whether measured. Kept,
-        for a search for factors reads it a hundred times."""
+        """(N, 2 nu + 2 ny) rows that the filter reads: inputs at this sample and the next, outputs, whether measured. Cached,
+        because an estimate of factors reads it a hundred times."""
         return rows_of(self.u, self.z)
 
     def parts(self, count: int) -> list["FilterRecord"]:
-        """The record in so many even pieces."""
+        """The record in `count` pieces of equal length."""
         edges = np.linspace(0, len(self.time), count + 1).astype(int).tolist()
         return [FilterRecord(self.first + a, self.time[a:b], self.u[a:b], self.z[a:b]) for a, b in pairwise(edges)]
 
@@ -118,8 +118,8 @@ class KalmanFilter:
         return Run(normalised, measured, log_variance, rows_out[:, 2 * ny : 2 * ny + nx], rows_out[:, 2 * ny + nx :])
 
     def _usable(self, record: FilterRecord) -> NDArray[np.bool_]:
-        """(N, ny) which samples count: of a channel that may be late none within LONGEST_DELAY of the ends, so that the
-        same samples count whatever the delay."""
+        """(N, ny) which samples count: of a delayed channel none within LONGEST_DELAY of the ends, so that the same samples count
+        whatever the delay."""
         usable = np.isfinite(record.z)
         edge = int(np.ceil(LONGEST_DELAY / record.step))
         for output, _ in self.delayed:
@@ -127,8 +127,8 @@ class KalmanFilter:
         return usable
 
     def _at_their_instants(self, record: FilterRecord, p: Array) -> tuple[Array, Array]:
-        """(N, ny) outputs, those that are late moved to the last sample before what they show; and how far into the
-        sample interval after it that lies, as a fraction."""
+        """(N, ny) outputs, delayed ones moved to the last sample before the instant that they show; and that instant within the
+        sample interval after it, as a fraction."""
         z, fractions = np.where(self._usable(record), record.z, np.nan), []
         for output, parameter in self.delayed:
             delay = float(p[parameter]) / record.step
@@ -138,7 +138,7 @@ class KalmanFilter:
         return z, np.array(fractions)
 
     def _in_rows_of_the_record(self, rows_out: Array, record: FilterRecord, p: Array) -> Array:
-        """What the filter shows of a late channel, back in the rows in which it was measured."""
+        """Rows of the filter with those of a delayed channel back where it was measured."""
         ny = len(self.model.outputs)
         for output, parameter in self.delayed:
             rows = int(np.ceil(float(p[parameter]) / record.step))
@@ -148,7 +148,7 @@ class KalmanFilter:
 
 
 def _moved(values: Array, rows: int, empty: float) -> Array:
-    """Values so many rows further down."""
+    """Values shifted down by `rows`; `empty` in the rows that this leaves free."""
     result = np.full_like(values, empty)
     count = len(values)
     if abs(rows) < count:
@@ -169,8 +169,8 @@ def delayed_outputs(model: Model) -> tuple[tuple[int, int], ...]:
 
 
 def _filter_step(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
-    """(state and covariance; data; constants) -> (the same one sample later; normalised innovations, log variances, corrected
-    state, predicted outputs)."""
+    """(state and covariance; data; constants) -> (state and covariance one sample later; normalised innovations, log variances,
+    corrected state, predicted outputs)."""
     traced = trace(structure)
     nx, nu, np_, ny = traced.sizes
     x, P = ca.SX.sym("x", nx), ca.SX.sym("P", nx, nx)
@@ -195,7 +195,7 @@ def _filter_step(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]
             u_end = u0 + part * (u1 - u0)
             delayed_state = integrated(x, (u0 + d, (u0 + u_end) / 2 + d, u_end + d), part * h)
             delayed_output = traced.outputs(delayed_state, u_end, p)[j]
-            # noise of the inputs within that part of the interval: the state does not hold it yet
+            # noise of the inputs within that part of the interval, which is not in the covariance of the state
             by_noise = ca.substitute(ca.jacobian(delayed_output, d), d, zero)
             predicted.append(ca.substitute(delayed_output, d, zero))
             delay_variances.append(ca.mtimes(ca.mtimes(by_noise, ca.diag(q)), by_noise.T))

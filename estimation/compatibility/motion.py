@@ -1,7 +1,7 @@
-"""The motion that accelerations and rates make, without looking at what it is compared with: Figure 7 of the paper.
+"""The motion integrated from accelerations and rates alone, for comparison with the measured one (Figure 7 of the paper).
 
-Only the start of each piece is fitted: noise of the inertial sensors integrates to a drift of metres a second within a minute or
-so, so a long record is shown in pieces.
+Only the start of each piece is fitted. A long record is integrated in pieces, because noise of the inertial sensors integrates to
+a drift of metres per second within about a minute.
 """
 
 from functools import lru_cache
@@ -20,43 +20,43 @@ PIECE_S = 30.0
 MOTION = ("u", "v", "w", "phi", "theta", "psi")
 _ROUNDS = 4
 _STEP = 1e-4  # of each state, for differences: m/s or rad
-_FITTED = 1e-6  # a round that lowers the sum of squares by a smaller part moves the motion by a thousandth of its error
+_CONVERGED = 1e-6  # of the sum of squares: a round that lowers it by less moves the motion by a thousandth of its error
 
 
 def integrated_motion(model: Model, record: FilterRecord, p: Array, states: Array, spread: Array) -> Array:
     """(N, ny) outputs of a record integrated from its inputs.
 
-    p: (n,) parameters. states: (N, nx) of the filter, for the starts. spread: (ny,) by which each output is expected to
-    differ: weights of the fit of the starts.
+    p: (n,) parameters. states: (N, nx) of the filter, from which starts are taken. spread: (ny,) expected difference of each
+    output, which weights the fit of the starts.
     """
     pieces = record.parts(max(1, int(np.ceil(len(record.time) * record.step / PIECE_S))))
     return np.vstack([_Piece(model, r, p, record.step).fitted(states[r.first - record.first], spread) for r in pieces])
 
 
 class _Piece:
-    """A piece of a record, integrated from any start. step: sample interval of the record [s]."""
+    """A piece of a record, integrated from a given start. step: sample interval of the record [s]."""
 
     def __init__(self, model: Model, record: FilterRecord, p: Array, step: float) -> None:
         self.model, self.time, self.z = model, record.time, record.z
         u = record.u
         self._inputs = np.hstack([u, np.vstack([u[1:], u[-1:]])])
         self._fixed = np.concatenate([p, [model.constants[n] for n in model.structure.remaining_constants], [step]])
-        self._late = [
+        self._delays = [
             (model.output_names.index(o), float(p[model.parameter_names.index(d)]))
             for o, d in model.output_delays.items()
         ]
 
     def fitted(self, start: Array, spread: Array) -> Array:
-        """(N, ny) outputs from the start that fits the measured ones best. start: (nx,) the first one tried."""
+        """(N, ny) outputs from the start that fits the measured ones best. start: (nx,) first guess."""
         states = [i for i, s in enumerate(self.model.state_names) if s in MOTION]
-        x0 = np.zeros_like(start)  # errors of the attitude filter are no motion
+        x0 = np.zeros_like(start)  # the other states are errors of an attitude filter
         x0[states] = start[states]
         measured = np.isfinite(self.z)
         y = self.motion(x0)
         residual = ((self.z - y) / spread)[measured]
         if not np.isfinite(residual).all():
             return y
-        # the motion is all but linear in its start, so that the slopes of the first one serve every round
+        # the motion is nearly linear in its start, so that the slopes at the first one do for every round
         slopes = [((self.motion(x) - y) / _STEP / spread)[measured] for x in x0 + _STEP * np.eye(x0.size)[states]]
         columns = np.column_stack(slopes)
         for _ in range(_ROUNDS):
@@ -64,21 +64,21 @@ class _Piece:
             trial = x0.copy()
             trial[states] += change
             outputs = self.motion(trial)
-            left = ((self.z - outputs) / spread)[measured]
-            before, after = float(residual @ residual), float(left @ left)
+            trial_residual = ((self.z - outputs) / spread)[measured]
+            before, after = float(residual @ residual), float(trial_residual @ trial_residual)
             if not np.isfinite(outputs).all() or after > before:
                 break
-            x0, y, residual = trial, outputs, left
-            if before - after < _FITTED * before:
+            x0, y, residual = trial, outputs, trial_residual
+            if before - after < _CONVERGED * before:
                 break
         return y
 
     def motion(self, x0: Array) -> Array:
-        """(N, ny) outputs from a start (nx,); NaN from where they run away."""
+        """(N, ny) outputs from a start (nx,); NaN from where they diverge."""
         rows = _chain(self.model.structure).run(x0, self._inputs, self._fixed)
         y = np.full(self.z.shape, np.nan)
         y[: len(rows)] = rows
-        for j, delay in self._late:
+        for j, delay in self._delays:
             y[:, j] = np.interp(self.time - delay, self.time, y[:, j])
         return y
 

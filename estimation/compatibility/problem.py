@@ -1,8 +1,8 @@
-"""The records of all flights of one check that its factors are estimated from, with their starts, noise levels and bounds.
+"""The records of all flights of one check, with starts of the filter, noise levels and bounds of the factors.
 
-Noise of the inputs is read off the flight itself; that of the outputs, and the turbulence that moves the air under the
-aircraft, are scaled until the innovations of the filter are as large as it predicts them (relaxation). Bounds are from the
-information of the innovations, with the correlation left in them counted by a lag window.
+Noise of the inputs is measured in the flight; that of the outputs, and the turbulence, are scaled until the innovations of the
+filter are as large as predicted (relaxation). Bounds come from the information of the innovations; a lag window allows for the
+correlation that is left in them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 
 from estimation.compatibility.excited import LONG_SAMPLES, even_parts, excited_pieces
 from estimation.compatibility.kalman import FilterRecord, KalmanFilter, NoiseLevels, Run
-from estimation.compatibility.records import attitude_errors, records_of, with_rate_derivatives
+from estimation.compatibility.records import attitude_errors, finite_values, records_of, with_rate_derivatives
 from estimation.errors import DataError
 from estimation.estimators.coloured import autocovariance
 from estimation.models.base import Model
@@ -19,14 +19,23 @@ from estimation.models.kinematic import FILTER_ERRORS
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
 
-_TURBULENCE_LOG10 = (-3.5, 0.7)  # of m/s per root second
+_TURBULENCE_LOG10 = (-3.5, 0.7)  # range of the search, of m/s per root second
+_SEARCH, _NARROW_SEARCH = (
+    (1.0, 3),
+    (0.5, 2),
+)  # first step [decades], rounds; from scratch, near a known value
 
-SMALLEST = 1e-6
-"""Noise [output's unit] below which no channel is believed to be."""
+SMALLEST, SMALLEST_SHARE = 1e-6, 1e-4
+"""Least noise of a channel: in its unit, and of its range."""
+FIRST_TURBULENCE = 0.05  # m/s per root second
+UNKNOWN_SPEED = 15.0  # m/s, of a small aircraft: start of the filter where airspeed is not measured
+START_S = 0.2  # s of measurements that the first state is a mean of
+MOST_SCALING = (0.05, 20.0)  # least and greatest factor of an output's noise variance in one round of relaxation
+TIED = 0.2  # component of an eigenvector from which a factor is named as part of an inseparable set
 
 
 class CompatibilityProblem:
-    """Records of all flights, with starts and noise levels. records: those that factors are estimated from; whole: all."""
+    """Records of all flights, with starts and noise levels. records: those that factors are estimated from; full_records: all."""
 
     def __init__(self, model: Model, flights: Sequence[Flight]) -> None:
         flights = [with_rate_derivatives(f, model.input_names) for f in flights]
@@ -35,26 +44,27 @@ class CompatibilityProblem:
         self.names = ", ".join(f.name for f in flights)
         self.filter = KalmanFilter(model)
         recorded = [records_of(model, f) for f in flights]
-        self.whole = [r for r, _ in recorded]
-        excited = [excited_pieces(r) for r in self.whole]
+        self.full_records = [r for r, _ in recorded]
+        excited = [excited_pieces(r) for r in self.full_records]
         self.records = [r for r, _ in excited]
         self.notes = [
             (*notes, *([part] if part else []), *_filter_note(errors))
             for (_, notes), (_, part), errors in zip(recorded, excited, self.attitude, strict=True)
         ]
         self.inputs = [np.array([noise_level(finite_values(f[c])) for c in model.input_names]) for f in flights]
-        self.outputs = [self._output_noise(rs) for rs in self.whole]
-        self.turbulence = 0.05
+        self.outputs = [self._output_noise(rs) for rs in self.full_records]
+        self.turbulence = FIRST_TURBULENCE
 
     def _output_noise(self, records: list[FilterRecord]) -> Array:
         levels = []
         for j in range(records[0].z.shape[1]):
             column = finite_values(np.concatenate([r.z[:, j] for r in records]))
             span = float(np.ptp(column)) if column.size else 1.0
-            levels.append(max(noise_level(column) if column.size else 1.0, 1e-4 * span, SMALLEST))
+            levels.append(max(noise_level(column) if column.size else 1.0, SMALLEST_SHARE * span, SMALLEST))
         return np.array(levels)
 
     def noise(self, flight: int) -> NoiseLevels:
+        """The present noise levels of a flight."""
         drift = {"u": self.turbulence, "v": self.turbulence, "w": self.turbulence}
         for state, (sigma, memory) in self._filter_errors(flight).items():
             drift[state] = sigma * np.sqrt(2.0 / memory)
@@ -70,26 +80,27 @@ class CompatibilityProblem:
         }
 
     def runs(self, p: Array) -> list[list[Run]]:
+        """Runs of the filter over the records of each flight with factors p (n,)."""
         return [[self._filtered(i, r, p) for r in records] for i, records in enumerate(self.records)]
 
-    def whole_runs(self, flight: int, p: Array, runs: list[Run]) -> Iterator[tuple[FilterRecord, Run]]:
-        """All of a flight in blocks, each with its run. runs: those over its `records`, used again where they are all of it."""
-        if self.whole[flight] is self.records[flight]:
+    def full_runs(self, flight: int, p: Array, runs: list[Run]) -> Iterator[tuple[FilterRecord, Run]]:
+        """The full records of a flight in blocks, each with its run. runs: over its `records`, used again where these are all."""
+        if self.full_records[flight] is self.records[flight]:
             yield from zip(self.records[flight], runs, strict=True)
             return
-        for record in (block for whole in self.whole[flight] for block in even_parts(whole, LONG_SAMPLES)):
+        for record in (block for full in self.full_records[flight] for block in even_parts(full, LONG_SAMPLES)):
             yield record, self._filtered(flight, record, p)
 
     def _filtered(self, flight: int, record: FilterRecord, p: Array) -> Run:
         return self.filter.run(record, p, self.noise(flight), *self._start(record, flight))
 
     def _start(self, record: FilterRecord, flight: int) -> tuple[Array, Array]:
-        """First state from the first tenth of a second of measurements, held loosely: the filter finds it."""
+        """First state and its standard deviations, from the mean of the first measurements; loose, for the filter to correct."""
         first = {}
         for j, name in enumerate(self.model.output_names):
-            first_samples = record.z[: max(3, round(0.2 / record.step)), j]
+            first_samples = record.z[: max(3, round(START_S / record.step)), j]
             first_samples = first_samples[np.isfinite(first_samples)]
-            first[name] = float(first_samples.mean()) if first_samples.size else (15.0 if name == "V" else 0.0)
+            first[name] = float(first_samples.mean()) if first_samples.size else (UNKNOWN_SPEED if name == "V" else 0.0)
         v, a, b = first["V"], first["alpha"], first["beta"]
         start = {
             "u": (v * np.cos(a) * np.cos(b), 3.0),
@@ -97,13 +108,14 @@ class CompatibilityProblem:
             "w": (v * np.sin(a) * np.cos(b), 3.0),
             "phi": (first["phi"], 0.2),
             "theta": (first["theta"], 0.2),
-            "psi": (first["psi"], np.pi),  # nothing else depends on it, so that a late first heading does no harm
+            "psi": (first["psi"], np.pi),  # no other state depends on it, so that a late first heading does no harm
             **{name: (0.0, sigma) for name, (sigma, _) in self._filter_errors(flight).items()},
         }
         x, spread = np.array([start[s] for s in self.model.state_names]).T
         return x, spread
 
     def cost(self, runs: list[list[Run]]) -> float:
+        """Negative log likelihood of all runs, without constants; infinite where one diverged."""
         return sum(r.cost if np.isfinite(r.log_variance) else np.inf for rs in runs for r in rs)
 
     def relax(self, p: Array, rounds: int) -> list[list[Run]]:
@@ -115,16 +127,17 @@ class CompatibilityProblem:
                 e = np.vstack([r.normalised for r in flight_runs])
                 count = np.maximum(measured.sum(axis=0), 1)
                 ratio = np.where(measured.any(axis=0), (e**2).sum(axis=0) / count, 1.0)
-                self.outputs[i] = np.maximum(self.outputs[i] * np.sqrt(np.clip(ratio, 0.05, 20.0)), SMALLEST)
+                self.outputs[i] = np.maximum(self.outputs[i] * np.sqrt(np.clip(ratio, *MOST_SCALING)), SMALLEST)
             runs = self.runs(p)
         return runs
 
     def settle_turbulence(self, p: Array, *, known: bool = False) -> None:
-        """Turbulence of greatest likelihood, by a search over decades and then within one; known: only near the present."""
-        centre, width = float(np.log10(max(self.turbulence, 1e-4))), 0.5 if known else 1.0
+        """Set the turbulence of greatest likelihood, by a search over decades, then finer. known: search near the present one."""
+        centre = float(np.log10(max(self.turbulence, 1e-4)))
+        width, rounds = _NARROW_SEARCH if known else _SEARCH
         noise_before = [o.copy() for o in self.outputs]
         costs: dict[float, float] = {}
-        for _ in range(2 if known else 3):
+        for _ in range(rounds):
             for candidate in np.clip(centre + width * np.array([-1.0, 0.0, 1.0]), *_TURBULENCE_LOG10).tolist():
                 if candidate not in costs:
                     self.turbulence = float(10**candidate)
@@ -136,7 +149,8 @@ class CompatibilityProblem:
         self.turbulence = float(10**centre)
 
     def slopes(self, p: Array, steps: Array) -> list[list[Array]]:
-        """(N, ny, n) derivative of the normalised innovations by the factors, by central differences."""
+        """(N, ny, n) derivatives of the normalised innovations of each record by the factors: central differences of `steps`
+        (n,)."""
         columns = []
         for k in range(p.size):
             p_plus, p_minus = p.copy(), p.copy()
@@ -161,21 +175,18 @@ def _filter_note(errors: dict[str, float]) -> tuple[str, ...]:
         return ()
     return (
         f"attitude is smoother than its gyro: it comes from a filter, whose slow errors ({', '.join(sizes)}) are allowed for; "
-        "no bias of ax or ay can be told much better than that much of gravity",
+        "a bias of ax or ay cannot be known much better than that share of gravity",
     )
 
 
-def finite_values(values: Array) -> Array:
-    return values[np.isfinite(values)]
-
-
 USEFUL: Mapping[str, float] = {"m/s2": 0.2, "rad/s": 0.01, "1": 0.1, "rad": 0.02, "m": 0.25, "s": 0.03, "m/s": 1.0}
-"""A bound wider than this, by unit, says nothing worth knowing of an instrument of this kind."""
-CORRELATION_WINDOW_S = 2.0
-SINGULAR = 1e-9
+"""Widest useful bound of a factor, by its unit."""
+CORRELATION_WINDOW_S = 2.0  # lag beyond which innovations count as uncorrelated
+SINGULAR = 1e-9  # of the largest information, or of an eigenvalue of its correlations: less is none
 
 
 def information_and_gradient(runs: list[list[Run]], slopes: list[list[Array]]) -> tuple[Array, Array]:
+    """(n, n) information of the factors and (n,) gradient of the cost."""
     n = slopes[0][0].shape[2]
     information, gradient = np.zeros((n, n)), np.zeros(n)
     for flight_runs, flight_slopes in zip(runs, slopes, strict=True):
@@ -186,7 +197,7 @@ def information_and_gradient(runs: list[list[Run]], slopes: list[list[Array]]) -
 
 
 def refuse_singular(model: Model, information: Array, names: str) -> None:
-    """A set of factors that the data cannot separate at all is refused, by name. names: of the flights, for the message."""
+    """Raise DataError naming factors that the data cannot separate. names: of the flights, for the message."""
     if not np.isfinite(information).all():
         raise DataError(f"{names}: the motion integrated from accelerations and rates runs away; check units and signs")
     scale = np.array([USEFUL[q.unit] for q in model.parameters])
@@ -198,15 +209,15 @@ def refuse_singular(model: Model, information: Array, names: str) -> None:
     d = np.sqrt(np.diag(scaled))
     values, vectors = np.linalg.eigh(scaled / d[:, None] / d[None, :])
     if values[0] < SINGULAR:
-        tied = [n for n, w in zip(model.parameter_names, np.abs(vectors[:, 0]), strict=True) if w > 0.2]
+        tied = [n for n, w in zip(model.parameter_names, np.abs(vectors[:, 0]), strict=True) if w > TIED]
         raise DataError(
             f"{names}: {' and '.join(tied)} cannot be told from each other in this data; leave one of them out with --factors"
         )
 
 
 def lag_window_covariance(runs: list[list[Run]], slopes: list[list[Array]], information: Array, step: float) -> Array:
-    """Covariance with the correlation left in the innovations counted (Morelli and Klein 1997): sandwich with the
-    estimated autocorrelation per channel, tapered over CORRELATION_WINDOW_S."""
+    """(n, n) covariance of the factors that allows for the correlation left in the innovations (Morelli and Klein 1997): sandwich
+    with the autocorrelation of each channel, tapered over CORRELATION_WINDOW_S. step: sample interval [s]."""
     lags = max(1, round(CORRELATION_WINDOW_S / step))
     meat = np.zeros_like(information)
     for flight_runs, flight_slopes in zip(runs, slopes, strict=True):
@@ -224,8 +235,8 @@ def lag_window_covariance(runs: list[list[Run]], slopes: list[list[Array]], info
     covariance = inverse @ meat @ inverse
     variances = np.diag(inverse)
     diagonal = np.maximum(np.diag(covariance), variances)  # the correction never makes a bound smaller
-    grow = np.sqrt(diagonal / np.maximum(np.diag(covariance), 1e-300))
-    return np.asarray(covariance * grow[:, None] * grow[None, :])
+    widening = np.sqrt(diagonal / np.maximum(np.diag(covariance), 1e-300))
+    return np.asarray(covariance * widening[:, None] * widening[None, :])
 
 
 def lagged_products(series: list[Array], lags: int) -> Array:

@@ -1,8 +1,8 @@
 """Maximum-likelihood estimation of instrument factors from the innovations of the kinematic filter.
 
-One flight or several with shared factors. Noise of the inputs is read off the flight itself; that of the outputs, and
-the turbulence that moves the air under the aircraft, are estimated with the factors (relaxation between Gauss-Newton steps on the
-innovations); bounds from their information, and corrected for whatever colour is left in them.
+One flight, or several with shared factors. Noise of the inputs is measured in the flight; that of the outputs, and the
+turbulence, are estimated with the factors (relaxation between Gauss-Newton steps on the innovations). Bounds come from the
+information of the innovations, and are corrected for the colour that is left in them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,11 +28,20 @@ from estimation.models.kinematic import FACTORS, MEASUREMENTS, STANDARD_FACTORS,
 from groundstation.flight import Array, Flight, MissingColumnError
 from groundstation.flight.findings import Finding
 
+STEP = 1e-3  # of the widest useful bound of a factor, for differences
+RETUNED = (1, 3)  # iterations after which the turbulence is estimated again
+CONVERGED = 0.02  # bounds: an iteration that moves every factor by less is the last
+ROUNDING = 1e-9  # of the cost: an increase by less is none
+HALVINGS = 8  # of a step that raises the cost
+CORRELATED = 0.9  # from which the partner of a factor with a wide bound is named
+DRIFT = {"V": 0.2, "alpha": 0.01, "beta": 0.01}  # m/s, rad: of the integration over half a minute, with turbulence
+LEAST_SLOW_ERROR = 0.2  # of an attitude, over ATTITUDE_ERROR
+
 
 @dataclass(frozen=True, slots=True)
 class FactorEstimate:
-    """One instrument factor. std: bound from the information of the innovations; std_coloured: corrected for the colour
-    left in them. Where the channel it belongs to is not measured, all three are NaN and `why` says so."""
+    """One instrument factor. std: bound from the information of the innovations; std_coloured: corrected for their colour. Where
+    its channel is not measured, all three are NaN and `why` has the reason."""
 
     name: str
     unit: str
@@ -46,8 +55,8 @@ class FactorEstimate:
 @dataclass(frozen=True)
 class ReconstructedFlight:
     """measured: (N, ny), NaN where not measured or left out; reconstructed: (N, ny) motion integrated from accelerations
-    and rates with the factors, NaN outside the records; noise: of each output; whiteness: lag-one autocorrelation of the
-    normalised innovations per output; left_out: what of the flight was not compared, and why."""
+    and rates with the factors, NaN outside the records; noise: of each output, 1 sigma; whiteness: lag-one autocorrelation of the
+    normalised innovations of each output; left_out: findings on what was not compared."""
 
     name: str
     time: Array
@@ -62,7 +71,8 @@ class ReconstructedFlight:
 
 @dataclass(frozen=True)
 class Compatibility:
-    """Factors of one flight, or shared by several."""
+    """Factors of one flight, or shared by several. correlation: (n, n) of the estimated ones; turbulence: [m/s per root second];
+    known: factors held at given values."""
 
     factors: Mapping[str, FactorEstimate]
     correlation: Array
@@ -70,8 +80,8 @@ class Compatibility:
     converged: bool
     text: str
     iterations: int
-    turbulence: float  # m/s per root second
-    known: Mapping[str, float] = field(default_factory=dict)  # factors held at values given
+    turbulence: float
+    known: Mapping[str, float] = field(default_factory=dict)
 
 
 def compatibility(
@@ -82,12 +92,12 @@ def compatibility(
     iterations: int = 15,
     keep_held: bool = False,
 ) -> Compatibility:
-    """Estimate instrument factors of one flight, or shared by several. known: factors held at values given. keep_held: repeated
-    values of slow and stuck sensors are taken for measurements.
+    """Estimate instrument factors of one flight, or shared by several. known: factors held at given values. keep_held: repeated
+    values of slow and stuck sensors count as measurements.
 
-    A factor of a channel that is not measured is not estimated: it comes back as one that cannot be told, with the reason.
+    A factor whose channel is not measured is not estimated: it is returned as not identifiable, with the reason.
     Raises ModelError for an unknown factor, MissingColumnError or DataError for flights that cannot be used, and
-    DataError naming them when factors cannot be told from each other at all.
+    DataError naming factors that the data cannot separate.
     """
     flight_list = [flights] if isinstance(flights, Flight) else list(flights)
     conditioned, left_out = zip(*(compared_measurements(f, keep_held=keep_held) for f in flight_list), strict=True)
@@ -105,7 +115,7 @@ def compatibility(
 
 
 def _absent(full_model: Model, flights: Sequence[Flight]) -> dict[str, str]:
-    """Factor -> why it cannot be looked for. Raises MissingColumnError when nothing is left to look for."""
+    """Factor -> why it cannot be estimated. Raises MissingColumnError where none can."""
     absent: dict[str, str] = {}
     columns: list[str] = []
     for name in full_model.parameter_names:
@@ -120,11 +130,12 @@ def _absent(full_model: Model, flights: Sequence[Flight]) -> dict[str, str]:
 
 
 def _steps(model: Model) -> Array:
-    return np.array([1e-3 * USEFUL[q.unit] for q in model.parameters])
+    """(n,) steps of the factors for differences."""
+    return np.array([STEP * USEFUL[q.unit] for q in model.parameters])
 
 
 def _estimate(problem: CompatibilityProblem, iterations: int) -> tuple[Array, list[list[Run]], bool, int]:
-    """Factors, the filter's runs with them, whether converged, and iterations used."""
+    """Factors, the runs of the filter with them, whether converged, and iterations used."""
     p = np.array([q.start for q in problem.model.parameters])
     problem.settle_turbulence(p)
     runs = problem.relax(p, 3)
@@ -137,11 +148,11 @@ def _estimate(problem: CompatibilityProblem, iterations: int) -> tuple[Array, li
         refuse_singular(problem.model, information, problem.names)
         change: Array = np.asarray(-np.linalg.solve(information, gradient), float)
         p, runs, change_made = _step(problem, p, change, runs)
-        if iteration in (1, 3):
+        if iteration in RETUNED:
             problem.settle_turbulence(p, known=True)
         runs = problem.relax(p, 2)
         bound = np.sqrt(np.diag(np.linalg.inv(information)))
-        if np.all(np.abs(change_made) < 0.02 * bound) and iteration > 3:
+        if np.all(np.abs(change_made) < CONVERGED * bound) and iteration > max(RETUNED):
             return p, runs, bool(np.isfinite(problem.cost(runs))), iteration
     return p, runs, False, iterations
 
@@ -149,10 +160,12 @@ def _estimate(problem: CompatibilityProblem, iterations: int) -> tuple[Array, li
 def _step(
     problem: CompatibilityProblem, p: Array, change: Array, runs: list[list[Run]]
 ) -> tuple[Array, list[list[Run]], Array]:
-    """The largest of the step, its half, quarter, ... that lowers the cost."""
+    """The largest of the step, its half, quarter, ... that does not raise the cost: factors, runs, step made."""
     cost = problem.cost(runs)
-    limit = cost + 1e-9 * abs(cost)
-    lowered = halve_until(lambda part: problem.runs(p + part * change), lambda trial: problem.cost(trial) <= limit, 8)
+    limit = cost + ROUNDING * abs(cost)
+    lowered = halve_until(
+        lambda part: problem.runs(p + part * change), lambda trial: problem.cost(trial) <= limit, HALVINGS
+    )
     if lowered is None:
         return p, runs, np.zeros_like(p)
     fraction, trial = lowered
@@ -190,7 +203,7 @@ def _describe(
 
 
 def _factors(model: Model, p: Array, cramer_rao: Array, full: Array) -> dict[str, FactorEstimate]:
-    """Estimates with both bounds, and whether they are of use. plain, full: (n, n) covariances."""
+    """Estimates with both bounds, and whether these are useful. cramer_rao, full: (n, n) covariances."""
     std, wider = np.sqrt(np.diag(cramer_rao)), np.sqrt(np.diag(full))
     correlation = full / wider[:, None] / wider[None, :]
     factors = {}
@@ -200,7 +213,7 @@ def _factors(model: Model, p: Array, cramer_rao: Array, full: Array) -> dict[str
         if wide:
             reason = f"bound {wider[k]:.2g} {q.unit} is wider than {USEFUL[q.unit]:g}: this flight cannot tell"
             partner = int(np.argmax(np.abs(correlation[k]) - 2.0 * (np.arange(p.size) == k)))
-            if abs(correlation[k, partner]) > 0.9 and partner != k:
+            if abs(correlation[k, partner]) > CORRELATED and partner != k:
                 reason += f" it from {model.parameter_names[partner]} (correlation {correlation[k, partner]:+.2f})"
         factors[q.name] = FactorEstimate(q.name, q.unit, float(p[k]), float(std[k]), float(wider[k]), not wide, reason)
     return factors
@@ -214,8 +227,8 @@ def _reconstructed(
     motion = np.full_like(measured, np.nan)
     spread = _expected_difference(problem, index)
     innovations = []
-    for record, run in problem.whole_runs(index, p, runs):
-        innovations.append(run.normalised.copy())  # the rest of a run is not kept
+    for record, run in problem.full_runs(index, p, runs):
+        innovations.append(run.normalised.copy())  # a copy lets go of the run, which is large
         rows = slice(record.first, record.first + len(record.time))
         measured[rows] = record.z
         motion[rows] = integrated_motion(problem.model, record, p, run.states, spread)
@@ -230,10 +243,9 @@ def _reconstructed(
 
 
 def _expected_difference(problem: CompatibilityProblem, index: int) -> Array:
-    """(ny,) by how much measured and integrated motion differ in good data: noise, and slow errors of either."""
-    # turbulence and drift of the integration amount to some 0.2 m/s over half a minute, 0.01 rad of flow angle
-    slow = {"V": 0.2, "alpha": 0.01, "beta": 0.01}
-    slow |= {a: max(e, 0.2 * ATTITUDE_ERROR[a]) for a, e in problem.attitude[index].items()}
+    """(ny,) difference of measured and integrated motion in good data: noise, and slow errors of either."""
+    slow = dict(DRIFT)
+    slow |= {a: max(e, LEAST_SLOW_ERROR * ATTITUDE_ERROR[a]) for a, e in problem.attitude[index].items()}
     return np.array(
         [np.hypot(n, slow[o]) for n, o in zip(problem.outputs[index], problem.model.output_names, strict=True)]
     )

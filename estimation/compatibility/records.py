@@ -1,4 +1,4 @@
-"""The channels and stretches of a flight that the data-compatibility check uses, and notes on what it leaves out."""
+"""The channels and stretches of a flight that the data-compatibility check uses, with notes on what is left out."""
 
 from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
@@ -21,21 +21,26 @@ from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.kinematics import GYROS, attitude_rates
 
 SHORTEST = 40  # samples of a stretch that is reconstructed: 2 s at 20 Hz
+PARABOLA = (5, 2)  # samples and order of the local polynomial that smooths and differentiates rates
 COLUMNS = ("ax", "ay", "az", "p", "q", "r")
 JUMP = 0.1
 """Step [rad] of an attitude between two samples, in excess of the integrated rates, that no aircraft makes."""
+JUMP_IN_NOISE = 8.0  # noise levels of the angle that a jump also exceeds
+LONGEST_START = 0.5  # of a stretch: an attitude first measured later than that is missing, not starting up
+FEWEST_FOR_JUMPS = 8  # samples of an attitude in which jumps are searched
+MOSTLY_SLOW = 0.5  # share of airspeeds below flying speed, beyond which a flight without faster ones is refused
 
 ATTITUDE_ERROR = {"phi": 0.01, "theta": 0.01, "psi": 0.03}
 """Slow error of an onboard attitude filter [rad], one sigma, where its calibration states none."""
 
 WRONG_UNIT = 0.2
-"""Largest share of implausible samples; beyond it the channel is taken for another one, or for one in another unit."""
+"""Largest share of implausible samples; with more, a channel is taken to be another one or in another unit."""
 
-_FEWEST_CHANNELS = 3
+_FEWEST_CHANNELS = 3  # outputs: with fewer, instrument factors are not separable
 
 
 def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[str]]:
-    """Stretches of a flight without gap in which it flies and all accelerations and rates are measured, and notes.
+    """Stretches without a gap, in flight, with all accelerations and rates measured; and notes on what is left out.
 
     Raises MissingColumnError, or DataError when no stretch is long enough.
     """
@@ -81,7 +86,7 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
 
 
 def short_stretches(flight: Flight, rows: Sequence[slice], why: str) -> list[str]:
-    """A note on stretches that are left out, however many they are."""
+    """One note on the stretches left out; none where there are none."""
     if not rows:
         return []
     count = sum(r.stop - r.start for r in rows)
@@ -90,7 +95,7 @@ def short_stretches(flight: Flight, rows: Sequence[slice], why: str) -> list[str
 
 
 def unbroken_stretches(flight: Flight, usable: NDArray[np.bool_], jumps: Collection[int]) -> Iterator[tuple[int, int]]:
-    """[first, last) of each run of usable samples (N,), cut at the rows at which the attitude jumps."""
+    """[first, last) of each run of usable samples (N,), cut at the rows where the attitude jumps."""
     for a, b in true_runs(usable, flight.segments):
         yield from pairwise([a, *(j for j in sorted(jumps) if a < j < b), b])
 
@@ -100,13 +105,13 @@ def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
     for name in inputs:
         if _constant(flight[name]):
             raise DataError(
-                f"{flight.name}: {name} is {flight[name][np.isfinite(flight[name])][0]:.4g} throughout: no working sensor "
+                f"{flight.name}: {name} is {finite_values(flight[name])[0]:.4g} throughout: no working sensor "
                 "behind it; the data-compatibility check needs it"
             )
     for name in (*COLUMNS, "V", "alpha", "beta", *ATTITUDE):
         if flight.measured(name):
             low, high = COLUMN_BY_NAME[name].plausible
-            finite = _known(flight[name])
+            finite = finite_values(flight[name])
             share = float(np.mean((finite < low) | (finite > high)))
             if share > WRONG_UNIT and not _counts_turns(flight, name, low, high):
                 raise DataError(
@@ -116,12 +121,12 @@ def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
 
 
 def _counts_turns(flight: Flight, angle: str, low: float, high: float) -> bool:
-    """Whether an angle leaves its range because it counts whole turns: it begins within the range, and moves at most twice as far
-    as its gyro turns. In degrees it would move 57 times as far."""
+    """Whether an angle leaves its range because it counts whole turns: it starts within the range and moves at most twice as far
+    as its gyro turns. An angle in degrees moves 57 times as far."""
     if angle not in ("phi", "psi") or not flight.measured(GYROS[angle]):
         return False
     for part in flight.segments:
-        values = _known(flight[angle][part])
+        values = finite_values(flight[angle][part])
         turned = float(np.nansum(np.abs(flight[GYROS[angle]][part]))) * flight.sample_interval
         if values.size and not (low <= values[0] <= high and float(np.ptp(values)) <= 2.0 * turned + np.pi):
             return False
@@ -134,18 +139,18 @@ def shows_motion(flight: Flight, column: str) -> bool:
 
 
 def _constant(values: Array) -> bool:
-    finite = _known(values)
+    finite = finite_values(values)
     return finite.size > 1 and float(np.ptp(finite)) == 0.0
 
 
 def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
-    """(N,) whether the aircraft flies, by the airspeed; all True without one."""
+    """(N,) whether the aircraft flies, by its airspeed; all True where that is not measured. Adds to `notes`."""
     if not flight.measured("V"):
         return np.ones(len(flight), bool)
     V = flight["V"]
     from_speed = flies_from(V)
     slow = np.isfinite(V) & (from_speed > V)
-    if slow.sum() > 0.5 * np.isfinite(V).sum() and not np.any(from_speed <= V):
+    if slow.sum() > MOSTLY_SLOW * np.isfinite(V).sum() and not np.any(from_speed <= V):
         raise DataError(
             f"{flight.name}: V never reaches {FLYING:g} m/s (largest {np.nanmax(V):.3g})"
             + (no_airspeed(flight) or ": not in flight, or V is not in m/s")
@@ -156,12 +161,12 @@ def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
 
 
 def _begin(model: Model, flight: Flight, z: Array, part: slice, notes: list[str]) -> int:
-    """First row of a stretch at which each attitude has been measured: a filter that starts up gives none."""
+    """First row of a stretch from which on each attitude was measured: a filter that starts up gives none. Adds to `notes`."""
     first = []
     for name in ATTITUDE:
         if name in model.output_names:
             rows = np.flatnonzero(np.isfinite(z[part, model.output_names.index(name)]))
-            if rows.size and rows[0] <= 0.5 * (part.stop - part.start):
+            if rows.size and rows[0] <= LONGEST_START * (part.stop - part.start):
                 first.append(int(rows[0]))
     delay = max(first, default=0)
     if delay:
@@ -171,9 +176,9 @@ def _begin(model: Model, flight: Flight, z: Array, part: slice, notes: list[str]
 
 
 def attitude_jumps(flight: Flight) -> dict[int, str]:
-    """Row -> sentence, of each lasting step of phi, theta or psi by more than JUMP in excess of the integrated rates.
+    """Row -> sentence, for each lasting step of phi, theta or psi by more than JUMP in excess of the integrated rates.
 
-    A single wild value, after which the angle is back, is no step. Empty unless p, q, r, phi and theta are measured.
+    A single outlier, after which the angle is back, is no step. Empty unless p, q, r, phi and theta are measured.
     """
     if not all(flight.measured(c) for c in ("p", "q", "r", "phi", "theta")):
         return {}
@@ -191,13 +196,13 @@ def attitude_jumps(flight: Flight) -> dict[int, str]:
 def _lasting_steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, float]]:
     """(row, size) of lasting steps between neighbouring measured samples."""
     rows = np.flatnonzero(np.isfinite(angle) & np.isfinite(rate))
-    if rows.size < 8:
+    if rows.size < FEWEST_FOR_JUMPS:
         return []
     t, mean = time[rows], 0.5 * (rate[rows][1:] + rate[rows][:-1])
     excess = np.diff(np.unwrap(angle[rows])) - mean * np.diff(t)
     excess = (excess + np.pi) % (2 * np.pi) - np.pi
-    excess[np.diff(rows) > 1] = 0.0  # across missing values nothing can be said
-    limit = max(JUMP, 8.0 * noise_level(np.unwrap(angle[rows])))
+    excess[np.diff(rows) > 1] = 0.0  # the motion during missing values is not known
+    limit = max(JUMP, JUMP_IN_NOISE * noise_level(np.unwrap(angle[rows])))
     steps = []
     for k in np.flatnonzero(np.abs(excess) > limit):
         around = excess[max(k - 2, 0) : k + 3]
@@ -210,52 +215,55 @@ def _lasting_steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, fl
 def attitude_errors(flight: Flight) -> dict[str, float]:
     """Slow error [rad] of each attitude that comes from a filter of the same gyro, 0 for one measured independently.
 
-    An attitude with less noise from sample to sample than the gyro's noise integrates to in one sample interval can only come
-    from a filter that integrates that gyro. Its error is slow, however well neighbouring samples agree.
+    An attitude with less noise from sample to sample than the gyro's noise integrates to in one sample interval must come from a
+    filter that integrates that gyro. Its error is slow, so that the agreement of neighbouring samples does not show it.
     """
     uncertainty = flight.provenance.detail.get("uncertainty", {})
     errors = {}
     for angle, rate in zip(ATTITUDE, "pqr", strict=True):
         errors[angle] = 0.0
         if flight.measured(angle) and flight.measured(rate):
-            attitude_noise = noise_level(_known(_output(flight, angle)))
-            integrated_noise = noise_level(_known(flight[rate])) * flight.sample_interval
+            attitude_noise = noise_level(finite_values(_output(flight, angle)))
+            integrated_noise = noise_level(finite_values(flight[rate])) * flight.sample_interval
             if attitude_noise < integrated_noise:
                 errors[angle] = float(uncertainty.get(angle, 0.0)) or ATTITUDE_ERROR[angle]
     return errors
 
 
 def with_rate_derivatives(flight: Flight, columns_wanted: Sequence[str]) -> Flight:
-    """The flight with p_dot, q_dot, r_dot where they are wanted and not measured: local parabolas through 5 samples."""
+    """The flight with p_dot, q_dot, r_dot [rad/s2] where wanted and not measured, by local parabolas through 5 samples."""
     columns = {}
     for rate in "pqr":
         if f"{rate}_dot" in columns_wanted and not flight.measured(f"{rate}_dot") and flight.measured(rate):
-            from scipy.signal import savgol_filter  # with scipy.stats half a second to import
+            from scipy.signal import savgol_filter  # takes half a second to import
 
             derivative = np.full(len(flight), np.nan)
             for part in flight.segments:
                 if part.stop - part.start >= SHORTEST:
-                    derivative[part] = savgol_filter(flight[rate][part], 5, 2, deriv=1, delta=flight.sample_interval)
+                    derivative[part] = savgol_filter(
+                        flight[rate][part], *PARABOLA, deriv=1, delta=flight.sample_interval
+                    )
             columns[f"{rate}_dot"] = derivative
     return flight.with_columns(**columns) if columns else flight
 
 
-def _known(values: Array) -> Array:
+def finite_values(values: Array) -> Array:
+    """The measured values, NaN left out."""
     return values[np.isfinite(values)]
 
 
 def _output(flight: Flight, name: str) -> Array:
-    """A channel as it is compared: the heading unwrapped."""
+    """A channel as it is compared: psi unwrapped."""
     return unwrapped(flight[name]) if name == "psi" else flight[name]
 
 
-CHECK = "left out"
+CHECK = "left out"  # kind of the findings in the quality report
 
 
 def compared_measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tuple[Finding, ...]]:
-    """The flight as a check compares it, and what was left out of it.
+    """The flight as the check compares it, and findings on what was left out.
 
-    Repeated samples are NaN in outputs, and interpolated linearly in inputs, which are integrated.
+    Repeated samples become NaN in outputs; in inputs, which are integrated, they are interpolated linearly.
     Raises DataError where time is in another unit.
     """
     inputs = repair_columns(flight, COLUMNS, keep_held=keep_held)
@@ -273,7 +281,7 @@ def compared_measurements(flight: Flight, *, keep_held: bool = False) -> tuple[F
 
 def _compared(conditioned: ConditionedFlight, name: str) -> tuple[Array, list[Finding]]:
     values, notes = conditioned.as_output(name)
-    # gaps of a channel are reported by the quality report
+    # the quality report has the gaps of each channel
     return values, [n for n in notes if n.kind is not FindingKind.NOT_MEASURED]
 
 

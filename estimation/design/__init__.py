@@ -1,1 +1,1 @@
-"""Inputs designed from what is known: shapes, what they would do to the aircraft, what they would tell, and the best of them."""
+"""Inputs designed from a model: shapes, the motion and the bounds that they would give, and the best of them."""

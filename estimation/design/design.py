@@ -1,4 +1,4 @@
-"""One design from beginning to end: kinds of input, the plain doublets that each is measured against, and the result as data."""
+"""The design of an input: kinds of input, the doublets that each is compared with, and the result as data."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -18,16 +18,17 @@ from estimation.design.optimal import (
     Designed,
     a_optimal,
     d_optimal,
-    each_fitted,
+    fitted_sizes,
     measure,
     multisine,
-    one_of,
+    one_parameter,
     optimal,
     worst_of,
 )
 from estimation.design.predict import INTEGRATION_STEP, DesignSetting, estimated_names, with_values
 from estimation.design.shapes import PATTERNS, chirp, pattern, relative_peak_factor
 from estimation.errors import EstimationError
+from estimation.estimators.result import finite_or_none
 from estimation.models.base import Model
 
 KINDS = ("doublet", "121", "3211", "chirp", "multisine", "optimal")
@@ -35,21 +36,25 @@ CRITERIA = ("worst", "D", "A")
 USUAL_BAND = (0.1, 1.5)
 """Frequencies of chirps and multisines [Hz]: from a tenth of a Dutch roll to above the roll mode of a small aircraft."""
 WIDTHS = (0.2, 0.25, 0.33, 0.4, 0.5, 0.65, 0.8, 1.0)
-"""Step widths [s] of which patterns take the best: periods of 0.4 to 2 s for a doublet."""
+"""Step widths [s] that are tried for patterns: periods of 0.4 to 2 s for a doublet."""
 NARROWER = (1.0, 0.8, 0.65, 0.5)
-"""Tops of the bands that an optimal input is looked for in, over that of the band given."""
+"""Upper ends of the bands that are tried for an optimal input, over that of the band given."""
 FIRST = 0.5  # s of trim before the first pattern
 REPEATS = 2  # patterns of each control in a set
+SHORTEST_S, LONGEST_S = 2.0, 600.0  # of a manoeuvre
+FILLED = 0.8  # of its slot, by a pattern too long for all of WIDTHS
+SWEPT = 0.95  # of its slot, by a chirp
 UNTOLD = 0.3
-"""A derivative whose bound is a larger share of its size is called untold: three bounds would reach from zero to twice it."""
+"""Bound over size beyond which a derivative counts as not identifiable: three bounds reach from zero to twice its value."""
 
 
 @dataclass(frozen=True)
 class DesignTask:
     """What to design. controls: empty for all of the model. criterion: one of CRITERIA or a parameter's name.
 
-    separate: parameters to be told apart, in place of the criterion. values, noise: from an estimate where there is one, then
-    noise_of_residuals. draws: flights with noisy inputs that the prediction is made of.
+    duration [s], speed [m/s], density [kg/m3], band [Hz]. separate: parameters to be told apart, in place of the criterion.
+    sizes: by which errors are measured. values, noise: from an estimate where there is one, with noise_of_residuals. rate_hz: of
+    the samples. held: whether a pilot holds bank and pitch. draws: flights with noisy inputs from which the prediction comes.
     """
 
     kind: str
@@ -72,10 +77,10 @@ class DesignTask:
 
 @dataclass(frozen=True)
 class InputDesign:
-    """The designed input, doublets of equal length under the same limits, and the sizes that errors are measured by."""
+    """The designed input, doublets of equal length under the same limits, and the sizes by which errors are measured."""
 
     task: DesignTask
-    bench: DesignSetting
+    setting: DesignSetting
     limits: Limits
     best: Designed
     doublets: Designed
@@ -90,12 +95,12 @@ class InputDesign:
 
     @cached_property
     def expected_of_doublets(self) -> dict[str, float]:
-        """The same of the doublets."""
+        """The same for the doublets."""
         return self.expected if self.best is self.doublets else self._expected(self.doublets)
 
     def _expected(self, designed: Designed) -> dict[str, float]:
         task = self.task
-        return expected_errors(self.bench, designed.motion, designed.information.std, task.seed, task.draws)
+        return expected_errors(self.setting, designed.motion, designed.information.std, task.seed, task.draws)
 
     @property
     def relative(self) -> dict[str, float]:
@@ -104,6 +109,7 @@ class InputDesign:
 
     @property
     def untold(self) -> tuple[str, ...]:
+        """Derivatives that this input does not identify."""
         return tuple(n for n, r in self.relative.items() if r > UNTOLD)
 
     @property
@@ -112,7 +118,7 @@ class InputDesign:
         return max(relative_errors(self.expected_of_doublets, self.sizes).values()) / max(self.relative.values())
 
     def manoeuvre(self) -> Manoeuvre:
-        """As the file that is flown."""
+        """The manoeuvre as in the file that is flown."""
         commands = np.round(self.best.commands / FINENESS) * FINENESS
         commands[[0, -1]] = 0.0
         std = self.expected
@@ -120,9 +126,9 @@ class InputDesign:
             Manoeuvre(
                 self.best.kind,
                 INTEGRATION_STEP,
-                {c: tuple(commands[:, i].tolist()) for i, c in enumerate(self.bench.controls)},
+                {c: tuple(commands[:, i].tolist()) for i, c in enumerate(self.setting.controls)},
                 aircraft=self.aircraft,
-                model=self.bench.model.name,
+                model=self.setting.model.name,
                 limits={u.name: {"used": u.used, "allowed": u.allowed} for u in self.best.used},
                 predicted={n: {"std": s} for n, s in std.items() if math.isfinite(s)},
                 about={
@@ -136,17 +142,17 @@ class InputDesign:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """As the interface description has it, and what more a person may want."""
+        """As in the interface description, with limits, motion and notes besides."""
         bounds = self.best.information.std
         return {
             "kind": self.best.kind,
             "time": self.best.motion.time.tolist(),
-            "inputs": {c: self.best.commands[:, i].tolist() for i, c in enumerate(self.bench.controls)},
+            "inputs": {c: self.best.commands[:, i].tolist() for i, c in enumerate(self.setting.controls)},
             "predicted": {
                 n: {
-                    "std": _finite_or_none(s),
-                    "std_outputs": _finite_or_none(bounds[n]),
-                    "relative": _finite_or_none(self.relative.get(n)),
+                    "std": finite_or_none(s),
+                    "std_outputs": finite_or_none(bounds[n]),
+                    "relative": finite_or_none(self.relative.get(n, math.nan)),
                 }
                 for n, s in self.expected.items()
             },
@@ -161,11 +167,7 @@ class InputDesign:
     def peak_factors(self) -> dict[str, float]:
         """Relative peak factor of each control; of multisines over a period."""
         rows = self.best.commands[:-1] if self.best.waves else self.best.commands
-        return {c: relative_peak_factor(rows[:, i]) for i, c in enumerate(self.bench.controls)}
-
-
-def _finite_or_none(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
+        return {c: relative_peak_factor(rows[:, i]) for i, c in enumerate(self.setting.controls)}
 
 
 def relative_errors(std: Mapping[str, float], sizes: Mapping[str, float]) -> dict[str, float]:
@@ -174,38 +176,38 @@ def relative_errors(std: Mapping[str, float], sizes: Mapping[str, float]) -> dic
 
 
 def relative_bounds(designed: Designed, sizes: Mapping[str, float]) -> dict[str, float]:
-    """Cramer-Rao bound over size, what the search goes by."""
+    """Cramer-Rao bound over size, by which inputs are compared."""
     return relative_errors(designed.information.std, sizes)
 
 
 def design(model: Model, aircraft: Aircraft, task: DesignTask, limits: Limits | None = None) -> InputDesign:
-    """Design an input. Raises EstimationError for what cannot be designed, with the way out."""
+    """Design an input. Raises EstimationError with a way out for an input that cannot be designed."""
     if task.kind not in KINDS:
         raise EstimationError(
             f"kind {task.kind!r} is unknown; choose from {', '.join(KINDS)}{did_you_mean(task.kind, KINDS)}"
         )
-    if not 2.0 <= task.duration <= 600.0:
-        raise EstimationError(f"--time {task.duration:g}: give from 2 to 600 s")
+    if not SHORTEST_S <= task.duration <= LONGEST_S:
+        raise EstimationError(f"--time {task.duration:g}: give from {SHORTEST_S:g} to {LONGEST_S:g} s")
     limits_allowed = limits or usual_limits()
     valued_model = with_values(model, task.values)
     condition = trimmed(valued_model, aircraft, task.speed, task.density)
-    bench = _bench(valued_model, condition, task)
+    setting = _setting(valued_model, condition, task)
     sizes = _sizes(valued_model, task)
     rng = np.random.default_rng([task.seed, 20])
-    doublets = pattern_set(bench, limits_allowed, "doublet", task.duration, sizes)
-    _refuse_untold(bench, doublets, task)
+    doublets = pattern_set(setting, limits_allowed, "doublet", task.duration, sizes)
+    _refuse_untold(setting, doublets, task)
     if task.kind == "doublet":
         chosen_design = doublets
     elif task.kind in PATTERNS:
-        chosen_design = pattern_set(bench, limits_allowed, task.kind, task.duration, sizes)
+        chosen_design = pattern_set(setting, limits_allowed, task.kind, task.duration, sizes)
     elif task.kind == "chirp":
-        chosen_design = chirp_set(bench, limits_allowed, task.duration, task.band)
+        chosen_design = chirp_set(setting, limits_allowed, task.duration, task.band)
     else:
-        chosen_design = _sines(bench, limits_allowed, task, sizes, rng, doublets)
-    return InputDesign(task, bench, limits_allowed, chosen_design, doublets, sizes, aircraft.name, condition.notes)
+        chosen_design = _sines(setting, limits_allowed, task, sizes, rng, doublets)
+    return InputDesign(task, setting, limits_allowed, chosen_design, doublets, sizes, aircraft.name, condition.notes)
 
 
-def _bench(model: Model, condition: Condition, task: DesignTask) -> DesignSetting:
+def _setting(model: Model, condition: Condition, task: DesignTask) -> DesignSetting:
     controls = task.controls or tuple(s.name for s in model.inputs if s.control)
     values = {p.name: p.start for p in model.parameters}
     return DesignSetting(
@@ -214,7 +216,7 @@ def _bench(model: Model, condition: Condition, task: DesignTask) -> DesignSettin
 
 
 def _sizes(model: Model, task: DesignTask) -> dict[str, float]:
-    """What the error of each derivative is measured by: the size of an effect, the belief, else its own value."""
+    """By what the error of each derivative is measured: the stated size, else the estimate, else the prior value."""
     believed = {
         n: (model.parameter(n).reference or model.parameter(n).start) for n in estimated_names(model.parameters)
     }
@@ -229,51 +231,52 @@ def _sizes(model: Model, task: DesignTask) -> dict[str, float]:
     return {n: sizes[n] for n in task.separate} if task.separate else sizes
 
 
-def _refuse_untold(bench: DesignSetting, doublets: Designed, task: DesignTask) -> None:
-    """What doublets on every control leave exactly tied, no other motion of these controls unties."""
+def _refuse_untold(setting: DesignSetting, doublets: Designed, task: DesignTask) -> None:
+    """Raise EstimationError for parameters that doublets on every control do not separate: no motion of these controls does."""
     std = doublets.information.std
     tied = [n for n in task.separate if math.isinf(std[n])]
     if tied:
         raise EstimationError(
-            f"{' and '.join(tied)}: no motion of {', '.join(bench.controls)} in model {bench.model.name} tells them from the "
-            "other parameters; design with a model of more controls (--model six-dof), or look on the bench"
+            f"{' and '.join(tied)}: no motion of {', '.join(setting.controls)} in model {setting.model.name} tells them from the "
+            "other parameters; design with a model of more controls (--model six-dof), or look on the setting"
         )
 
 
 def pattern_set(
-    bench: DesignSetting, limits: Limits, name: str, duration: float, sizes: Mapping[str, float]
+    setting: DesignSetting, limits: Limits, name: str, duration: float, sizes: Mapping[str, float]
 ) -> Designed:
-    """A pattern twice on each control, one after the other, of the width that tells most under the limits."""
+    """A pattern REPEATS times on each control, one after the other, of the step width with the smallest worst relative bound."""
     time = np.arange(0.0, duration + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
-    slots = REPEATS * len(bench.controls)
+    slots = REPEATS * len(setting.controls)
     room = (duration - FIRST) / slots
-    widths = [w for w in WIDTHS if len(PATTERNS[name]) * w + FIRST <= room] or [0.8 * room / len(PATTERNS[name])]
+    widths = [w for w in WIDTHS if len(PATTERNS[name]) * w + FIRST <= room] or [FILLED * room / len(PATTERNS[name])]
 
-    def flown(width: float) -> Designed:
-        commands = np.zeros((time.size, len(bench.controls)))
+    def with_width(width: float) -> Designed:
+        commands = np.zeros((time.size, len(setting.controls)))
         for slot in range(slots):
-            i = slot % len(bench.controls)
-            control = bench.controls[i]
+            i = slot % len(setting.controls)
+            control = setting.controls[i]
             start = FIRST + slot * room
             commands[:, i] += pattern(name, time, start, width, limits.amplitude_of(control), limits.rate_of(control))
-        return measure(bench, limits, name, each_fitted(bench, limits, commands) * commands)
+        return measure(setting, limits, name, fitted_sizes(setting, limits, commands) * commands)
 
-    return min(map(flown, widths), key=lambda d: max(relative_bounds(d, sizes).values()))
+    return min(map(with_width, widths), key=lambda d: max(relative_bounds(d, sizes).values()))
 
 
-def chirp_set(bench: DesignSetting, limits: Limits, duration: float, band: tuple[float, float]) -> Designed:
+def chirp_set(setting: DesignSetting, limits: Limits, duration: float, band: tuple[float, float]) -> Designed:
     """A sweep on each control, one after the other."""
     time = np.arange(0.0, duration + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
-    room = (duration - FIRST) / len(bench.controls)
+    room = (duration - FIRST) / len(setting.controls)
     columns = [
-        chirp(time, FIRST + i * room, 0.95 * room, band, limits.amplitude_of(c)) for i, c in enumerate(bench.controls)
+        chirp(time, FIRST + i * room, SWEPT * room, band, limits.amplitude_of(c))
+        for i, c in enumerate(setting.controls)
     ]
     commands = np.column_stack(columns)
-    return measure(bench, limits, "chirp", each_fitted(bench, limits, commands) * commands)
+    return measure(setting, limits, "chirp", fitted_sizes(setting, limits, commands) * commands)
 
 
 def _sines(
-    bench: DesignSetting,
+    setting: DesignSetting,
     limits: Limits,
     task: DesignTask,
     sizes: Mapping[str, float],
@@ -283,45 +286,47 @@ def _sines(
     """A multisine; of kind optimal, the best of optimal and flat multisines, doublets and 3-2-1-1s."""
     try:
         if task.kind == "multisine":
-            return multisine(bench, limits, task.duration, task.band, rng)
+            return multisine(setting, limits, task.duration, task.band, rng)
         choose, judge = _criterion(task, sizes)
-        steps = pattern_set(bench, limits, "3211", task.duration, sizes)
-        sines = [optimal(bench, limits, task.duration, band, rng, sizes, choose, judge) for band in _bands(bench, task)]
+        steps = pattern_set(setting, limits, "3211", task.duration, sizes)
+        sines = [
+            optimal(setting, limits, task.duration, band, rng, sizes, choose, judge) for band in _bands(setting, task)
+        ]
         return min((*sines, steps, doublets), key=judge)
     except ValueError as error:
         raise EstimationError(f"--time {task.duration:g}: {error}; give more time or a wider --band") from error
 
 
-def _bands(bench: DesignSetting, task: DesignTask) -> list[tuple[float, float]]:
-    """Bands that are tried of an optimal input: the one given, and lower ones that hold two harmonics for each
-    control. Where a limited signal answers low frequencies most, power spread up to the top of the band is wasted."""
+def _bands(setting: DesignSetting, task: DesignTask) -> list[tuple[float, float]]:
+    """Bands that are tried for an optimal input: the one given, and narrower ones with two harmonics for each control. Where a
+    limited signal answers low frequencies most, power near the top of the band is wasted."""
     low, high = task.band
-    fewest = 2 * len(bench.controls) / task.duration
+    fewest = 2 * len(setting.controls) / task.duration
     return [(low, f * high) for f in NARROWER if f == 1.0 or f * high - low > fewest]
 
 
 def _criterion(
     task: DesignTask, sizes: Mapping[str, float]
 ) -> tuple[Callable[[tuple[str, ...]], Criterion], Callable[[Designed], float]]:
-    """(criterion for the allocation, judge of what was flown)."""
+    """(criterion for the allocation of power, from the names of parameters; judge of a simulated input, smaller is better)."""
 
     def worst(designed: Designed) -> float:
         return max(relative_bounds(designed, sizes).values())
 
-    def among(names: Sequence[str]) -> Criterion:
+    def worst_among(names: Sequence[str]) -> Criterion:
         return worst_of(np.array([n in sizes for n in names]))
 
-    def volume(designed: Designed) -> float:
+    def negative_log_determinant(designed: Designed) -> float:
         return -float(np.linalg.slogdet(designed.information.matrix)[1])
 
-    def squares(designed: Designed) -> float:
+    def sum_of_squares(designed: Designed) -> float:
         return math.fsum(r**2 for r in relative_bounds(designed, sizes).values())
 
     if task.separate or task.criterion == "worst":
-        return among, worst
+        return worst_among, worst
     if task.criterion == "D":
-        return (lambda names: d_optimal), volume
+        return (lambda names: d_optimal), negative_log_determinant
     if task.criterion == "A":
-        return (lambda names: a_optimal), squares
+        return (lambda names: a_optimal), sum_of_squares
     name = task.criterion
-    return (lambda names: one_of(names.index(name))), lambda designed: designed.information.std[name]
+    return (lambda names: one_parameter(names.index(name))), lambda designed: designed.information.std[name]

@@ -1,22 +1,21 @@
 """A designed manoeuvre on one page: inputs, their spectra, the motion against its limits, and the predicted bounds."""
 
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from daq.utilities.constants import RADIAN
 from estimation.design.design import UNTOLD, InputDesign
 from estimation.design.predict import INTEGRATION_STEP
 from estimation.report.drawing.figures import save_figure, styled
 from estimation.report.names import tex
 
-_DEG = math.degrees(1.0)
-"""Degrees: what a person reads."""
 _HIGHEST_HZ = 3.0  # of the spectra shown
 
 
 def write_figure(input_design: InputDesign, path: Path) -> None:
+    """Write the page to `path`, whose suffix gives the format."""
     from matplotlib.figure import Figure
 
     with styled():
@@ -26,14 +25,14 @@ def write_figure(input_design: InputDesign, path: Path) -> None:
 
 
 def _draw(page: Any, input_design: InputDesign) -> None:
-    controls, motion = input_design.bench.controls, input_design.best.motion
+    controls, motion = input_design.setting.controls, input_design.best.motion
     limited = [u for u in input_design.best.used if u.name in motion.signals and u.name not in controls]
     rows = len(controls) + len(limited)
     page.set_size_inches(8.5, 1.3 * rows + 2.6)
     grid = page.add_gridspec(rows + 1, 2, width_ratios=(2, 1), height_ratios=(*(1.0,) * rows, 2.0))
     last = None
     for i, control in enumerate(controls):
-        command = _DEG * input_design.best.commands[:, i]
+        command = RADIAN * input_design.best.commands[:, i]
         last = page.add_subplot(grid[i, 0], sharex=last)
         last.plot(motion.time, command, color="C0", linewidth=1.0)
         last.set_ylabel(f"${tex(control)}$ [deg]")
@@ -59,7 +58,7 @@ def _spectrum(axes: Any, command: np.ndarray, last: bool) -> None:  # type: igno
 
 def _response(axes: Any, input_design: InputDesign, name: str, allowed: float) -> None:
     motion, limit = input_design.best.motion, input_design.limits.response[name]
-    factor = 1.0 if name in ("V", "ax", "ay", "az") else _DEG
+    factor = 1.0 if name in ("V", "ax", "ay", "az") else RADIAN
     values = factor * motion.signals[name]
     middle = factor * 0.5 * (limit[0] + limit[1]) + (values[0] if limit[2] else 0.0)
     axes.plot(motion.time, values, color="C1", linewidth=1.0)

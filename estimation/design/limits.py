@@ -1,4 +1,4 @@
-"""Where a manoeuvre begins, straight and level, and what it may do: amplitude and rate of controls, the motion it causes."""
+"""The trimmed flight from which a manoeuvre starts, and its limits: amplitude and rate of controls, and the motion."""
 
 import math
 from collections.abc import Mapping
@@ -9,28 +9,28 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError, field_validator
 
-from daq.utilities.constants import GRAVITY
+from daq.utilities.constants import DEGREE, GRAVITY
 from daq.utilities.input_files import read_toml
 from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
 from estimation.models.base import Model
 
 USUAL_ALPHA = 0.08
-"""Angle of attack [rad] where lift and pitching moment of the aircraft are not known: that of a small aircraft at cruise."""
+"""Angle of attack [rad] of a small aircraft at cruise, where lift and pitching moment are not known."""
 
 TRIM_ROUNDS = 8
-"""Of the fixed point of lift and thrust: thrust's share of lift is some hundredths, so each round gains two digits."""
+"""Of the fixed point of lift and thrust: thrust carries a few hundredths of the weight, so each round gains two digits."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Values by name of states, inputs and outputs in trimmed flight; SI and radians. notes: what was assumed."""
+    """Values by name of states, inputs and outputs in trimmed flight; SI and radians. notes: assumptions."""
 
     values: Mapping[str, float]
     notes: tuple[str, ...] = ()
 
     def trim_value(self, name: str) -> float:
-        """Trim value of a signal; 0 for what rests."""
+        """Trim value of a signal; 0 for one that rests in trim."""
         return self.values.get(name, 0.0)
 
 
@@ -60,9 +60,9 @@ def trimmed(model: Model, aircraft: Aircraft, speed: float, density: float) -> C
     return Condition({**base, **trim_values, **acceleration_values})
 
 
-# What a designed manoeuvre may do: amplitude and rate of each control, and the motion it may cause.
+# The limits of a manoeuvre: amplitude and rate of each control, and the motion that it may cause.
 #
-# A file for `--limits`, angles in degrees because people write it:
+# A file for `--limits`, with angles in degrees because people write it:
 #
 #     [controls.delta_a]
 #     amplitude_deg = 6.0      # either side of trim
@@ -76,10 +76,10 @@ def trimmed(model: Model, aircraft: Aircraft, speed: float, density: float) -> C
 
 Range = tuple[float, float]
 USUAL_AMPLITUDE = {"delta_a": math.radians(6.0), "delta_r": math.radians(3.5), "delta_e": math.radians(3.0)}
-"""Peaks of controls where no file says otherwise [rad]: what the published flights and their like were flown with."""
+"""Peaks of controls where no file gives others [rad]: those of the published flights and similar ones."""
 OTHER_AMPLITUDE = math.radians(3.0)
 USUAL_RATE = math.radians(200.0)
-"""Rate of a control where no file says otherwise [rad/s]: a hobby servo's 60 deg in 0.2 s, on a surface of half its travel."""
+"""Rate of a control where no file gives another [rad/s]: a hobby servo's 60 deg in 0.2 s, on a surface of half its travel."""
 USUAL_RESPONSE = {"beta_deg": 15.0, "phi_deg": 40.0, "alpha_deg": 8.0, "theta_deg": 25.0}
 
 
@@ -129,7 +129,7 @@ _SIGNALS = {"airspeed": "V", "load_factor": "load_factor"}
 
 
 def usual_limits() -> Limits:
-    """What is allowed where no file is given."""
+    """The limits where no file is given."""
     return _limits(LimitsFile(response=dict(USUAL_RESPONSE)))
 
 
@@ -155,7 +155,7 @@ def _response(name: str, allowed: Any) -> tuple[str, tuple[float, float, bool]]:
     """`beta_deg = 12` is 12 deg either side of trim, a pair is absolute; `_deg` and `_deg_s` name degrees."""
     for ending in ("_deg_s", "_deg"):
         if name.endswith(ending):
-            signal, factor = name.removesuffix(ending), math.pi / 180.0
+            signal, factor = name.removesuffix(ending), DEGREE
             break
     else:
         signal, factor = _SIGNALS.get(name, name), 1.0

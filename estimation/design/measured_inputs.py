@@ -1,14 +1,14 @@
-"""What noise of measured inputs adds to a predicted bound.
+"""The part of noisy measured inputs in a predicted bound.
 
-A Cramer-Rao bound supposes that inputs are exact. A flight's surfaces, airspeed, angle of attack and pitch are measured:
-their noise passes through the aircraft into the residuals, where it is coloured and larger than the sensors' own. The
-motion is therefore prepared as a flight would be, with noise on its inputs, some hundred times; what the outputs then differ
-by, d, has the covariance D between samples, and the estimates scatter by
+A Cramer-Rao bound assumes exact inputs. The surfaces, airspeed, angle of attack and pitch of a flight are measured: their noise
+passes through the aircraft into the residuals, where it is coloured and larger than that of the sensors. So the motion is
+prepared DRAWS times like a flight, each time with other noise on its inputs. The differences d of the outputs have the covariance
+D between samples, and the estimates have the covariance
 
     M^-1 (S' W (R + D) W S) M^-1,    M = S' W S,    W = (R + D_0)^-1
 
-with the sensitivities S of outputs to parameters and initial states, the sensors' noise R, and D_0 the part of D within a
-sample, which is what maximum likelihood sees of it (R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed.,
+with the sensitivities S of outputs to parameters and initial states, the noise R of the sensors, and D_0 the part of D within a
+sample, to which maximum likelihood fits its noise (R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed.,
 section 4.10: errors in inputs; the form is that of an M-estimator, P. J. Huber 1967).
 """
 
@@ -17,7 +17,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimation.design.predict import NOISE, DesignSetting, PredictedMotion, output_noise, sampled
+from estimation.design.predict import NOISE, RANK, DesignSetting, PredictedMotion, output_noise, sampled
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
 from estimation.models.base import Signal
@@ -26,52 +26,55 @@ from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import Array, Flight
 
 DRAWS = 50
-"""Flights with noisy inputs: the standard deviation that they add is known to 10 %."""
+"""Flights with noisy inputs: from these, the added standard deviation is known to 10 %."""
 LEAST_DRAWS = 20
-"""Of a long manoeuvre, whose flights take longer to prepare: 16 %."""
+"""For a long manoeuvre, whose flights take longer to prepare: 16 %."""
 USUAL_SAMPLES = 400  # 20 s at 20 Hz
-LEAST_OWN = 0.25
-"""Of the variance of a channel's residuals, at least the share that is its sensor's own: below, the noise supposed of the
-inputs is too large rather than the sensor perfect."""
+LEAST_SENSOR_SHARE = 0.25
+"""Least share of the sensor in the variance of a channel's residuals: with less, the noise assumed of the inputs is too large."""
 INPUT_NOISE = {**NOISE, "thrust": 0.15, "V_dot": 0.0, "rho": 0.0}
-"""Noise of the inputs where no estimate says better, 1 sigma; air density is computed, not measured sample by sample."""
+"""Noise of the inputs where no estimate gives one, 1 sigma; air density is computed, not measured sample by sample."""
 SURFACE_NOISE = math.radians(0.07)
 """Of a potentiometer read with 12 bits, 1 sigma [rad]."""
 
 
 def expected_errors(
-    bench: DesignSetting, motion: PredictedMotion, bounds: Mapping[str, float], seed: int, draws: int = DRAWS
+    setting: DesignSetting, motion: PredictedMotion, bounds: Mapping[str, float], seed: int, draws: int = DRAWS
 ) -> dict[str, float]:
-    """Standard deviation that estimates from this motion will have with all sensors noisy, by parameter.
+    """Parameter -> standard deviation of estimates from this motion with all sensors noisy.
 
-    bounds: Cramer-Rao bounds with exact inputs; infinite ones stay so. draws: flights with noisy inputs; of a manoeuvre of more
-    than 20 s fewer, at least LEAST_DRAWS. Raises EstimationError where the model leaves all bounds.
+    bounds: Cramer-Rao bounds with exact inputs; infinite ones stay infinite. draws: flights with noisy inputs; fewer, but at
+    least LEAST_DRAWS, for a manoeuvre of more than USUAL_SAMPLES. Raises EstimationError where the model diverges.
     """
     rng = np.random.default_rng([seed, 21])
-    simulator = Simulator.build(bench.model)
-    values = {**bench.model.starts(), **bench.values}
-    x0 = np.array([bench.condition.trim_value(s.name) for s in bench.model.states])
-    run = simulator.run(_flight(bench, motion, None).segments[0], values, x0, sensitivities=True)
+    simulator = Simulator.build(setting.model)
+    values = {**setting.model.starts(), **setting.values}
+    x0 = np.array([setting.condition.trim_value(s.name) for s in setting.model.states])
+    run = simulator.run(_flight(setting, motion, None).segments[0], values, x0, sensitivities=True)
     if run.dy is None or not run.finite:
         raise EstimationError(
-            f"model {bench.model.name} leaves all bounds in this manoeuvre; make it smaller or shorter"
+            f"model {setting.model.name} leaves all bounds in this manoeuvre; make it smaller or shorter"
         )
     count = draws if len(run.y) <= USUAL_SAMPLES else max(LEAST_DRAWS, draws * USUAL_SAMPLES // len(run.y))
-    output_errors = [simulator.run(_flight(bench, motion, rng).segments[0], values, x0).y - run.y for _ in range(count)]
+    output_errors = [
+        simulator.run(_flight(setting, motion, rng).segments[0], values, x0).y - run.y for _ in range(count)
+    ]
     finite = [d for d in output_errors if np.isfinite(d).all()]
     if not finite:
         raise EstimationError(
-            f"model {bench.model.name} leaves all bounds where its inputs are as noisy as measured ones"
+            f"model {setting.model.name} leaves all bounds where its inputs are as noisy as measured ones"
         )
     error_covariance = np.mean([d.T @ d / len(d) for d in finite], axis=0)
-    std = _scatter(run.dy, _sensor_noise(bench, run.y, np.diag(error_covariance)), error_covariance, finite)
+    std = _scatter(run.dy, _sensor_noise(setting, run.y, np.diag(error_covariance)), error_covariance, finite)
     return {n: float(std[i]) if math.isfinite(bounds[n]) else math.inf for i, n in enumerate(simulator.free)}
 
 
-def _sensor_noise(bench: DesignSetting, y: Array, shown: Array) -> Array:
-    """(ny, ny) noise of the sensors themselves. shown (ny,): variance that noisy inputs add."""
-    variance = np.array([output_noise(bench, s, y[:, i]) ** 2 for i, s in enumerate(bench.model.outputs)])
-    return np.diag(np.maximum(variance - shown, LEAST_OWN * variance) if bench.noise_of_residuals else variance)
+def _sensor_noise(setting: DesignSetting, y: Array, from_inputs: Array) -> Array:
+    """(ny, ny) covariance R of the sensors. from_inputs (ny,): variance that noisy inputs add to the residuals."""
+    variance = np.array([output_noise(setting, s, y[:, i]) ** 2 for i, s in enumerate(setting.model.outputs)])
+    return np.diag(
+        np.maximum(variance - from_inputs, LEAST_SENSOR_SHARE * variance) if setting.noise_of_residuals else variance
+    )
 
 
 def _scatter(sensitivities: Array, sensor_noise: Array, error_covariance: Array, output_errors: list[Array]) -> Array:
@@ -81,7 +84,7 @@ def _scatter(sensitivities: Array, sensor_noise: Array, error_covariance: Array,
     weighted = np.einsum("tyn,yz->tzn", sensitivities, weight)
     scale = np.sqrt(np.maximum(np.einsum("tyn,tyn->n", weighted, sensitivities), 1e-300))
     weighted = weighted / scale
-    inverse = np.linalg.pinv(np.einsum("tyn,tym->nm", weighted, sensitivities / scale), rcond=1e-12, hermitian=True)
+    inverse = np.linalg.pinv(np.einsum("tyn,tym->nm", weighted, sensitivities / scale), rcond=RANK, hermitian=True)
     middle = np.einsum("tyn,yz,tzm->nm", weighted, sensor_noise, weighted)
     for d in output_errors:
         slope = np.einsum("tyn,ty->n", weighted, d)
@@ -89,25 +92,25 @@ def _scatter(sensitivities: Array, sensor_noise: Array, error_covariance: Array,
     return np.sqrt(np.diag(inverse @ middle @ inverse)) / scale
 
 
-def _flight(bench: DesignSetting, motion: PredictedMotion, rng: np.random.Generator | None) -> FlightData:
-    """The motion prepared for the model as a recorded flight would be; rng: noise on the inputs, or None for exact ones."""
-    keep = sampled(bench, motion)
+def _flight(setting: DesignSetting, motion: PredictedMotion, rng: np.random.Generator | None) -> FlightData:
+    """The motion prepared for the model like a recorded flight. rng: of the noise on the inputs, None for exact ones."""
+    keep = sampled(setting, motion)
     columns = {}
-    for signal in (*bench.model.inputs, *bench.model.states, *bench.model.outputs):
+    for signal in (*setting.model.inputs, *setting.model.states, *setting.model.outputs):
         values = motion.surfaces.get(signal.name, motion.signals.get(signal.name))
         columns[signal.source] = (
-            np.full(keep.size, bench.condition.trim_value(signal.name)) if values is None else values[keep]
+            np.full(keep.size, setting.condition.trim_value(signal.name)) if values is None else values[keep]
         )
     if rng is not None:
-        for signal in bench.model.inputs:
-            columns[signal.source] = columns[signal.source] + input_noise(bench, signal) * rng.standard_normal(
+        for signal in setting.model.inputs:
+            columns[signal.source] = columns[signal.source] + input_noise(setting, signal) * rng.standard_normal(
                 keep.size
             )
-    return prepare_all(bench.model, Flight.build("predicted", motion.time[keep], columns))[0]
+    return prepare_all(setting.model, Flight.build("predicted", motion.time[keep], columns))[0]
 
 
-def input_noise(bench: DesignSetting, signal: Signal) -> float:
-    """Noise of one input's instrument, 1 sigma; 0 where nothing is known of it."""
+def input_noise(setting: DesignSetting, signal: Signal) -> float:
+    """Noise of one input's instrument, 1 sigma; 0 where it is not known."""
     if signal.control:
-        return bench.noise.get(signal.name, SURFACE_NOISE)
-    return bench.noise.get(signal.name, INPUT_NOISE.get(signal.name, 0.0))
+        return setting.noise.get(signal.name, SURFACE_NOISE)
+    return setting.noise.get(signal.name, INPUT_NOISE.get(signal.name, 0.0))

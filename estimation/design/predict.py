@@ -1,8 +1,8 @@
-"""What an input would do and what it would tell: motion through servos, limits used, Cramer-Rao bounds.
+"""The motion that an input would cause, the limits that it would use, and the Cramer-Rao bounds of its flight.
 
-The aircraft is the model itself with a first-order servo before each control and, where wanted, a pilot who holds bank and
-pitch gently. The surfaces so moved are then what a flight would have measured: they drive the model once more for the
-sensitivities S of its outputs, and with noise R the information is sum S' R^-1 S, initial states projected out.
+The aircraft is the model with a first-order servo before each control and, where wanted, a pilot who gently holds bank and pitch.
+The moved surfaces are those that a flight would measure: they drive the model again for the sensitivities S of its outputs. With
+noise R the information is sum S' R^-1 S, initial states projected out.
 """
 
 import math
@@ -23,7 +23,7 @@ from groundstation.flight import Array
 SERVO_LAG = 0.04
 """Time constant of a servo [s]: a hobby servo reaches a step in about 0.1 s."""
 HOLD_GAIN = {"delta_a": ("phi", 0.10), "delta_e": ("theta", 0.18)}
-"""Control -> (what is held, rad of control per rad): a pilot's gentle hand between manoeuvres."""
+"""Control -> (angle held, rad of control per rad): as a pilot holds an aircraft gently between manoeuvres."""
 INTEGRATION_STEP = 0.02
 """Step of simulated motion [s]: the frame of servo pulses."""
 NOISE = {
@@ -31,16 +31,18 @@ NOISE = {
     "r": math.radians(0.3), "phi": math.radians(0.3), "theta": math.radians(0.3), "psi": math.radians(0.6),
     "V": 0.15, "ax": 0.05, "ay": 0.05, "az": 0.08,
 }  # fmt: skip
-"""Noise of the outputs where no estimate says better, 1 sigma: calibrated records of a small aircraft."""
-OTHER_NOISE_SHARE = 0.02  # of an output's own range in the manoeuvre, where nothing is known of its instrument
+"""Noise of the outputs where no estimate gives one, 1 sigma: calibrated records of a small aircraft."""
+OTHER_NOISE_SHARE = 0.02  # noise of an unknown instrument, over the range of its output in the manoeuvre
+RANK = 1e-12  # of the largest eigenvalue of an information matrix: smaller ones count as zero
+LEAST_COMPONENT = 1e-9  # squared, of a parameter along a direction without information: from there it has no bound
 
 
 @dataclass(frozen=True)
 class DesignSetting:
-    """All that stays the same while inputs are tried. controls: inputs that the design moves, in this order.
+    """The setting that all inputs of a design share. controls: inputs that the design moves, in this order.
 
     values: parameters. noise: output -> sigma. rate_hz: of the samples. held: whether a pilot holds bank and pitch.
-    noise_of_residuals: whether `noise` is what the residuals of a flight showed, noise of its inputs included.
+    noise_of_residuals: whether `noise` is that of the residuals of a flight, in which noise of its inputs is included.
     """
 
     model: Model
@@ -64,7 +66,8 @@ class DesignSetting:
 
 @dataclass(frozen=True)
 class PredictedMotion:
-    """time (N,); surfaces control -> (N,) as moved [rad], trim included; signals: name -> (N,) states and outputs."""
+    """time (N,); surfaces: control -> (N,) deflections [rad], trim included; signals: name -> (N,) states and outputs; reached:
+    whether the motion stayed finite to the end."""
 
     time: Array
     surfaces: Mapping[str, Array]
@@ -74,7 +77,7 @@ class PredictedMotion:
 
 @dataclass(frozen=True)
 class LimitUse:
-    """Of one limit: most used and allowed, either side of trim or as a share of the range; SI and radians."""
+    """Use of one limit: largest deviation from trim or from the middle of its range, and the one allowed; SI and radians."""
 
     name: str
     used: float
@@ -87,36 +90,35 @@ class LimitUse:
 
 @dataclass(frozen=True)
 class DesignInformation:
-    """names (n,); matrix (n, n): information on the parameters, initial states projected out."""
+    """names (n,); matrix (n, n): information of the parameters, initial states projected out."""
 
     names: tuple[str, ...]
     matrix: Array
 
     @property
     def std(self) -> dict[str, float]:
-        """Cramer-Rao bound of each parameter; inf where the input tells nothing of it."""
+        """Cramer-Rao bound of each parameter, 1 sigma; inf where the input does not determine it."""
         scale = np.sqrt(np.diag(self.matrix))
         informed = scale > 0.0
         bound = np.full(len(self.names), np.inf)
         if informed.any():
             normal = self.matrix[np.ix_(informed, informed)] / np.outer(scale[informed], scale[informed])
             values, vectors = np.linalg.eigh(normal)
-            # Directions of less than 1e-12 of the largest are rounding: what lies along them is not told.
-            inverse = np.where(values > 1e-12 * values.max(), 1.0 / np.maximum(values, 1e-300), np.inf)
-            spread = np.where(vectors**2 > 1e-9, vectors**2, 0.0)
+            inverse = np.where(values > RANK * values.max(), 1.0 / np.maximum(values, 1e-300), np.inf)
+            spread = np.where(vectors**2 > LEAST_COMPONENT, vectors**2, 0.0)
             with np.errstate(invalid="ignore"):
                 variance = np.nansum(np.where(spread > 0.0, spread * inverse, 0.0), axis=1)
             bound[informed] = np.sqrt(variance) / scale[informed]
         return dict(zip(self.names, bound.tolist(), strict=True))
 
 
-def driven_model(bench: DesignSetting) -> Model:
+def driven_model(setting: DesignSetting) -> Model:
     """The model with a servo before each control: control becomes a state, its command `<control>_command` an input."""
-    model = bench.model
-    inputs = tuple(s for s in model.inputs if s.name not in bench.controls)
-    commands = tuple(Signal(f"{c}_command", "rad") for c in bench.controls)
-    states = tuple(Signal(c, "rad") for c in bench.controls)
-    lines = [f"{c}_dot = ({c}_command{_holding(bench, c)} - {c})/servo_lag" for c in bench.controls]
+    model = setting.model
+    inputs = tuple(s for s in model.inputs if s.name not in setting.controls)
+    commands = tuple(Signal(f"{c}_command", "rad") for c in setting.controls)
+    states = tuple(Signal(c, "rad") for c in setting.controls)
+    lines = [f"{c}_dot = ({c}_command{_holding(setting, c)} - {c})/servo_lag" for c in setting.controls]
     return replace(
         model,
         name=f"{model.name}, driven",
@@ -131,74 +133,74 @@ def driven_model(bench: DesignSetting) -> Model:
     )
 
 
-def _holding(bench: DesignSetting, control: str) -> str:
+def _holding(setting: DesignSetting, control: str) -> str:
     hold = HOLD_GAIN.get(control)
-    if not bench.held or hold is None or hold[0] not in bench.model.state_names:
+    if not setting.held or hold is None or hold[0] not in setting.model.state_names:
         return ""
     signal, gain = hold
-    return f" + {gain}*({signal} - ({bench.condition.trim_value(signal)!r}))"
+    return f" + {gain}*({signal} - ({setting.condition.trim_value(signal)!r}))"
 
 
-def fly(bench: DesignSetting, commands: Array, duration: float) -> PredictedMotion:
-    """The motion that commands (N, nu) [rad], increments at INTEGRATION_STEP over `duration` [s], would cause."""
-    model = driven_model(bench)
+def fly(setting: DesignSetting, commands: Array) -> PredictedMotion:
+    """The motion caused by commands (N, nu) [rad], increments from trim at INTEGRATION_STEP."""
+    model = driven_model(setting)
     time = np.arange(len(commands), dtype=np.float64) * INTEGRATION_STEP
-    u = np.tile([bench.condition.trim_value(s.name) for s in model.inputs], (len(time), 1))
-    first = len(model.inputs) - len(bench.controls)
-    trim = np.array([bench.condition.trim_value(c) for c in bench.controls])
+    u = np.tile([setting.condition.trim_value(s.name) for s in model.inputs], (len(time), 1))
+    first = len(model.inputs) - len(setting.controls)
+    trim = np.array([setting.condition.trim_value(c) for c in setting.controls])
     u[:, first:] = trim + commands
-    x0 = np.array([bench.condition.trim_value(s.name) for s in model.states])
+    x0 = np.array([setting.condition.trim_value(s.name) for s in model.states])
     z = np.full((len(time), len(model.outputs)), np.nan)
     simulator = Simulator.build(model, (), hold="linear")
-    motion = simulator.run(Segment(0, time, u, z, x0), {**model.starts(), **bench.values}, x0)
-    surfaces = {c: motion.x[:, len(bench.model.states) + i] for i, c in enumerate(bench.controls)}
-    signals = {s.name: motion.x[:, i] for i, s in enumerate(bench.model.states)}
-    signals |= {s.name: motion.y[:, i] for i, s in enumerate(bench.model.outputs)}
+    motion = simulator.run(Segment(0, time, u, z, x0), {**model.starts(), **setting.values}, x0)
+    surfaces = {c: motion.x[:, len(setting.model.states) + i] for i, c in enumerate(setting.controls)}
+    signals = {s.name: motion.x[:, i] for i, s in enumerate(setting.model.states)}
+    signals |= {s.name: motion.y[:, i] for i, s in enumerate(setting.model.outputs)}
     return PredictedMotion(time, surfaces, signals, motion.reached == len(time))
 
 
-def sampled(bench: DesignSetting, motion: PredictedMotion) -> NDArray[np.intp]:
-    """Indices of the motion's steps at which the bench takes samples."""
-    return np.arange(0, len(motion.time), max(1, round(1.0 / (bench.rate_hz * INTEGRATION_STEP))))
+def sampled(setting: DesignSetting, motion: PredictedMotion) -> NDArray[np.intp]:
+    """Indices of the steps of the motion at which samples are taken."""
+    return np.arange(0, len(motion.time), max(1, round(1.0 / (setting.rate_hz * INTEGRATION_STEP))))
 
 
-def information(bench: DesignSetting, motion: PredictedMotion) -> DesignInformation:
-    """What samples of this motion at the bench's rate would tell of the free parameters."""
-    keep = sampled(bench, motion)
-    model = bench.model
-    u = np.tile([bench.condition.trim_value(s.name) for s in model.inputs], (keep.size, 1))
+def information(setting: DesignSetting, motion: PredictedMotion) -> DesignInformation:
+    """The information of samples of this motion on the free parameters. EstimationError where the model diverges."""
+    keep = sampled(setting, motion)
+    model = setting.model
+    u = np.tile([setting.condition.trim_value(s.name) for s in model.inputs], (keep.size, 1))
     for i, signal in enumerate(model.inputs):
         if signal.name in motion.surfaces:
             u[:, i] = motion.surfaces[signal.name][keep]
-    x0 = np.array([bench.condition.trim_value(s.name) for s in model.states])
+    x0 = np.array([setting.condition.trim_value(s.name) for s in model.states])
     z = np.full((keep.size, len(model.outputs)), np.nan)
     simulator = Simulator.build(model)
     run = simulator.run(
-        Segment(0, motion.time[keep], u, z, x0), {**model.starts(), **bench.values}, x0, sensitivities=True
+        Segment(0, motion.time[keep], u, z, x0), {**model.starts(), **setting.values}, x0, sensitivities=True
     )
     if run.dy is None or not run.finite:
         raise EstimationError(f"model {model.name} leaves all bounds in this manoeuvre; make it smaller or shorter")
-    sigma = np.array([output_noise(bench, s, run.y[:, i]) for i, s in enumerate(model.outputs)])
+    sigma = np.array([output_noise(setting, s, run.y[:, i]) for i, s in enumerate(model.outputs)])
     scaled = (run.dy / sigma[None, :, None]).reshape(-1, run.dy.shape[2])
     full = scaled.T @ scaled
     n = len(simulator.free)
     by_state = full[n:, n:]
     parameter_information = (
-        full[:n, :n] - full[:n, n:] @ np.linalg.pinv(by_state, rcond=1e-12, hermitian=True) @ full[n:, :n]
+        full[:n, :n] - full[:n, n:] @ np.linalg.pinv(by_state, rcond=RANK, hermitian=True) @ full[n:, :n]
     )
     return DesignInformation(simulator.free, 0.5 * (parameter_information + parameter_information.T))
 
 
-def output_noise(bench: DesignSetting, signal: Signal, values: Array) -> float:
+def output_noise(setting: DesignSetting, signal: Signal, values: Array) -> float:
     """Noise of one output's instrument, 1 sigma."""
-    stated_noise = bench.noise.get(signal.name, NOISE.get(signal.name))
+    stated_noise = setting.noise.get(signal.name, NOISE.get(signal.name))
     return stated_noise if stated_noise else max(OTHER_NOISE_SHARE * float(np.ptp(values)), 1e-9)
 
 
-def limits_used(bench: DesignSetting, limits: Limits, commands: Array, motion: PredictedMotion) -> list[LimitUse]:
-    """How much of every limit a manoeuvre uses; limits on signals that the model does not have are left out."""
+def limits_used(setting: DesignSetting, limits: Limits, commands: Array, motion: PredictedMotion) -> list[LimitUse]:
+    """The use of every limit by a manoeuvre; limits on signals that the model does not have are left out."""
     limit_uses = [
-        LimitUse(c, float(np.abs(commands[:, i]).max()), limits.amplitude_of(c)) for i, c in enumerate(bench.controls)
+        LimitUse(c, float(np.abs(commands[:, i]).max()), limits.amplitude_of(c)) for i, c in enumerate(setting.controls)
     ]
     signals = dict(motion.signals)
     if "az" in signals:
@@ -213,10 +215,10 @@ def limits_used(bench: DesignSetting, limits: Limits, commands: Array, motion: P
 
 
 def with_values(model: Model, values: Mapping[str, float]) -> Model:
-    """The model with other parameter values, names it does not have left out."""
+    """The model with other parameter values; names that it does not have are ignored."""
     return model.with_starts({n: v for n, v in values.items() if n in model.parameter_names})
 
 
 def estimated_names(parameters: Sequence[Parameter]) -> list[str]:
-    """Derivatives proper, whose relative bound means something: constants and what is believed to be zero are left out."""
+    """Derivatives whose relative bound has a meaning: no constants, and none with a prior of zero."""
     return [p.name for p in parameters if not p.fixed and not p.name.endswith("_0") and (p.reference or p.start) != 0.0]

@@ -23,12 +23,12 @@ PATTERNS: Mapping[str, tuple[float, ...]] = {
 }
 """Signs of successive steps of unit width."""
 
-_POWERS = (4, 8, 16, 32, 64)  # of the p-norms, as published: each starts from the one before
-_GRID = 1024  # samples a period in which a peak is looked for: 25 a cycle of the 40th harmonic
+_POWERS = (4, 8, 16, 32, 64)  # exponents of the p-norms, as published: each search starts from the one before
+_GRID = 1024  # samples of a period in the search for peaks: 25 a cycle of the 40th harmonic
 GOOD_PEAK = 1.05
 """Relative peak factor at which the search for phases ends; the best published ones lie between 0.96 and 1.02."""
-STARTS = 8
-_FREEDOM = 0.345  # of log amplitudes: 3 dB
+STARTS = 8  # of the search for phases: Schroeder's and random ones
+_FREEDOM = 0.345  # of log amplitudes, either way: 3 dB
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,14 @@ class Multisine:
         return -float(np.sin(speed * time + self.phases) @ (self.amplitudes * speed))
 
     def scaled(self, factor: float) -> "Multisine":
+        """The wave with amplitudes times `factor`."""
         return Multisine(self.period, self.harmonics, factor * self.amplitudes, self.phases)
 
 
 def pattern(name: str, time: Array, start: float, width: float, amplitude: float, rate: float) -> Array:
     """(N,) a pattern of PATTERNS from `start` on, steps of `width` [s] and `amplitude` [rad], no faster than `rate` [rad/s].
 
-    Edges are ramps centred on the instants of the steps, so the area of each step is what its width says.
+    Edges are ramps centred on the instants of the steps, so that each step has the area of its width.
     """
     signs = np.array([0.0, *PATTERNS[name], 0.0])
     edges = start + width * np.arange(signs.size - 1)
@@ -68,7 +69,7 @@ def pattern(name: str, time: Array, start: float, width: float, amplitude: float
 
 
 def chirp(time: Array, start: float, length: float, band: tuple[float, float], amplitude: float) -> Array:
-    """(N,) a logarithmic sweep through `band` [Hz], faded in and out over a tenth of its length each (CIFER's habit)."""
+    """(N,) a logarithmic sweep through `band` [Hz] of `length` [s], faded in and out over a tenth of it each, as in CIFER."""
     relative_time = (time - start) / length
     during_sweep = (relative_time >= 0.0) & (relative_time <= 1.0)
     low, high = band
@@ -98,8 +99,8 @@ def low_peak_multisine(
 ) -> Multisine:
     """A multisine of rms 1 of low peak that starts at a zero crossing; power shares within 3 dB of `weights` (K,).
 
-    Begins with Schroeder's phases, then with random ones until the relative peak factor is below GOOD_PEAK or `starts`
-    beginnings were tried; the best is kept.
+    The search starts from Schroeder's phases, then from random ones until the relative peak factor is below GOOD_PEAK or `starts`
+    were tried; the best is returned.
     """
     weights = weights / weights.sum()
     search = _PeakSearch(harmonics, np.sqrt(2.0 * weights))
@@ -110,14 +111,14 @@ def low_peak_multisine(
             break
         best_phases = min(best_phases, search.lowered(rng.uniform(0.0, 2.0 * math.pi, harmonics.size)), key=search.peak)
     amplitudes, phases = search.parts(best_phases)
-    return from_zero(Multisine(period, harmonics, amplitudes, phases))[0]
+    return shifted_to_zero_crossings(Multisine(period, harmonics, amplitudes, phases))[0]
 
 
 class _PeakSearch:
     """Phases, and amplitudes within 3 dB, of low peak by p-norms of rising order.
 
-    Phases alone do for harmonics dealt to two controls. Of three, those of rest 1 or 2 modulo 3 repeat their envelope three
-    times a period with turned phases and stay above 1.10; 3 dB of freedom bring them to 1.04.
+    Phases alone suffice for harmonics dealt to two controls. Of those dealt to three, the ones of remainder 1 or 2 modulo 3
+    repeat their envelope three times a period with turned phases and stay above 1.10; 3 dB of freedom bring them to 1.04.
     """
 
     def __init__(self, harmonics: NDArray[np.int64], amplitudes: Array) -> None:
@@ -136,7 +137,7 @@ class _PeakSearch:
         return relative_peak_factor(self._wave(amplitudes, phases))
 
     def lowered(self, phases: Array) -> Array:
-        """Unknowns (log amplitude changes, phases) of low peak from phases to begin with."""
+        """Unknowns (log amplitude changes, phases) of low peak, searched from `phases`."""
         from scipy.optimize import minimize
 
         unknowns = np.concatenate([np.zeros(self._count), phases])
@@ -150,7 +151,7 @@ class _PeakSearch:
         return np.asarray(self._cos @ (amplitudes * np.cos(phases)) - self._sin @ (amplitudes * np.sin(phases)))
 
     def _norm(self, unknowns: Array, power: int) -> tuple[float, Array]:
-        """Logarithm of the p-norm, and its gradient: well scaled whatever the power."""
+        """Logarithm of the p-norm, which is well scaled for every power, and its gradient."""
         amplitudes, phases = self.parts(unknowns)
         u = self._wave(amplitudes, phases)
         top = float(np.abs(u).max())
@@ -163,7 +164,7 @@ class _PeakSearch:
         return math.log(power_sum) / power + math.log(top), np.concatenate([by_size, by_phase])
 
 
-def from_zero(wave: Multisine) -> list[Multisine]:
+def shifted_to_zero_crossings(wave: Multisine) -> list[Multisine]:
     """The wave shifted in time to each of its zero crossings, the one of least slope (the softest entry) first.
 
     A shift leaves peak and orthogonality as they are, and changes how the answers of several controls add up.
@@ -175,18 +176,18 @@ def from_zero(wave: Multisine) -> list[Multisine]:
     shifted_waves = []
     for crossing in crossings[np.argsort(np.abs(following - u)[crossings])].tolist():
         instant = fine[crossing] + fine[1] * u[crossing] / (u[crossing] - following[crossing])
-        for _ in range(3):  # Newton's steps from so near end at rounding
+        for _ in range(3):  # Newton's steps from this near converge to rounding
             instant -= float(wave.values(np.array([instant]))[0]) / wave.slope(instant)
         shift = 2.0 * math.pi * wave.harmonics * instant / wave.period
         shifted_waves.append(replace(wave, phases=(wave.phases + shift) % (2.0 * math.pi)))
     return shifted_waves
 
 
-def flat(count: int) -> Array:
+def equal_shares(count: int) -> Array:
     """(K,) equal power shares."""
     return np.full(count, 1.0 / count)
 
 
-def total(waves: Sequence[Multisine], time: Array) -> Array:
-    """(N, nu) several controls side by side."""
+def wave_columns(waves: Sequence[Multisine], time: Array) -> Array:
+    """(N, nu) values of the waves, a column for each control."""
     return np.column_stack([w.values(time) for w in waves])

@@ -1,1 +1,1 @@
-"""Frequency responses from flight data, transfer functions fitted to them, and what they say of handling qualities."""
+"""Frequency responses from flight data, transfer functions fitted to them, and handling qualities."""

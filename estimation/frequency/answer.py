@@ -1,4 +1,4 @@
-"""A response with what was fitted to it and what that says: the whole answer, as lines, as JSON, as a page."""
+"""A frequency response with its fit and handling-quality numbers, as lines, as JSON and as a page."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -8,7 +8,7 @@ from typing import Any
 
 from daq.utilities.constants import RADIAN
 from estimation.frequency.figure import response_picture
-from estimation.frequency.handling import Craft, Number, handling
+from estimation.frequency.handling import Number, RatedAircraft, handling
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import TransferFunction, fit_transfer
 from estimation.report.flight_tables import provenance_table
@@ -22,12 +22,12 @@ LINES = 16  # frequencies that the terminal shows
 
 @dataclass(frozen=True)
 class FrequencyResult:
-    """fit: None where none was asked for. numbers: of handling qualities."""
+    """fit: None where no form was given. numbers: of handling qualities."""
 
     response: FrequencyResponse
     fit: TransferFunction | None = None
     numbers: tuple[Number, ...] = ()
-    craft: Craft = field(default_factory=Craft)
+    aircraft: RatedAircraft = field(default_factory=RatedAircraft)
 
     def to_json(self) -> dict[str, Any]:
         data = self.response.to_json()
@@ -38,22 +38,23 @@ class FrequencyResult:
             "fit": {
                 **self.fit.to_json(),
                 "handling": [n.to_json() for n in self.numbers],
-                "levels": self.craft.why_no_level or f"class {self.craft.kind}, category {self.craft.category}",
+                "levels": self.aircraft.why_no_level
+                or f"class {self.aircraft.kind}, category {self.aircraft.category}",
                 "status": judged(self.fit),
             },
         }
 
 
-def frequency_answer(response: FrequencyResponse, form: str | None, craft: Craft) -> FrequencyResult:
+def frequency_answer(response: FrequencyResponse, form: str | None, aircraft: RatedAircraft) -> FrequencyResult:
     """The response, with a fit of `form` where one is given."""
     if form is None:
-        return FrequencyResult(response, craft=craft)
+        return FrequencyResult(response, aircraft=aircraft)
     fit = fit_transfer(response, form)
-    return FrequencyResult(response, fit, handling(response, fit, craft), craft)
+    return FrequencyResult(response, fit, handling(response, fit, aircraft), aircraft)
 
 
 def judged(fit: TransferFunction) -> str:
-    """Whether to believe a fit."""
+    """Whether a fit is acceptable, in words."""
     if fit.cost > ACCEPTABLE:
         return (
             f"the form does not describe the data (cost {fit.cost:.0f}, acceptable up to {ACCEPTABLE:g}); fit "
@@ -63,11 +64,10 @@ def judged(fit: TransferFunction) -> str:
 
 
 def response_lines(result: FrequencyResult) -> Iterator[str]:
-    """What a person reads on the terminal."""
+    """Lines for the terminal."""
     r = result.response
-    conditioned_text = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
     yield (
-        f"{r.output} to {r.input}{conditioned_text}: {r.omega.size} frequencies from {r.omega[0]:.3g} to "
+        f"{r.output} to {r.input}{r.conditioned}: {r.omega.size} frequencies from {r.omega[0]:.3g} to "
         f"{r.omega[-1]:.3g} rad/s, {r.duration:.4g} s of data"
     )
     yield f"  {'rad/s':>8}{'magnitude':>12}{'+-':>10}{'phase [deg]':>13}{'+-':>8}{'coherence':>11}"
@@ -92,12 +92,12 @@ def _fit_lines(result: FrequencyResult, fit: TransferFunction) -> Iterator[str]:
     for name, p in fit.parameters.items():
         yield f"  {name:<12}{p.estimate:11.4g}{p.std:10.2g}{fit.cifer[name]:12.4g}  {p.unit}"
     for n in result.numbers:
-        bound = f" +- {n.std:.2g}" if n.std == n.std else ""
+        bound = "" if math.isnan(n.std) else f" +- {n.std:.2g}"
         level = "" if n.level is None else ", beyond level 3" if n.level > 3 else f", level {n.level}"
         unit = "" if n.unit == "1" else f" {n.unit}"
         yield f"  {n.name} = {n.value:.4g}{bound}{unit}: {n.definition} ({n.source}){level}"
-    if result.craft.why_no_level:
-        yield f"  {result.craft.why_no_level}"
+    if result.aircraft.why_no_level:
+        yield f"  {result.aircraft.why_no_level}"
 
 
 def write_frequency_report(result: FrequencyResult, flights: Sequence[Flight], folder: Path) -> Path:
@@ -112,18 +112,17 @@ def write_frequency_report(result: FrequencyResult, flights: Sequence[Flight], f
         Section("table", "Response in numbers", numbers, "Table"),
         Section("provenance_of_flights", "Provenance", [provenance_table(flights)], "Provenance"),
     ]
-    conditioned_text = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
     lengths = ", ".join(f"{w:.3g}" for w in r.windows)
-    lead = f"{', '.join(r.flights)}: {r.duration:.4g} s of data{conditioned_text}; windows of {lengths} s."
+    lead = f"{', '.join(r.flights)}: {r.duration:.4g} s of data{r.conditioned}; windows of {lengths} s."
     page = Page(f"Frequency response of {r.output} to {r.input}", lead, sections)
     return page.write(folder / "index.html", folder / "tables")
 
 
 def _fit_sections(result: FrequencyResult) -> list[Section]:
-    """The transfer function and what it says of handling qualities, where one was fitted."""
+    """The transfer function and its handling qualities, where one was fitted."""
     if result.fit is None:
         return []
-    no_level = result.craft.why_no_level
+    no_level = result.aircraft.why_no_level
     note = paragraph(sentence(no_level), "note") if no_level else None
     fit: list[Part] = [paragraph(sentence(judged(result.fit))), _fit_table(result.fit)]
     handling = _handling_table(result)
@@ -136,7 +135,7 @@ def _fit_sections(result: FrequencyResult) -> list[Section]:
 
 
 def response_table(result: FrequencyResult) -> ReportTable:
-    """Every frequency kept."""
+    """All frequencies of the response."""
     r = result.response
     rows = tuple(
         (
@@ -167,8 +166,8 @@ def _fit_table(fit: TransferFunction) -> ReportTable:
         ("parameter", "estimate", "bound", "at the least CIFER cost", "unit"),
         rows,
         symbols=False,
-        note="Estimates and bounds by maximum likelihood over the random errors; the bound counts that neighbouring "
-        "frequencies share windows.",
+        note="Estimates and bounds by maximum likelihood over the random errors; the bound allows for neighbouring "
+        "frequencies, which share windows.",
     )
 
 

@@ -1,5 +1,4 @@
-"""Bode and coherence figure as the field draws it: magnitude in dB, phase in degrees, coherence, over a logarithmic
-frequency axis."""
+"""Bode plot with coherence: magnitude [dB], phase [deg] and coherence over a logarithmic frequency axis."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DATA, FIT, OUT = "#0072B2", "#D55E00", "#9aa3ad"
-SPLIT = 1.35  # ratio of neighbouring frequencies from which points between them were left out
+SPLIT = 1.35  # ratio of neighbouring frequencies above which points between them were left out
 
 
 def draw(response: FrequencyResponse, fit: TransferFunction | None = None) -> "Figure":
@@ -102,8 +101,7 @@ def response_picture(response: FrequencyResponse, fit: TransferFunction | None) 
     with styled():
         figure = draw(response, fit)
     caption = (
-        f"Frequency response of {response.output} to {response.input}"
-        + (f", with {', '.join(response.inputs[1:])} taken off" if len(response.inputs) > 1 else "")
-        + f". Dashed: coherence {GOOD:g}, from which points are fitted."
+        f"Frequency response of {response.output} to {response.input}{response.conditioned}."
+        f" Dashed: coherence {GOOD:g}, from which points are fitted."
     )
     return picture(figure, "frequency_response", caption)

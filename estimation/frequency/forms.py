@@ -1,7 +1,7 @@
-"""Forms of transfer functions: what their unknowns are called and which polynomials they make.
+"""Forms of transfer functions: names and units of their unknowns, and the polynomials that these make.
 
 Approximations of the classic modes (D. T. McRuer, I. Ashkenas and D. Graham, Aircraft Dynamics and Automatic Control, chapters 5
-and 6), each with a delay tau that stands for servos, sampling and all that is faster.
+and 6), each with a delay tau that stands for servos, sampling and faster modes.
 """
 
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from estimation.signals.curves import Complex
 from groundstation.flight import Array
 
 HIGHEST = 6  # order of a general form
+LONGEST_NAME = 7  # characters of orders M/N: longer numbers are not converted
 SURFACE_OF = {"cmd_a": "delta_a", "cmd_e": "delta_e", "cmd_r": "delta_r"}
 
 
 @dataclass(frozen=True)
 class TransferForm:
-    """orders: of numerator and denominator. mode: of a first-order ("roll") or second-order ("dutch-roll", "short-period")
-    denominator whose time constant or damping and frequency are the unknowns; else coefficients are. equation: as it
-    is written."""
+    """orders: of numerator and denominator. mode: "roll", "dutch-roll" or "short-period" where time constant, or damping and
+    frequency, of the denominator are the unknowns; else empty, and the coefficients are."""
 
     name: str
     orders: tuple[int, int]
@@ -32,6 +32,7 @@ class TransferForm:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Of the unknowns: gain, zeros, poles, delay."""
         m, n = self.orders
         zeros = (
             ("1/T_theta2",) if (self.mode, m) == ("short-period", 1) else tuple(f"b{k}" for k in range(m - 1, -1, -1))
@@ -46,6 +47,7 @@ class TransferForm:
 
     @property
     def units(self) -> tuple[str, ...]:
+        """Of the unknowns."""
         m, n = self.orders
         zeros = [_per_second(m - k) for k in range(m - 1, -1, -1)]
         if self.mode == "roll":
@@ -58,6 +60,7 @@ class TransferForm:
 
     @property
     def equation(self) -> str:
+        """The transfer function in symbols."""
         m, n = self.orders
         zeros = self.names[1 : 1 + m]
         top = "K" if not m else f"K ({_polynomial(m, zeros)})"
@@ -83,7 +86,7 @@ class TransferForm:
         return numerator, denominator, float(x[-1])
 
     def from_polynomials(self, numerator: Array, denominator: Array, delay: float) -> Array:
-        """Unknowns of a numerator and a monic denominator."""
+        """Unknowns (n,) of a numerator and a monic denominator."""
         gain = numerator[0] if numerator[0] else 1e-12
         poles = denominator[1:]
         if self.mode == "roll":
@@ -115,36 +118,36 @@ def _polynomial(order: int, names: tuple[str, ...]) -> str:
 
 
 ROLL = TransferForm("roll", (0, 1), "roll")
-NAMED = {"roll": "roll", "dutch-roll": "dutch-roll", "short-period": "short-period"}
+SECOND_ORDER = ("dutch-roll", "short-period")
 
 
-def form_for(control: str, output: str, wanted: str = "auto") -> TransferForm | None:
-    """The form of that name, or orders M/N; of `auto` the classic one of a control and an output, None where there is none.
+def form_for(control: str, output: str, name: str = "auto") -> TransferForm | None:
+    """The form of that name, or of orders M/N; for `auto` the classic one of a control and an output, None where there is none.
 
-    Side and normal acceleration answer a surface at once, and roll rate the rudder by way of sideslip: their numerators
-    are of second order. Raises EstimationError for a form that is not known.
+    Side and normal acceleration follow a surface at once, and roll rate follows the rudder through sideslip: their numerators are
+    of second order. Raises EstimationError for an unknown form.
     """
-    if wanted == "auto":
-        wanted = _classic(SURFACE_OF.get(control, control), output)
-        if not wanted:
+    if name == "auto":
+        name = _classic(SURFACE_OF.get(control, control), output)
+        if not name:
             return None
-    if wanted == "roll":
+    if name == "roll":
         return ROLL
-    if wanted in NAMED:
-        return TransferForm(wanted, (2 if output in ("ay", "az", "p") else 1, 2), wanted)
-    top, slash, bottom = wanted.partition("/")
-    if not (slash and top.isdecimal() and bottom.isdecimal() and len(wanted) < 8):
-        raise EstimationError(f"form {wanted!r}: give roll, dutch-roll, short-period, auto, or orders like 1/2")
+    if name in SECOND_ORDER:
+        return TransferForm(name, (2 if output in ("ay", "az", "p") else 1, 2), name)
+    top, slash, bottom = name.partition("/")
+    if not (slash and top.isdecimal() and bottom.isdecimal() and len(name) <= LONGEST_NAME):
+        raise EstimationError(f"form {name!r}: give roll, dutch-roll, short-period, auto, or orders like 1/2")
     m, n = int(top), int(bottom)
     if not 0 <= m <= n or not 1 <= n <= HIGHEST:
         raise EstimationError(
-            f"form {wanted}: the numerator's order may not be above the denominator's, which is 1 to {HIGHEST}"
+            f"form {name}: the numerator's order may not be above the denominator's, which is 1 to {HIGHEST}"
         )
     return TransferForm(f"{m}/{n}", (m, n))
 
 
 def general_forms() -> tuple[TransferForm, ...]:
-    """What auto tries where no classic form is known."""
+    """The forms that `auto` tries where there is no classic one."""
     return tuple(TransferForm(f"{m}/{n}", (m, n)) for m, n in ((0, 1), (0, 2), (1, 2), (2, 2), (2, 3)))
 
 

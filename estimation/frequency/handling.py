@@ -1,9 +1,8 @@
-"""Handling-quality numbers of a fit, each with its definition and source, and levels where the standard speaks of
-such an aircraft.
+"""Handling-quality numbers of a fit, each with its definition and source, and levels for aircraft to which the standards apply.
 
 MIL-F-8785C (1980): roll mode time constant 3.3.1.2, Dutch roll 3.3.1.1, short period 3.2.2.1, control anticipation parameter
-3.2.2.1.1 and figures 1 to 3. MIL-STD-1797A (1990): equivalent time delay and bandwidth, 4.2.1.2. All limits are of piloted
-aircraft, and of the response to the stick: here it is that to the measured surface, without the servo before it.
+3.2.2.1.1 and figures 1 to 3. MIL-STD-1797A (1990): equivalent time delay and bandwidth, 4.2.1.2. All limits hold for piloted
+aircraft and for the response to the stick; here it is the response to the measured surface, without the servo before it.
 """
 
 import math
@@ -20,7 +19,7 @@ from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import TransferFunction
 from groundstation.flight import Array
 
-LIGHTEST = 150.0  # kg; the standards were drawn from aircraft with a pilot aboard
+LIGHTEST = 150.0  # kg; the standards are based on aircraft with a pilot aboard
 CLASSES = ("I", "II", "III", "IV")
 CATEGORIES = ("A", "B", "C")
 
@@ -47,11 +46,14 @@ SHORT_PERIOD = {
 # figures 1 to 3: control anticipation parameter [1/(g s2)] of levels 1 and 2
 ANTICIPATION = {"A": ((0.28, 3.6), (0.16, 10.0)), "B": ((0.085, 3.6), (0.038, 10.0)), "C": ((0.16, 3.6), (0.096, 10.0))}
 DELAY = (0.10, 0.20, 0.25)  # s, MIL-STD-1797A: largest equivalent delay of levels 1, 2, 3
+STEP, LEAST_SIZE = 1e-5, 1e-6  # of a parameter, for a difference: relative, and of the least size
+GAIN_MARGIN_DB, PHASE_MARGIN = 6.0, np.pi / 4  # of the bandwidth, MIL-STD-1797A
+BANDWIDTH_POINTS = 2000  # frequencies of the fit in which crossings are searched
 
 
 @dataclass(frozen=True)
-class Craft:
-    """What levels are asked for. kind: class I to IV, or "" where none is named; category: of flight phase; mass: kg or NaN."""
+class RatedAircraft:
+    """The aircraft that levels are for. kind: class I to IV, "" for none; category: of flight phase; mass: kg or NaN."""
 
     kind: str = ""
     category: str = "B"
@@ -65,13 +67,12 @@ class Craft:
 
     @property
     def why_no_level(self) -> str:
-        """Why no level is told; empty where levels apply."""
+        """Why no levels are given; empty where they apply."""
         if self.mass < LIGHTEST:
             return (
                 "no levels: the limits of MIL-F-8785C and MIL-STD-1797 are of piloted aircraft, and this one weighs "
-                f"{self.mass:.3g} kg; "
-                "frequencies of a small aircraft are higher by about the root of its scale, so neither its numbers "
-                "nor its levels compare"
+                f"{self.mass:.3g} kg; frequencies of a small aircraft are higher by about the root of its scale, so neither its "
+                "numbers nor its levels compare"
             )
         return "" if self.kind else "no levels: name the class of the aircraft with --class I, II, III or IV"
 
@@ -82,7 +83,7 @@ class Craft:
 
 @dataclass(frozen=True)
 class Number:
-    """One number. std: NaN where it has none. level: 1 to 3, 4 beyond them, None where none applies."""
+    """One handling-quality number. std: NaN where it has none. level: 1 to 3, 4 beyond them, None where none applies."""
 
     name: str
     value: float
@@ -128,29 +129,29 @@ def _number(name: str, value: float, std: float = math.nan, level: int | None = 
     return Number(name, value, std, *DEFINED[name], level)
 
 
-def handling(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -> tuple[Number, ...]:
-    """Numbers that the form and the band define; none beside them."""
-    return (*_of_mode(response, fit, craft), *_delay(fit, craft), *_bandwidth(response, fit))
+def handling(response: FrequencyResponse, fit: TransferFunction, aircraft: RatedAircraft) -> tuple[Number, ...]:
+    """The numbers that the form and the band of a fit define."""
+    return (*_of_mode(response, fit, aircraft), *_delay(fit, aircraft), *_bandwidth(response, fit))
 
 
-def _of_mode(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -> Iterator[Number]:
+def _of_mode(response: FrequencyResponse, fit: TransferFunction, aircraft: RatedAircraft) -> Iterator[Number]:
     p = fit.parameters
-    rated = not craft.why_no_level
+    rated = not aircraft.why_no_level
     if fit.form.mode == "roll":
         T = p["T_R"]
-        level = _level_below(T.estimate, ROLL_MODE[craft.category, craft.small_or_agile]) if rated else None
+        level = _level_below(T.estimate, ROLL_MODE[aircraft.category, aircraft.small_or_agile]) if rated else None
         yield _number("T_R", T.estimate, T.std, level)
     elif fit.form.mode == "dutch-roll":
-        yield from _dutch_roll(fit, craft, rated)
+        yield from _dutch_roll(fit, aircraft, rated)
     elif fit.form.mode == "short-period":
-        yield from _short_period(response, fit, craft, rated)
+        yield from _short_period(response, fit, aircraft, rated)
 
 
-def _dutch_roll(fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
+def _dutch_roll(fit: TransferFunction, aircraft: RatedAircraft, rated: bool) -> Iterator[Number]:
     zeta, omega = fit.parameters["zeta_d"], fit.parameters["omega_d"]
     product, spread = _derived(fit, lambda v: v["zeta_d"] * v["omega_d"])
     rated_values = (zeta.estimate, product, omega.estimate)
-    limits = DUTCH_ROLL[craft.category, craft.small_or_agile]
+    limits = DUTCH_ROLL[aircraft.category, aircraft.small_or_agile]
     level = next(
         (
             k + 1
@@ -165,9 +166,11 @@ def _dutch_roll(fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Nu
     yield _number("zeta_d omega_d", product, spread, level_shown)
 
 
-def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
+def _short_period(
+    response: FrequencyResponse, fit: TransferFunction, aircraft: RatedAircraft, rated: bool
+) -> Iterator[Number]:
     zeta, omega = fit.parameters["zeta_sp"], fit.parameters["omega_sp"]
-    level = _level_within(zeta.estimate, SHORT_PERIOD[craft.category]) if rated else None
+    level = _level_within(zeta.estimate, SHORT_PERIOD[aircraft.category]) if rated else None
     yield _number("zeta_sp", zeta.estimate, zeta.std, level)
     yield _number("omega_sp", omega.estimate, omega.std)
     lead = fit.parameters.get("1/T_theta2")
@@ -176,22 +179,22 @@ def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Cra
     V = response.speed
     yield _number("n/alpha", *_derived(fit, lambda v: V / GRAVITY * v["1/T_theta2"]))
     cap, cap_std = _derived(fit, lambda v: v["omega_sp"] ** 2 * GRAVITY / (V * v["1/T_theta2"]))
-    level = _level_within(cap, ANTICIPATION[craft.category]) if rated else None
+    level = _level_within(cap, ANTICIPATION[aircraft.category]) if rated else None
     yield _number("CAP", cap, cap_std, level)
 
 
-def _delay(fit: TransferFunction, craft: Craft) -> Iterator[Number]:
+def _delay(fit: TransferFunction, aircraft: RatedAircraft) -> Iterator[Number]:
     tau = fit.parameters["tau"]
-    level = None if craft.why_no_level else _level_below(tau.estimate, DELAY)
+    level = None if aircraft.why_no_level else _level_below(tau.estimate, DELAY)
     yield _number("tau", tau.estimate, tau.std, level)
 
 
 def _derived(fit: TransferFunction, value: Callable[[dict[str, float]], float]) -> tuple[float, float]:
-    """A number of the parameters and its bound, to first order."""
+    """A function of the parameters and its bound, to first order."""
     estimates = {n: p.estimate for n, p in fit.parameters.items()}
     slopes = np.zeros(len(estimates))
     for i, (name, v) in enumerate(estimates.items()):
-        h = 1e-5 * max(abs(v), 1e-6)
+        h = STEP * max(abs(v), LEAST_SIZE)
         slopes[i] = (value({**estimates, name: v + h}) - value({**estimates, name: v - h})) / (2 * h)
     return value(estimates), float(np.sqrt(max(float(slopes @ fit.covariance @ slopes), 0.0)))
 
@@ -208,23 +211,23 @@ def _level_within(value: float, limits: tuple[tuple[float, float], ...]) -> int:
 
 
 def _bandwidth(response: FrequencyResponse, fit: TransferFunction) -> Iterator[Number]:
-    """Of the attitude that a rate is the slope of, from the fit within its own band; nothing where the phase does
-    not get there."""
+    """Bandwidth and phase delay of the attitude, for a rate of its integral, from the fit within its band; none where the phase
+    does not reach -180 deg there."""
     control = SURFACE_OF.get(response.input, response.input)
     if (control, response.output) not in (("delta_e", "q"), ("delta_e", "theta"), ("delta_a", "p"), ("delta_a", "phi")):
         return
-    omega = np.geomspace(fit.omega[0], fit.omega[1], 2000)
+    omega = np.geomspace(fit.omega[0], fit.omega[1], BANDWIDTH_POINTS)
     H = fit.at(omega)
     if response.output in ("p", "q"):
         H = H / (1j * omega)
     phase = np.unwrap(np.angle(H))
-    phase += -np.pi / 2 - phase[0] + _near_quarter(phase[0] + np.pi / 2)
+    phase += -np.pi / 2 - phase[0] + _without_half_turns(phase[0] + np.pi / 2)
     crossing = _first_crossing(omega, phase, -np.pi)
-    by_phase = _first_crossing(omega, phase, -0.75 * np.pi)
+    by_phase = _first_crossing(omega, phase, PHASE_MARGIN - np.pi)
     if crossing is None or by_phase is None:
         return
     decibels = 20 * np.log10(np.abs(H))
-    by_gain = _first_crossing(omega, decibels, float(np.interp(crossing, omega, decibels)) + 6.0)
+    by_gain = _first_crossing(omega, decibels, float(np.interp(crossing, omega, decibels)) + GAIN_MARGIN_DB)
     width = min(by_phase, by_gain if by_gain is not None else math.inf)
     yield _number("omega_BW", width)
     if 2 * crossing <= omega[-1]:
@@ -232,13 +235,13 @@ def _bandwidth(response: FrequencyResponse, fit: TransferFunction) -> Iterator[N
         yield _number("tau_p", phase_lag / (2 * crossing))
 
 
-def _near_quarter(offset: float) -> float:
-    """A phase off -90 deg without the half turns that a gain's sign gives it."""
+def _without_half_turns(offset: float) -> float:
+    """A phase offset [rad] less the half turns that the sign of a gain adds."""
     return offset - np.pi * round(offset / np.pi)
 
 
 def _first_crossing(omega: Array, values: Array, level: float) -> float | None:
-    """Where values first fall through a level."""
+    """Frequency at which values first fall through a level; None where they do not."""
     crossings = np.flatnonzero((values[1:] <= level) & (values[:-1] > level))
     if not crossings.size:
         return None

@@ -1,7 +1,6 @@
-"""The signals of a frequency response: even, gapless, detrended stretches of flights, and what is said of them.
+"""The signals of a frequency response: detrended stretches of flights at an even step, without gaps; and notes on them.
 
-A window never crosses a gap in time, a border of segments or a hole longer than a few samples; several flights are as many
-stretches more.
+No window crosses a gap in time, a border of segments, more than a few missing samples, or the end of a flight.
 """
 
 from collections.abc import Sequence
@@ -17,19 +16,19 @@ from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
 
 CONTROLS = ("delta_e", "delta_a", "delta_r")
-STILL = 1.5  # noise levels: an input whose samples scatter less than this shows noise and nothing else
-LARGEST = 1e12  # of anything measured in SI
-LEAST = 1e-9  # of a signal's own size: rounding, not motion
-LONGEST_BRIDGE = 3  # missing samples that a curve may bridge
-HIGHEST = 0.85  # of half the rate: a designed input ends below
-SHORTEST = 16  # samples of a stretch worth having
-EVEN = 0.01  # of a step: unevenness that needs no new grid
-OTHER_SPEED = 0.1  # of airspeed between flights: from here they are not of one condition
+STILL = 1.5  # rms movement over noise level, up to which an input did not move
+LARGEST = 1e12  # of any measured quantity in SI
+LEAST = 1e-9  # rms movement over size of a signal: smaller is rounding
+LONGEST_BRIDGE = 3  # missing samples that are interpolated
+HIGHEST = 0.85  # of half the sample rate, above which a control's spectrum is noise: designed inputs end below
+SHORTEST = 16  # samples of a stretch
+EVEN = 0.01  # of a step: with less unevenness samples are used as they are
+OTHER_SPEED = 0.1  # relative difference of airspeed from which flights are not of one condition
 
 
 @dataclass(frozen=True)
 class DetrendedStretch:
-    """step: s. x: (N, inputs), the one asked for first; y: (N,); both detrended."""
+    """step [s]. x: (N, inputs), first the input of the response; y: (N,) output; both detrended."""
 
     step: float
     x: Array
@@ -42,7 +41,7 @@ class DetrendedStretch:
 
 @dataclass(frozen=True)
 class Signals:
-    """names: of the inputs, the one asked for first. noise: standard deviation of that one. speed: mean airspeed [m/s] or NaN."""
+    """names: of the inputs, first the input of the response. noise: its standard deviation. speed: mean airspeed [m/s] or NaN."""
 
     names: tuple[str, ...]
     output: str
@@ -57,12 +56,12 @@ class Signals:
 
     @property
     def step(self) -> float:
-        """The longest step of all [s]."""
+        """The longest step of any stretch [s]."""
         return max(s.step for s in self.stretches)
 
 
 def collect(flights: Sequence[Flight], name: str, output: str, with_: Sequence[str] | None) -> Signals:
-    """Stretches of all flights. with_: other inputs, None for all controls that moved.
+    """The signals of all flights. name: input. with_: other inputs, None for all controls that moved.
 
     Raises MissingColumnError for a column that no flight has, DataError where the input did not move or no stretch
     is long enough.
@@ -72,15 +71,15 @@ def collect(flights: Sequence[Flight], name: str, output: str, with_: Sequence[s
     columns = (name, output, *(with_ or ()))
     for flight in flights:
         flight.require([name, output, *(with_ or ())], f"the frequency response of {output} to {name}")
-    looked_at = [condition_columns(f, (*columns, *CONTROLS), keep_held=True) for f in flights]
-    flights = [prepared_flight.flight for prepared_flight in looked_at]
+    prepared_flights = [condition_columns(f, (*columns, *CONTROLS), keep_held=True) for f in flights]
+    flights = [prepared.flight for prepared in prepared_flights]
     for flight in flights:
-        _refuse_endless(flight, columns)
+        _refuse_huge(flight, columns)
     _refuse_still(flights, name)
     other_inputs = (
         tuple(dict.fromkeys(w for w in with_ if w != name))
         if with_ is not None
-        else _moved_text(flights, (name, output))
+        else _other_controls(flights, (name, output))
     )
     stretches = [s for flight in flights for s in _stretches(flight, (name, *other_inputs), output)]
     if not stretches:
@@ -89,7 +88,7 @@ def collect(flights: Sequence[Flight], name: str, output: str, with_: Sequence[s
             "measured; nothing to transform"
         )
     _refuse_flat(stretches, output)
-    notes = (*(n.text for prepared_flight in looked_at for n in prepared_flight.notes), *_notes(flights, stretches))
+    notes = (*(n.text for prepared in prepared_flights for n in prepared.notes), *_notes(flights, stretches))
     level = float(np.median([sensor_noise(s.x[:, 0]) for s in stretches]))
     return Signals((name, *other_inputs), output, tuple(stretches), level, _speed(flights), notes)
 
@@ -101,9 +100,9 @@ def input_movement(flight: Flight, name: str) -> tuple[float, float]:
 
 
 def sensor_noise(values: Array) -> float:
-    """Standard deviation of the white part of a control's samples (N,), finite.
+    """Standard deviation of the white part of a control's samples (N,), all finite: the lesser of two estimates.
 
-    Edges look like noise to the spectrum near half the rate and broad multisines to third differences; noise is in both.
+    Steps look like noise in the spectrum near half the rate, broad multisines in third differences; noise shows in both.
     """
     if values.size < SHORTEST:
         return 0.0
@@ -113,14 +112,15 @@ def sensor_noise(values: Array) -> float:
     return min(noise_level(values), float(np.sqrt(floor)))
 
 
-def _typical_movement(flights: Sequence[Flight], name: str) -> bool:
+def _moved(flights: Sequence[Flight], name: str) -> bool:
+    """Whether a column moved beyond its noise in any flight."""
     movements = [input_movement(f, name) for f in flights if f.measured(name)]
     size = max((float(np.nanmax(np.abs(f[name]))) for f in flights if f.measured(name)), default=0.0)
     return any(rms > max(STILL * noise, LEAST * size) for rms, noise in movements)
 
 
 def _refuse_still(flights: Sequence[Flight], name: str) -> None:
-    if _typical_movement(flights, name):
+    if _moved(flights, name):
         return
     rms, noise = max(input_movement(f, name) for f in flights)
     raise DataError(
@@ -129,7 +129,7 @@ def _refuse_still(flights: Sequence[Flight], name: str) -> None:
     )
 
 
-def _refuse_endless(flight: Flight, names: Sequence[str]) -> None:
+def _refuse_huge(flight: Flight, names: Sequence[str]) -> None:
     for name in names:
         size = float(np.nanmax(np.abs(flight[name])))
         if not size < LARGEST:
@@ -143,11 +143,9 @@ def _refuse_flat(stretches: Sequence[DetrendedStretch], output: str) -> None:
         raise DataError(f"output {output} stands still: a dead channel has no frequency response; name another output")
 
 
-def _moved_text(flights: Sequence[Flight], taken: tuple[str, ...]) -> tuple[str, ...]:
-    """Other controls that moved, in all flights that would be left out otherwise."""
-    return tuple(
-        c for c in CONTROLS if c not in taken and all(f.measured(c) for f in flights) and _typical_movement(flights, c)
-    )
+def _other_controls(flights: Sequence[Flight], taken: tuple[str, ...]) -> tuple[str, ...]:
+    """Controls that moved, other than `taken`, of those that all flights measured."""
+    return tuple(c for c in CONTROLS if c not in taken and all(f.measured(c) for f in flights) and _moved(flights, c))
 
 
 def _stretches(flight: Flight, inputs: tuple[str, ...], output: str) -> list[DetrendedStretch]:
@@ -162,7 +160,7 @@ def _stretches(flight: Flight, inputs: tuple[str, ...], output: str) -> list[Det
 
 
 def _gapless_runs(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Index ranges without a hole longer than LONGEST_BRIDGE; they begin and end at a known sample."""
+    """Index ranges without more than LONGEST_BRIDGE missing samples in a row; each starts and ends at a known one."""
     known_indices = np.flatnonzero(known)
     if not known_indices.size:
         return []
@@ -172,15 +170,15 @@ def _gapless_runs(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _resampled(time: Array, columns: Array) -> DetrendedStretch:
-    """A stretch on an even grid, by a cubic where samples are missing or unevenly spaced; trends taken off."""
+    """A stretch at an even step, interpolated by a cubic where samples are missing or uneven; linear trends removed."""
     step = float(time[-1] - time[0]) / (time.size - 1)
     grid = time[0] + step * np.arange(time.size)
     evenly_sampled = bool(np.all(np.abs(np.diff(time) - step) < EVEN * step)) and bool(np.isfinite(columns).all())
     if not evenly_sampled and np.isfinite(columns).all(axis=1).sum() >= FEWEST:
         columns = np.stack([curve_through(time, c, grid) for c in columns.T], axis=1)
-    rise = np.stack([np.ones(time.size), np.linspace(-1.0, 1.0, time.size)], axis=1)
-    flat = columns - rise @ np.linalg.lstsq(rise, columns, rcond=None)[0]
-    return DetrendedStretch(step, flat[:, :-1], flat[:, -1])
+    line = np.stack([np.ones(time.size), np.linspace(-1.0, 1.0, time.size)], axis=1)
+    detrended = columns - line @ np.linalg.lstsq(line, columns, rcond=None)[0]
+    return DetrendedStretch(step, detrended[:, :-1], detrended[:, -1])
 
 
 def _speed(flights: Sequence[Flight]) -> float:
@@ -195,8 +193,7 @@ def _notes(flights: Sequence[Flight], stretches: Sequence[DetrendedStretch]) -> 
     speeds = [float(np.nanmean(f["V"])) for f in flights if f.measured("V")]
     if len(speeds) > 1 and max(speeds) > (1.0 + OTHER_SPEED) * min(speeds):
         notes.append(
-            f"mean airspeeds of the flights lie between {min(speeds):.1f} and {max(speeds):.1f} m/s: the response "
-            "is an average over "
-            "different conditions"
+            f"mean airspeeds of the flights lie between {min(speeds):.1f} and {max(speeds):.1f} m/s: the response is an average"
+            " over different conditions"
         )
     return notes

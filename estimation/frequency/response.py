@@ -2,8 +2,8 @@
 
 Long windows reach low frequencies and resolve peaks, short ones average more. At each frequency the lengths that hold
 at least two periods are weighted by (random error / least random error)^-4 (M. B. Tischler and R. K. Remple, Aircraft
-and Rotorcraft System Identification, 2nd ed., chapter 10). They share the same data: the error of the composite is the
-weighted mean of their errors, as if all were one.
+and Rotorcraft System Identification, 2nd ed., chapter 10). As they share the same data, the error of the composite is the
+weighted mean of their errors, as for full correlation.
 """
 
 from collections.abc import Sequence
@@ -21,30 +21,34 @@ from estimation.frequency.spectra import FrequencyGrid, WindowResponse, respond
 from estimation.signals.curves import Complex
 from groundstation.flight import Array, Flight
 
-PERIODS = 2.0  # of a frequency in a window: below, its transform holds the mean and the trend
-LENGTHS = 5  # windows, as CIFER takes
-SHORTER = 1.6  # from one length to the next
+PERIODS = 2.0  # of a frequency in a window: with fewer, mean and trend dominate its transform
+LENGTHS = 5  # of windows, as in CIFER
+SHORTER = 1.6  # ratio of one length to the next
 SHORTEST = 1.5  # s
-LONGEST = 40.0  # s: beyond, no mode of an aircraft but the phugoid is narrower
+FEWEST_SAMPLES = 8.0  # of a window
+LONGEST = 40.0  # s, which resolves all modes of an aircraft but the phugoid
 POINTS = 60  # frequencies
+FEWEST_POINTS, MOST_POINTS = 2, 2000
 PER_PERIOD = 4.0  # samples of a period of the highest frequency
-STEPS = 10.0  # of the zoomed grid to the lowest frequency
-WORST = 1.0 / 3.0  # random error over magnitude from which points are left out
-CHANCE = 1e-3  # that a point of no response at all is kept for its coherence
+STEPS = 10.0  # spacings of the zoomed grid up to the lowest frequency
+WEIGHT_POWER = -4.0  # of the random error, in the weight of a window length (Tischler and Remple)
+WORST = 1.0 / 3.0  # random error over magnitude, above which points are left out
+CHANCE = 1e-3  # probability that a point without any response has a coherence that is kept
 INCOHERENT = 0.3  # coherence below which points are left out
-BESIDE = 7  # points over whose median both are judged: point by point, those that chance makes large would be kept
-LEFT_OVER = (
-    5.0  # of the square of what a window's shape did, relative to H: Dutch rolls damped 0.05 to 0.3, windows 4 to 30 s
-)
-MOST_LEFT = 1.2  # of it where windows are too short to resolve the mode at all
-NOISY_INPUT = 0.02  # of magnitude: bias of noise in the input that is worth a note
+BESIDE = 7  # points whose median is judged: single points would be kept where chance makes them large
+LEFT_OVER = 5.0
+"""Bias left after the correction for a window's shape, over the square of the correction, both relative to H: from Dutch rolls
+damped 0.05 to 0.3 in windows of 4 to 30 s."""
+MOST_LEFT = 1.2  # bias left over the correction itself, where windows are too short to resolve the mode
+NOISY_INPUT = 0.02  # bias of the magnitude by noise of the input, relative, from which a note reports it
 
 
 @dataclass(frozen=True)
 class FrequencyResponse:
     """Arrays over the frequencies kept. omega: rad/s. H: output over input, complex. std: of its real and of its imaginary part.
-    coherence: with the input asked for, the others taken off. length: mean length of the windows [s]. left_out: (frequency,
-    coherence) of the points that tell too little. inputs: the one asked for first."""
+    coherence: with the first input, the others taken off. length: mean length of the windows [s]. left_out: (frequency,
+    coherence) of points too uncertain. inputs: first the input of the response. windows [s]; duration: of data [s]; speed
+    [m/s]."""
 
     inputs: tuple[str, ...]
     output: str
@@ -62,7 +66,13 @@ class FrequencyResponse:
 
     @property
     def input(self) -> str:
+        """The column that the response is to."""
         return self.inputs[0]
+
+    @property
+    def conditioned(self) -> str:
+        """`, with delta_r taken off` where the response is conditioned on other inputs, else empty."""
+        return f", with {', '.join(self.inputs[1:])} taken off" if len(self.inputs) > 1 else ""
 
     @property
     def magnitude(self) -> Array:
@@ -71,12 +81,12 @@ class FrequencyResponse:
 
     @property
     def phase(self) -> Array:
-        """Unwrapped from the lowest frequency on [rad], that of the first point between -pi and pi."""
+        """Phase [rad], unwrapped from the lowest frequency on, where it is between -pi and pi."""
         return np.unwrap(np.angle(self.H))
 
     @property
     def std_phase(self) -> Array:
-        """rad; no more than a phase can be unknown by, pi / sqrt(3)."""
+        """Random error of the phase [rad]; at most pi / sqrt(3), that of an unknown phase."""
         return np.asarray(np.minimum(self.std / np.maximum(self.magnitude, 1e-300), np.pi / np.sqrt(3.0)))
 
     def to_json(self) -> dict[str, Any]:
@@ -101,8 +111,8 @@ class FrequencyResponse:
 
 @dataclass(frozen=True)
 class ResponseOptions:
-    """with_: other inputs whose share is taken off, None for all controls that moved. band: [Hz], by default what the windows and
-    samples allow. points: frequencies, evenly in their logarithm. windows: lengths [s], by default LENGTHS of them."""
+    """with_: other inputs, whose effect is taken off, None for all controls that moved. band [Hz]: by default all that windows
+    and samples allow. points: number of frequencies, even in their logarithm. windows: lengths [s], by default LENGTHS."""
 
     with_: tuple[str, ...] | None = None
     band: tuple[float, float] | None = None
@@ -115,8 +125,8 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Response of column `output` to column `name` over one flight or several.
 
-    Raises MissingColumnError for a column that is not there, DataError where the input did not move, no stretch holds windows
-    enough, or nothing of the output follows the input.
+    Raises MissingColumnError for a missing column, DataError where the input did not move, the stretches have too few windows, or
+    the output does not follow the input.
     """
     response_options = options or ResponseOptions()
     read = [flights] if isinstance(flights, Flight) else list(flights)
@@ -134,14 +144,13 @@ def _too_short(signals: Signals) -> str:
     inputs, count = ", ".join(signals.names), len(signals.stretches)
     stretch_count = f"{count} stretch{'es' if count > 1 else ''}"
     return (
-        f"{signals.duration:.3g} s in {stretch_count} hold too few windows to tell a "
-        f"response to {inputs} and its error; "
+        f"{signals.duration:.3g} s in {stretch_count} hold too few windows to tell a response to {inputs} and its error; "
         "fly longer, give more flights, or condition on fewer inputs with --with"
     )
 
 
 def _lengths(signals: Signals, options: ResponseOptions) -> tuple[float, ...]:
-    """Window lengths, longest first: the longest leaves three windows' worth of data an input."""
+    """Lengths of windows [s], longest first: of the longest the data fill three for one input, two more for each other input."""
     longest = max(s.duration for s in signals.stretches)
     if options.windows:
         if not all(0.0 < w <= longest for w in options.windows):
@@ -149,7 +158,7 @@ def _lengths(signals: Signals, options: ResponseOptions) -> tuple[float, ...]:
         return tuple(sorted(options.windows, reverse=True))
     top = min(LONGEST, longest, signals.duration / (1.0 + 2.0 * len(signals.names)))
     lengths = [top / SHORTER**k for k in range(LENGTHS)]
-    usable_lengths = tuple(w for w in lengths if w >= max(SHORTEST, 8.0 * signals.step))
+    usable_lengths = tuple(w for w in lengths if w >= max(SHORTEST, FEWEST_SAMPLES * signals.step))
     if not usable_lengths:
         raise DataError(_too_short(signals))
     return usable_lengths
@@ -167,15 +176,14 @@ def _band(signals: Signals, options: ResponseOptions, longest: float) -> tuple[f
     if low < PERIODS / longest * (1.0 - 1e-9):
         raise DataError(
             f"band from {low:.3g} Hz: the longest window, {longest:.3g} s, holds {PERIODS:g} periods from "
-            f"{PERIODS / longest:.3g} Hz on; "
-            "fly longer, or begin there"
+            f"{PERIODS / longest:.3g} Hz on; fly longer, or begin there"
         )
     return low, high
 
 
 def _grid(low: float, high: float, points: int) -> FrequencyGrid:
-    if not 2 <= points <= 2000:
-        raise DataError(f"{points} points: give 2 to 2000")
+    if not FEWEST_POINTS <= points <= MOST_POINTS:
+        raise DataError(f"{points} points: give {FEWEST_POINTS} to {MOST_POINTS}")
     spacing = low / max(STEPS, 2.0 * points * low / (high - low) if high / low < 2 else STEPS)
     target_frequencies = np.geomspace(low, high, points)
     grid_indices = np.unique(np.round((target_frequencies - low) / spacing).astype(np.intp))
@@ -197,7 +205,7 @@ def _composed(
     part = slice(len(grid.omega) - len(omega), None)
     bias = _bias(window_responses, part)
     error = np.where(holds, np.hypot(np.stack([r.std[part] for r in window_responses]), bias), np.inf)
-    weight = (np.maximum(error, 1e-300) / np.maximum(error.min(axis=0), 1e-300)) ** -4.0
+    weight = (np.maximum(error, 1e-300) / np.maximum(error.min(axis=0), 1e-300)) ** WEIGHT_POWER
     weight /= weight.sum(axis=0)
 
     def mean(values: Sequence[Any]) -> Any:
@@ -223,17 +231,17 @@ def _composed(
 
 
 def _coherent_points(H: Complex, std: Array, coherence: Array, freedom: Array) -> NDArray[np.bool_]:
-    """(frequencies,) which points tell something, judged with their neighbours."""
-    by_chance = 1.0 - CHANCE ** (1.0 / np.maximum(freedom, 1.0))  # all but CHANCE of coherences of nothing lie below
-    spare = np.stack([coherence - np.maximum(INCOHERENT, by_chance), WORST * np.abs(H) - std])
-    return np.asarray(np.all(median_filter(spare, (1, BESIDE)) >= 0.0, axis=0) & (std <= np.abs(H)))
+    """(frequencies,) which points are kept, judged together with their neighbours."""
+    by_chance = 1.0 - CHANCE ** (1.0 / np.maximum(freedom, 1.0))  # exceeded with probability CHANCE without a response
+    margin = np.stack([coherence - np.maximum(INCOHERENT, by_chance), WORST * np.abs(H) - std])
+    return np.asarray(np.all(median_filter(margin, (1, BESIDE)) >= 0.0, axis=0) & (std <= np.abs(H)))
 
 
 def _bias(window_responses: Sequence[WindowResponse], part: slice) -> Array:
-    """(lengths, frequencies) what the window's shape may still do to each response.
+    """(lengths, frequencies) bias that the shape of the window leaves in each response.
 
-    Where it was taken off, what is left goes with its square; where not, it is that of the next shorter window less
-    by length squared.
+    A response with the correction keeps a part that goes with its square; one without has the bias of the next shorter window,
+    smaller by the ratio of lengths squared.
     """
     biases = []
     for k, r in enumerate(window_responses):
@@ -253,14 +261,12 @@ def _notes(signals: Signals, window_responses: Sequence[WindowResponse], power: 
     if np.any(noise > NOISY_INPUT):
         notes.append(
             f"noise of {signals.names[0]} ({signals.noise:.2g} rms) makes the magnitude up to "
-            f"{100 * float(noise.max()):.0f} % low where the "
-            "control moved least"
+            f"{100 * float(noise.max()):.0f} % low where the control moved least"
         )
     if not any(r.corrected for r in window_responses):
         notes.append(
             "too few windows to correct for their shape: a lightly damped peak comes out low and broad, by up to "
-            "6.6 (decay time / window)^2; "
-            "fly longer or give more flights"
+            "6.6 (decay time / window)^2; fly longer or give more flights"
         )
     warning = feedback_note(signals)
     return [*notes, warning] if warning else notes

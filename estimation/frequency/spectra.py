@@ -8,12 +8,12 @@ overlap correlations,
     E v v* = S R,    cov H = S (X*X)^-1 X*R X (X*X)^-1,    S = v*v / tr((I - P) R),    P = X (X*X)^-1 X*
 
 which for n independent windows is Bendat and Piersol's random error (section 9.2), |H| sqrt(1 - g2) / (|g| sqrt(2 n)),
-with the freedom of the fit taken off. It needs no stationary input: doublets and sweeps, which fill few windows, count
-for what they are.
+less the degrees of freedom of the fit. The input need not be stationary: doublets and sweeps, which fill few windows, count
+by those windows.
 
-A window w cuts responses short: the impulse response is seen through the window's own correlation, which broadens a lightly
-damped peak. Expanding w(t) about w(t - tau), F{w y} = H F{w x} + j H' F{w' x} - H''/2 F{w'' x} + ..., so the last two columns,
-where there are windows enough, take that bias off.
+A window w truncates the impulse response by the window's autocorrelation, which broadens a lightly damped peak. Expanding w(t)
+about w(t - tau), F{w y} = H F{w x} + j H' F{w' x} - H''/2 F{w'' x} + ...: with the last two terms as further columns, where there
+are windows enough, that bias is removed.
 """
 
 from collections.abc import Sequence
@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.signal import czt
 from scipy.special import stdtrit
 
@@ -30,13 +31,15 @@ from estimation.signals.curves import Complex
 from groundstation.flight import Array
 
 OVERLAP = 0.8  # of a window, as CIFER takes (Tischler and Remple, chapter 7)
-MOST_WINDOWS = 1000  # of one length: beyond, they are spread wider, down to half overlap and less
-FEWEST_FREEDOM = 3.0  # complex degrees of freedom that an error can be told from
+MOST_WINDOWS = 1000  # of one length: a longer flight has as many with less overlap
+FEWEST_FREEDOM = 3.0  # complex degrees of freedom from which an error can be estimated
+LEAST_RESIDUAL_FREEDOM = 0.1  # of the residuals; with less their variance is undefined
+CONDITION_LIMIT = 1e10  # condition number of the columns, beyond which inputs are not separable
 
 
 @dataclass(frozen=True)
 class FrequencyGrid:
-    """Frequencies first + k spacing [rad/s]; chosen: indices k of those wanted, spaced evenly in their logarithm."""
+    """Frequencies first + k spacing [rad/s]; chosen: the indices k, spaced evenly in the logarithm of frequency."""
 
     first: float
     spacing: float
@@ -51,9 +54,8 @@ class FrequencyGrid:
 class WindowResponse:
     """Of one window length [s], each (frequencies,). H: complex response to the first input; std: of its real and of
     its imaginary part, such that +-1.96 of it covers 95 %; coherence: with the first input, the others taken off;
-    freedom: complex degrees of freedom; power: of the first input, a window's mean |X|^2 over the window's energy.
-    shift: what the window's shape had done to H, relative to it; None where there were too few windows to take that
-    off."""
+    freedom: complex degrees of freedom; power: of the first input, mean |X|^2 over the energy of the window. shift: bias by the
+    shape of the window that was removed, relative to H; None where there were too few windows for that."""
 
     length: float
     H: Complex
@@ -70,7 +72,8 @@ class WindowResponse:
 
 @dataclass(frozen=True)
 class _Transforms:
-    """X: (terms, windows, frequencies, inputs), Y: (windows, frequencies), referred to one time; R: (windows, windows)."""
+    """X: (terms, windows, frequencies, inputs), Y: (windows, frequencies), of one origin of time; R: (windows, windows)
+    correlation."""
 
     X: Complex
     Y: Complex
@@ -78,14 +81,14 @@ class _Transforms:
 
 
 def respond(stretches: Sequence[DetrendedStretch], length: float, grid: FrequencyGrid) -> WindowResponse | None:
-    """The response by windows of `length` [s]; None where they are too few to tell an error."""
+    """The response by windows of `length` [s]; None where there are too few for an estimate of its error."""
     long = [s for s in stretches if s.duration >= length]
     parts = [_transforms(s, length, grid, max(MOST_WINDOWS // len(long), 1)) for s in long]
     if not parts:
         return None
     X = np.concatenate([p.X for p in parts], axis=1)
     Y = np.concatenate([p.Y for p in parts])
-    R = _blocks([p.R for p in parts])
+    R = block_diag(*[p.R for p in parts])
     direct_response, corrected = _solved(X[:1], Y, R, length), _solved(X, Y, R, length)
     if corrected is None or direct_response is None:
         return direct_response
@@ -93,7 +96,7 @@ def respond(stretches: Sequence[DetrendedStretch], length: float, grid: Frequenc
 
 
 def windows(stretch: DetrendedStretch, length: float, most: int = MOST_WINDOWS) -> tuple[int, NDArray[np.intp]]:
-    """(samples of a window, first samples of all windows) of a stretch."""
+    """(samples of a window, indices of the first samples of all windows) of a stretch."""
     size = min(round(length / stretch.step) + 1, len(stretch.y))
     last = len(stretch.y) - size
     count = min(1 + int(last / max((1.0 - OVERLAP) * size, 1.0)), most)
@@ -114,9 +117,8 @@ def _transforms(stretch: DetrendedStretch, length: float, grid: FrequencyGrid, m
     ratio, begin = np.exp(-1j * grid.spacing * stretch.step), np.exp(1j * grid.first * stretch.step)
     count = int(grid.chosen[-1]) + 1
     unit = np.sqrt(stretch.step / float(np.sum(shapes[0] ** 2)))  # power becomes that of a spectral density
-    phased_unit = unit * np.exp(
-        -1j * grid.omega * stretch.step * starts[:, None]
-    )  # referred to the stretch's first sample
+    # phases from the first sample of the stretch
+    phased_unit = unit * np.exp(-1j * grid.omega * stretch.step * starts[:, None])
     transforms = []
     for shape in shapes:
         zoomed = czt(shape[:, None] * cut, m=count, w=ratio, a=begin, axis=1)
@@ -126,30 +128,21 @@ def _transforms(stretch: DetrendedStretch, length: float, grid: FrequencyGrid, m
 
 
 def _overlap(taper: Array, starts: NDArray[np.intp]) -> Array:
-    """(windows, windows) correlation that white noise has between windows."""
+    """(windows, windows) correlation of white noise between windows."""
     autocorrelation = np.correlate(taper, taper, "full")[taper.size - 1 :] / float(np.sum(taper**2))
     lag = np.abs(starts[:, None] - starts[None, :])
     return np.where(lag < taper.size, autocorrelation[np.minimum(lag, taper.size - 1)], 0.0)
 
 
-def _blocks(parts: Sequence[Array]) -> Array:
-    size = sum(len(p) for p in parts)
-    block_matrix, row_start = np.zeros((size, size)), 0
-    for p in parts:
-        block_matrix[row_start : row_start + len(p), row_start : row_start + len(p)] = p
-        row_start += len(p)
-    return block_matrix
-
-
 def _solved(X: Complex, Y: Complex, R: Array, length: float) -> WindowResponse | None:
-    """Least squares at every frequency. X: (terms, windows, frequencies, inputs)."""
+    """Least squares at every frequency; None where the windows are too few. X: (terms, windows, frequencies, inputs)."""
     terms, count, frequencies, inputs = X.shape
     columns = np.transpose(X, (2, 1, 0, 3)).reshape(frequencies, count, terms * inputs)
     size = np.sqrt(np.mean(np.abs(columns) ** 2, axis=1, keepdims=True))
     A, y = columns / np.maximum(size, 1e-300), Y.T
     star = A.conj().transpose(0, 2, 1)
     G = star @ A
-    if count <= terms * inputs + 1 or not np.all(np.linalg.cond(G) < 1e10):
+    if count <= terms * inputs + 1 or not np.all(np.linalg.cond(G) < CONDITION_LIMIT):
         return None
     inverse = np.linalg.inv(G)
     H = (inverse @ (star @ y[..., None]))[..., 0]
@@ -160,7 +153,7 @@ def _solved(X: Complex, Y: Complex, R: Array, length: float) -> WindowResponse |
     spread = float(np.sum(R * R)) - 2 * np.trace(inverse @ shared_twice, axis1=1, axis2=2).real
     spread = spread + np.trace(PR @ PR, axis1=1, axis2=2).real
     freedom = residual_freedom**2 / np.maximum(spread, 1e-12)
-    if not np.all(freedom >= FEWEST_FREEDOM) or not np.all(residual_freedom > 0.1):
+    if not np.all(freedom >= FEWEST_FREEDOM) or not np.all(residual_freedom > LEAST_RESIDUAL_FREEDOM):
         return None
     rest = np.sum(np.abs(v) ** 2, axis=1)
     variance = rest / residual_freedom * (PR @ inverse)[:, 0, 0].real

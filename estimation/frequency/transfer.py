@@ -3,8 +3,9 @@
 Two fits of the same form: with the cost of CIFER's NAVFIT (M. B. Tischler and R. K. Remple, Aircraft and Rotorcraft System
 Identification, 2nd ed., chapter 11: magnitude in dB weighted 1, phase in degrees 0.01745, coherence [1.58 (1 - exp(-g2))]^2;
 J <= 100 is acceptable, <= 50 cannot be distinguished from the data) and, for estimates with bounds, by maximum likelihood:
-complex differences over their random errors. The bounds account for the correlation of neighbouring points, and widen where the
-form does not fit."""
+complex differences over their random errors. The bounds allow for the correlation of neighbouring points, and are widened where
+the form does not fit.
+"""
 
 import math
 from collections.abc import Mapping
@@ -24,12 +25,14 @@ from groundstation.flight import Array
 
 GOOD = 0.6  # coherence from which a point is fitted (Tischler and Remple, chapter 7)
 PHASE_WEIGHT = 0.01745  # of one degree squared against one dB squared
-DELAYS = (0.0, 0.05, 0.1, 0.2, 0.4)  # s, from which searches begin
-SEARCHES = 2  # from the best of the starts
+DELAYS = (0.0, 0.05, 0.1, 0.2, 0.4)  # s, of the starts of the search
+SEARCHES = 2  # from the best starts
 ROUNDS = 8  # of Sanathanan and Koerner's iteration for a start
-SPARE = 2  # numbers beyond the unknowns that a fit needs
+SPARE = 2  # real numbers beyond the unknowns that a fit needs
+LEAST_ERROR = 1e-9  # random error over the largest magnitude, at least
 SMALLEST_NORM = 1e-8  # of a column of the Jacobian, in place of zero
-TAPER_POINTS, LARGEST_PHASE, PHASE_POINTS = 201, 60.0, 601  # of the table of correlations; beyond its end they are zero
+SMALLEST_SCALE = 1e-3  # of an unknown, in the search
+TAPER_POINTS, LARGEST_PHASE, PHASE_POINTS = 201, 60.0, 601  # of the table of correlations; beyond its end they are 0
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,9 @@ class FittedNumber:
 
 @dataclass(frozen=True)
 class TransferFunction:
-    """H = numerator / denominator exp(-delay s), coefficients from the highest power on. cost: CIFER's J at its own
-    optimum, whose values are `cifer`; misfit: rms of differences over their random errors at `parameters`. points:
-    fitted. covariance: in their order. omega: (2,) the band [rad/s]."""
+    """H = numerator / denominator exp(-delay s), coefficients from the highest power on. cifer: values of the unknowns at the
+    least cost J of CIFER, which is `cost`; misfit: rms of differences over their random errors at `parameters`; points: number
+    fitted; omega: the band [rad/s]; covariance: in the order of `parameters`."""
 
     form: TransferForm
     parameters: Mapping[str, FittedNumber]
@@ -85,10 +88,10 @@ class TransferFunction:
 
 
 def fit_transfer(response: FrequencyResponse, form: str | TransferForm = "auto") -> TransferFunction:
-    """The transfer function of a form: roll, dutch-roll, short-period, orders M/N, or auto: the form for this input and output,
-    else the best of the general forms.
+    """The transfer function of a form: roll, dutch-roll, short-period, orders M/N, or auto, which is the classic form for this
+    input and output, else the best of the general forms.
 
-    Raises EstimationError for an unknown form, DataError where fewer points are coherent than the form has unknowns.
+    Raises EstimationError for an unknown form, DataError where too few points are coherent for the unknowns of the form.
     """
     coherent = response.coherence >= GOOD
     if form == "auto" and form_for(response.input, response.output) is None:
@@ -110,11 +113,10 @@ def _fitted(response: FrequencyResponse, coherent: NDArray[np.bool_], form: Tran
     if 2 * int(coherent.sum()) < len(names) + SPARE:
         raise DataError(
             f"{int(coherent.sum())} frequencies with a coherence of {GOOD:g} or more cannot settle the {len(names)} "
-            f"unknowns of form {form.name}: "
-            "fly longer or with more input, or fit a smaller form"
+            f"unknowns of form {form.name}: fly longer or with more input, or fit a smaller form"
         )
     omega, H, g2 = response.omega[coherent], response.H[coherent], response.coherence[coherent]
-    std = np.maximum(response.std[coherent], 1e-9 * np.abs(H).max())
+    std = np.maximum(response.std[coherent], LEAST_ERROR * np.abs(H).max())
     classic = _best_search(form, omega, H, lambda x: _navfit(form, x, omega, H, g2))
     likelihood_fit = least_squares(lambda x: _errors(form, x, omega, H, std), classic.x, x_scale=_scale(classic.x))
     covariance, misfit = _covariance(likelihood_fit.jac, likelihood_fit.fun, omega, response.length[coherent])
@@ -137,11 +139,11 @@ def _fitted(response: FrequencyResponse, coherent: NDArray[np.bool_], form: Tran
 
 
 def _scale(x: Array) -> Array:
-    return np.maximum(np.abs(x), 1e-3)
+    return np.maximum(np.abs(x), SMALLEST_SCALE)
 
 
 def _best_search(form: TransferForm, omega: Array, H: Complex, residuals: Any) -> Any:
-    """The best of searches from several delays."""
+    """The least-squares fit of the best search, from starts with several delays."""
     starts = []
     for delay in DELAYS:
         begin = form.from_polynomials(*_levy(form, omega, H * np.exp(1j * omega * delay)), delay)
@@ -149,14 +151,14 @@ def _best_search(form: TransferForm, omega: Array, H: Complex, residuals: Any) -
             starts.append((float(np.sum(residuals(begin) ** 2)), begin))
     if not starts:
         raise DataError(f"form {form.name}: no start was found; try another form")
-    starts.sort(key=lambda b: b[0])
+    starts.sort(key=lambda start: start[0])
     fits = [least_squares(residuals, begin, x_scale=_scale(begin)) for _, begin in starts[:SEARCHES]]
     return min(fits, key=lambda f: float(f.cost))
 
 
 def _levy(form: TransferForm, omega: Array, H: Complex) -> tuple[Array, Array]:
-    """Numerator and monic denominator by linear least squares, reweighted by the last denominator (Levy 1959; Sanathanan and
-    Koerner 1963)."""
+    """Numerator and monic denominator by least squares, reweighted by the last denominator (Levy 1959; Sanathanan, Koerner
+    1963)."""
     m, n = form.orders
     scale = float(np.exp(np.mean(np.log(omega))))
     s = 1j * omega / scale
@@ -207,7 +209,7 @@ def _covariance(jacobian: Array, scaled_errors: Array, omega: Array, length: Arr
 
 
 def _shared_noise(omega: Array, length: Array) -> Array:
-    """(points, points) correlation of the noise between frequencies [rad/s] with Hann windows of those lengths [s]."""
+    """(points, points) correlation of the noise between frequencies [rad/s], for Hann windows of `length` (points,) [s]."""
     mean = np.sqrt(length[:, None] * length[None, :])
     phase = np.abs(omega[:, None] - omega[None, :]) * mean
     taper = tapers(TAPER_POINTS)[0] ** 2

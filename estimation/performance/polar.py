@@ -1,7 +1,7 @@
-"""A drag polar CD = CD_0 + CD_k CL^2 over flights, and what follows: glide, sink, power required, each with bounds.
+"""The drag polar CD = CD_0 + CD_k CL^2 of several flights; from it glide, sink and power required, each with bounds.
 
 An offset of the angle of attack, of vane or accelerometer, turns lift into drag: CD + offset CL. It is fitted beside the polar,
-with what such instruments are usually off by as prior. Bounds are corrected for coloured residuals.
+with the usual error of aligned instruments as prior. Bounds are corrected for coloured residuals.
 """
 
 import math
@@ -17,28 +17,30 @@ from estimation.aircraft import Aircraft
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.estimators.coloured import ResidualSegment, score_covariance
-from estimation.performance.samples import PolarSamples, Usable
+from estimation.performance.samples import PolarSamples, Usable, all_stretches
 from estimation.report.drawing.figures import MEASURED, Picture, picture, save_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-OFFSET = math.radians(0.3)  # standard deviation of what an aligned vane and accelerometer are off by together
-SURE = 2.0  # bounds from zero below which a coefficient is not known
+OFFSET = math.radians(0.3)  # 1 sigma of the error of aligned vane and accelerometer together
+SURE = 2.0  # bounds from zero above which a coefficient is known
+ROUNDS = 3  # of the scale of the residuals, on which the weight of the prior depends
 POINTS = 13  # of the curve
-EDGES = (0.02, 0.98)  # quantiles of the lift flown between which the curve stands
+EDGES = (0.02, 0.98)  # quantiles of the lift flown between which the curve is given
+LEAST_LIFT = (1e-3, 2e-3)  # CL at the ends of the curve, at least: its speed is finite
 
 
 @dataclass(frozen=True)
 class Bounded:
-    """A number with its standard deviation."""
+    """An estimate with its standard deviation."""
 
     estimate: float
     std: float
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Bounds that hold the truth in 95 %; of what is above zero by its logarithm, where it is known to be."""
+        """The 95 % interval; on a logarithmic scale where the number is above zero by more than SURE of its bounds."""
         if self.estimate > SURE * self.std:
             factor = math.exp(NORMAL_95 * self.std / self.estimate)
             return self.estimate / factor, self.estimate * factor
@@ -47,8 +49,8 @@ class Bounded:
 
 @dataclass(frozen=True)
 class Polar:
-    """values, covariance (3, 3): CD_0, CD_k and the offset of the angle of attack [rad]. lift: least and greatest CL flown;
-    rms: of what is left of CD; density: mean of the flights [kg/m3]."""
+    """values (3,), covariance (3, 3): of CD_0, CD_k and the offset of the angle of attack [rad]. lift: range of CL flown; rms: of
+    the residuals of CD; density: mean of the flights [kg/m3]."""
 
     values: Array
     covariance: Array
@@ -68,7 +70,7 @@ class Polar:
 
 @dataclass(frozen=True)
 class PolarPoint:
-    """Level flight or a shallow glide at one speed. V [m/s], drag [N], sink [m/s] with the motor off, power required [W]."""
+    """Level flight or a shallow glide at one speed. V [m/s], drag [N], sink with the motor off [m/s], power required [W]."""
 
     V: float
     CL: float
@@ -78,16 +80,16 @@ class PolarPoint:
 
 
 def fitted(stretches: Sequence[PolarSamples]) -> Polar:
-    """The polar of all stretches by weighted least squares. Raises DataError for too few of them."""
+    """The polar of all stretches by weighted least squares. Raises DataError where there are none."""
     if not stretches:
         raise DataError(
             "no stretch of any flight has lift and drag with thrust known; fly glides with the throttle off"
         )
     rows = [np.column_stack([np.ones(s.V.size), s.smooth_CL**2, s.smooth_CL]) / s.scatter[:, None] for s in stretches]
     scaled_drag = [s.CD / s.scatter for s in stretches]
-    # the prior's weight is in units of the noise, which is raised by what residuals are larger than it
+    # scale: residuals over the noise expected of them, which weights the data against the prior
     values, scale = np.zeros(3), 1.0
-    for _ in range(3):
+    for _ in range(ROUNDS):
         inverse = _inverse(rows, scale)
         values = inverse @ np.sum([J.T @ y for J, y in zip(rows, scaled_drag, strict=True)], axis=0) / scale**2
         residuals = [y - J @ values for J, y in zip(rows, scaled_drag, strict=True)]
@@ -108,15 +110,15 @@ def fitted(stretches: Sequence[PolarSamples]) -> Polar:
 
 
 def _inverse(rows: Sequence[Array], scale: float) -> Array:
-    """(3, 3) inverse of the information, the prior of the offset with it."""
+    """(3, 3) inverse of the information, which includes the prior of the offset."""
     information = np.sum([J.T @ J for J in rows], axis=0) / scale**2
     information[2, 2] += 1.0 / OFFSET**2
     return np.asarray(np.linalg.pinv(information, rcond=1e-15))
 
 
-def _of_both(polar: Polar, estimate: float, by_CD_0: float, by_CD_k: float) -> Bounded:
-    """A number that goes with powers of CD_0 and CD_k."""
-    slopes = estimate * np.array([by_CD_0 / polar.values[0], by_CD_k / polar.values[1]])
+def _bounded(polar: Polar, estimate: float, power_CD_0: float, power_CD_k: float) -> Bounded:
+    """An estimate in proportion to CD_0^power_CD_0 CD_k^power_CD_k, with its bound."""
+    slopes = estimate * np.array([power_CD_0 / polar.values[0], power_CD_k / polar.values[1]])
     return Bounded(estimate, math.sqrt(float(slopes @ polar.covariance[:2, :2] @ slopes)))
 
 
@@ -125,14 +127,14 @@ def best_glide(polar: Polar, aircraft: Aircraft) -> dict[str, Bounded]:
     CD_0, CD_k = polar.values[:2]
     CL = math.sqrt(CD_0 / CD_k)
     return {
-        "ratio": _of_both(polar, 0.5 / math.sqrt(CD_0 * CD_k), -0.5, -0.5),
-        "speed": _of_both(polar, _speed(polar, aircraft, CL), -0.25, 0.25),
-        "CL": _of_both(polar, CL, 0.5, -0.5),
+        "ratio": _bounded(polar, 0.5 / math.sqrt(CD_0 * CD_k), -0.5, -0.5),
+        "speed": _bounded(polar, _speed(polar, aircraft, CL), -0.25, 0.25),
+        "CL": _bounded(polar, CL, 0.5, -0.5),
     }
 
 
 def flown(polar: Polar, CL: float) -> bool:
-    """Whether flights reached this lift coefficient: what lies beyond goes by the parabola alone, and may be stalled."""
+    """Whether the flights reached this lift coefficient: beyond, the parabola is extrapolated and the wing may be stalled."""
     return polar.lift[0] <= CL <= polar.lift[1]
 
 
@@ -143,10 +145,10 @@ def least_sink(polar: Polar, aircraft: Aircraft) -> dict[str, Bounded]:
     speed = _speed(polar, aircraft, CL)
     sink = speed * 4.0 * CD_0 / CL
     return {
-        "CL": _of_both(polar, CL, 0.5, -0.5),
-        "sink": _of_both(polar, sink, 0.25, 0.75),
-        "power": _of_both(polar, sink * aircraft.mass * GRAVITY, 0.25, 0.75),
-        "speed": _of_both(polar, speed, -0.25, 0.25),
+        "CL": _bounded(polar, CL, 0.5, -0.5),
+        "sink": _bounded(polar, sink, 0.25, 0.75),
+        "power": _bounded(polar, sink * aircraft.mass * GRAVITY, 0.25, 0.75),
+        "speed": _bounded(polar, speed, -0.25, 0.25),
     }
 
 
@@ -155,28 +157,29 @@ def _speed(polar: Polar, aircraft: Aircraft, CL: float) -> float:
 
 
 def curve(polar: Polar, aircraft: Aircraft) -> tuple[PolarPoint, ...]:
-    """Drag, sink and power over the speeds whose lift was flown, lift being weight; drag is linear in both coefficients."""
+    """Drag, sink and power over the speeds whose lift was flown, for lift equal to weight."""
     weight = aircraft.mass * GRAVITY
-    low, high = max(polar.lift[0], 1e-3), max(polar.lift[1], 2e-3)
+    low, high = (max(CL, least) for CL, least in zip(polar.lift, LEAST_LIFT, strict=True))
     points = []
     for V in np.linspace(_speed(polar, aircraft, high), _speed(polar, aircraft, low), POINTS):
         area = 0.5 * polar.density * V**2 * aircraft.area
         CL = weight / area
-        slopes = area * np.array([1.0, CL**2])
+        slopes = area * np.array([1.0, CL**2])  # drag is linear in both coefficients
         drag = Bounded(float(slopes @ polar.values[:2]), math.sqrt(float(slopes @ polar.covariance[:2, :2] @ slopes)))
         sink, power = (Bounded(drag.estimate * f, drag.std * f) for f in (float(V) / weight, float(V)))
         points.append(PolarPoint(float(V), float(CL), drag, sink, power))
     return tuple(points)
 
 
-SHOWN = 4000  # samples in the figure: more would be one dark spot
+SHOWN = 4000  # samples in the figure: more would overlap
 COLOUR = "#0072B2"
 SIZE = (6.4, 7.6)  # inches
 DPI = 150
 
 
 def draw_performance(flights: Sequence[Usable], polar: Polar, curve: Sequence[PolarPoint], axes: Any) -> None:
-    stretches = [s for f in flights for s in f.stretches]
+    """Lift over drag, sink and power on three axes."""
+    stretches = all_stretches(flights)
     CL, CD = (np.concatenate([getattr(s, n) for s in stretches]) for n in ("smooth_CL", "CD"))
     decimation = max(1, CL.size // SHOWN)
     axes[0].plot(CD[::decimation], CL[::decimation], ".", color=MEASURED, markersize=1.5, label="samples")

@@ -1,7 +1,7 @@
-"""Lift and drag of each sample of a flight whose thrust is known there.
+"""Lift and drag of the samples of a flight at which thrust is known.
 
-Forces are the accelerometers' times mass, thrust taken off, turned by the angle of attack: L = X sin a - Z cos a,
-D = -X cos a - Z sin a. Where thrust was not measured it is zero while the throttle is closed.
+Forces are specific force times mass less thrust, turned by the angle of attack: L = X sin a - Z cos a, D = -X cos a - Z sin a.
+Thrust that was not measured is zero while the throttle is closed.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from groundstation.flight.arrays import true_runs
 NEEDED = ("V", "alpha", "ax", "az", "rho")
 CLOSED = 0.02  # of the throttle's range: dead band of a stick and rounding of PWM
 RUNS_OUT = 1.0  # s after closing in which a motor may still pull
-LEAST = 40  # samples in a stretch: two seconds at 20 Hz, below which noise cannot be told from motion
+LEAST = 40  # samples in a stretch, two seconds at 20 Hz: in a shorter one noise and motion are not separable
 LEAST_NOISE = (1e-4, 1e-6)  # m/s2, rad: of recordings without noise
 
 
@@ -41,7 +41,7 @@ class PolarSamples:
 
 @dataclass(frozen=True)
 class Usable:
-    """What of a flight can be used. thrust: how it is known, in words."""
+    """The usable stretches of a flight. samples: of the flight; thrust: how it is known, in words."""
 
     name: str
     samples: int
@@ -50,11 +50,12 @@ class Usable:
 
     @property
     def used(self) -> int:
+        """Samples of the stretches."""
         return sum(s.V.size for s in self.stretches)
 
 
 def usable(flight: Flight, aircraft: Aircraft, *, throttle_off: bool) -> Usable:
-    """Lift and drag where thrust is known. throttle_off: somebody says that it was off throughout.
+    """Lift and drag where thrust is known. throttle_off: the user states that it was off throughout.
 
     Raises DataError where thrust is unknown and not off, or a column is missing.
     """
@@ -92,7 +93,7 @@ def _thrust(flight: Flight, throttle_off: bool) -> tuple[Array, str]:
     if throttle_off:
         return np.zeros(len(flight)), "throttle off, as stated"
     kind = flight.channels.get("thrust", {}).get("kind", "measured")
-    if flight.measured("thrust") and kind != "assumed":  # what is assumed is known to nobody
+    if flight.measured("thrust") and kind != "assumed":  # an assumed thrust is not known
         return np.asarray(flight["thrust"], float), f"thrust {kind}"
     if flight.measured("throttle"):
         closed = _closed(flight.time, np.asarray(flight["throttle"], float))
@@ -110,7 +111,7 @@ def _thrust(flight: Flight, throttle_off: bool) -> tuple[Array, str]:
 
 
 def _closed(time: Array, throttle: Array) -> NDArray[np.bool_]:
-    """Where the throttle is closed and the motor has run out."""
+    """(N,) whether the throttle is closed and the motor has stopped."""
     closed = np.nan_to_num(throttle, nan=1.0) <= CLOSED
     open_at = np.where(closed, -np.inf, time)
     last_open = np.maximum.accumulate(open_at)
@@ -118,7 +119,7 @@ def _closed(time: Array, throttle: Array) -> NDArray[np.bool_]:
 
 
 def _runs(usable: NDArray[np.bool_], start: int, stop: int) -> list[slice]:
-    """Stretches of enough samples in a row."""
+    """Runs of at least LEAST usable samples between two rows."""
     return [slice(a, b) for a, b in true_runs(usable, [slice(start, stop)]) if b - a >= LEAST]
 
 
@@ -136,9 +137,11 @@ def _stretch(
 
 
 def _rotated(ax: Array, az: Array, alpha: Array, pressure: Array) -> tuple[Array, Array]:
+    """CL and CD from specific forces less thrust [m/s2]; pressure: dynamic pressure times area over mass [m/s2]."""
     sine, cosine = np.sin(alpha), np.cos(alpha)
     return (ax * sine - az * cosine) / pressure, (-ax * cosine - az * sine) / pressure
 
 
 def all_stretches(flights: Sequence[Usable]) -> tuple[PolarSamples, ...]:
+    """The stretches of all flights."""
     return tuple(s for f in flights for s in f.stretches)

@@ -1,1 +1,1 @@
-"""The gap monitor of `daq.identification.monitor` over a file: when the model stopped describing the aircraft."""
+"""The gap monitor of `daq.identification.monitor` over a file: since when the model does not describe the aircraft."""

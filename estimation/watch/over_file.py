@@ -1,4 +1,4 @@
-"""The monitor that also runs live, over a flight: same code, and what it would have said when."""
+"""The live gap monitor over a recorded flight: the same code, with the alarms that it would have given."""
 
 import math
 from dataclasses import dataclass, replace
@@ -25,14 +25,15 @@ from groundstation.flight.quality.noise import noise
 
 Array = NDArray[np.float64]
 
-FLYING, FLYING_S = 9.0, 2.0  # m/s and s from which on the aircraft flies, as the ground station has them
-EVEN, EVEN_SHARE = 0.1, 0.8  # of the usual step, and of all steps: what is even differs by less in more of them
-FEWEST_S = 10.0  # s of manoeuvring below which nothing was watched to speak of
+FLYING, FLYING_S = 9.0, 2.0  # airspeed [m/s] held this long [s] is flight, as at the ground station
+EVEN, EVEN_SHARE = 0.1, 0.8  # scans are even where this share of steps differs by less than EVEN of the median step
+FEWEST_S = 10.0  # s of manoeuvring that a result needs
+LONGEST_STEP_S, USUAL_STEP_S = 0.5, 0.05  # between neighbouring scans at most; where there are none
 
 
 @dataclass(frozen=True)
 class Watched:
-    """What the monitor said of one flight. history: every half second of manoeuvring; manoeuvring_s: how long that was."""
+    """The monitor over one flight. history: states, every half second of manoeuvring; manoeuvring_s: duration of that."""
 
     flight: Flight
     model: str
@@ -42,7 +43,7 @@ class Watched:
     calibration: Calibration
 
     def to_json(self) -> dict[str, Any]:
-        """As `watch --json` has it."""
+        """As in `watch --json`."""
         time = self.flight.time
         return {
             "flight": self.flight.name,
@@ -75,8 +76,8 @@ def watch(
 ) -> Watched:
     """Watch a flight with a linear model of one plane or both; thresholds for `rate` false alarms an hour of manoeuvring.
 
-    hours: of simulated manoeuvring they are taken from. Raises EstimationError for another model, or a flight with less than ten
-    seconds of manoeuvring, MissingColumnError for one without the measured motion.
+    hours: of simulated manoeuvring for the thresholds. Raises EstimationError for another model, or a flight with less than
+    FEWEST_S of manoeuvring, MissingColumnError for one without the measured motion.
     """
     airframe, terms = airframe_of(model, aircraft), linear_terms(model)
     planes = _planes(model, terms)
@@ -109,7 +110,7 @@ def watch(
 
 
 def _planes(model: Model, terms: LinearTerms) -> list[MonitoredPlane]:
-    """Planes that a model is watched in. Raises EstimationError for terms that the monitor does not predict with."""
+    """The planes of a model. Raises EstimationError for terms that the monitor does not know."""
     planes = [PLANES[r.name] for r in terms.regressions]
     known = {n for plane in planes for n in plane.parameters}
     strange = [parameter for parameter, place in terms.names.items() if place not in known]
@@ -122,7 +123,7 @@ def _planes(model: Model, terms: LinearTerms) -> list[MonitoredPlane]:
 
 
 def grid_of(flight: Flight) -> float:
-    """Seconds between scans that are looked at: of fast ones a whole number of intervals, about those on board."""
+    """Time [s] between the scans used: for fast scans a multiple of their step, near that of the monitor on board."""
     step = float(np.median(_steps(flight)))
     if step < FINEST_S:
         return watched_step(step)
@@ -130,14 +131,14 @@ def grid_of(flight: Flight) -> float:
 
 
 def _even(flight: Flight) -> bool:
-    """Whether scans come evenly, but for some that are lost; those of a decimated link do not."""
+    """Whether scans come at an even step, apart from lost ones; those of a decimated link do not."""
     steps = _steps(flight)
     step = float(np.median(steps))
     return float(np.quantile(np.abs(steps - step), EVEN_SHARE)) < EVEN * step
 
 
 def _manoeuvring(flight: Flight, grid: float, terms: LinearTerms, airframe: Airframe) -> tuple[list[Sample], float]:
-    """Samples of the stretches about movements, and how long those are [s]: at least what can be watched."""
+    """Samples of the stretches with moved controls, and their duration [s]."""
     shortest = NEARLY * grid
     stretches, last = ManoeuvreDetector(FLYING, FLYING_S, terms.regressions), -math.inf
     samples: list[Sample] = []
@@ -158,7 +159,7 @@ def _refuse_short(flight: Flight, seconds: float) -> None:
 
 
 def conditions_of(flight: Flight, plane: MonitoredPlane) -> NullConditions:
-    """Noise of the flight's own instruments, its airspeed and its rate; what it does not tell is as usual."""
+    """Noise of the instruments, airspeed, rate and loss of scans of a flight; the defaults for what it does not show."""
     defaults = NullConditions()
     levels: dict[str, float] = {}
     for name in (*plane.channels, "V"):
@@ -180,7 +181,7 @@ def conditions_of(flight: Flight, plane: MonitoredPlane) -> NullConditions:
 
 
 def _steps(flight: Flight) -> Array:
-    """Steps in time [s] between scans that belong together."""
+    """Steps in time [s] between neighbouring scans."""
     steps = np.diff(flight.time)
-    connected = steps[steps < 0.5]
-    return connected if connected.size else np.array([0.05])
+    connected = steps[steps < LONGEST_STEP_S]
+    return connected if connected.size else np.array([USUAL_STEP_S])

@@ -109,12 +109,12 @@ def fitted(flights: Iterator[Flight]) -> Fits:
 
 def again(first: InputDesign, fits: Fits) -> InputDesign:
     """The same input as `design --from` would predict it: means of the estimates, noise as the residuals show it."""
-    bench = first.bench
-    means = {n: float(np.mean(v)) for n, v in fits.estimates.items() if n in bench.values}
-    changed = replace(bench, values={**bench.values, **means}, noise=fits.residuals, noise_of_residuals=True)
-    flown = fly(changed, first.best.commands, DURATION)
+    setting = first.setting
+    means = {n: float(np.mean(v)) for n, v in fits.estimates.items() if n in setting.values}
+    changed = replace(setting, values={**setting.values, **means}, noise=fits.residuals, noise_of_residuals=True)
+    flown = fly(changed, first.best.commands)
     best = replace(first.best, motion=flown, information=information(changed, flown))
-    return replace(first, bench=changed, best=best)
+    return replace(first, setting=changed, best=best)
 
 
 def table(title: str, first: InputDesign, flights: Iterator[Flight], exact: bool = False) -> None:

@@ -1,7 +1,7 @@
-"""Differences between two groups at the same conditions: did the new rudder change Cn_dr, and what could have been told?
+"""Differences between two groups at the same conditions: did the new rudder change Cn_dr, and which change could be found?
 
-Flights of both groups share their curves over the conditions and the variances between flights; a shift of each parameter is
-the difference. So another speed is not taken for another rudder, and where only one group flew at a condition the bound grows.
+Both groups share the curves over the conditions and the variances between flights; the difference is a shift of each parameter.
+So another speed is not mistaken for another rudder; where only one group flew at a condition, the bound grows.
 """
 
 import itertools
@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves, envelope
 from estimation.campaign.aerodynamics.steps import DateStep, ParameterStep
-from estimation.campaign.aerodynamics.tables import Curves, flown_rows
+from estimation.campaign.aerodynamics.tables import Curves, flights_of_rows
 from estimation.campaign.tasks import Row
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Second group less first. value: of the first at its conditions; between: standard deviation between flights; tests:
-    parameters that were compared; form: of the curve."""
+    """Second group less first. value: of the first group at its median conditions; between: standard deviation between flights;
+    tests: parameters compared; form: of the curve."""
 
     parameter: str
     flights: int
@@ -36,27 +36,27 @@ class Difference:
 
     @property
     def probability(self) -> float:
-        """Of a difference as large by chance, heeding all parameters."""
+        """Of a difference this large by chance in any of the parameters compared."""
         return min(1.0, pooling.two_sided(self.change / self.std, self.freedom) * self.tests)
 
     @property
     def detectable(self) -> float:
-        """The least difference that these flights would have told four times in five."""
+        """The least difference that is found in these flights four times in five."""
         return pooling.detectable(self.std, self.freedom, self.tests)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % of this one parameter."""
+        """95 % interval, of this parameter alone."""
         half = pooling.t_quantile(1.0 - pooling.LEVEL / 2.0, self.freedom) * self.std
         return self.change - half, self.change + half
 
     def power(self, share: float) -> float:
-        """Probability that a change of such a share of the value would be found."""
+        """Probability that a change by this share of the value is found."""
         return pooling.power(share * self.value, self.std, self.freedom, self.tests)
 
 
 def differences(group_flights: GroupFlights, second: NDArray[np.bool_]) -> tuple[Difference, ...]:
-    """Of every parameter that both groups tell. group_flights: of both groups; second: (flights,) which are of the second."""
+    """The difference of every parameter of both groups. group_flights: of both; second: (flights,) true for the second group."""
     curves = envelope(group_flights, second.astype(float)[:, None])
     if curves is None:
         return ()
@@ -86,11 +86,12 @@ def _difference(curves: PooledCurves, j: int, change: float, std: float, tests: 
     )
 
 
-CHANGE_OF_INTEREST = 0.05  # of the estimate: the change whose chance to be found is stated as power
+CHANGE_OF_INTEREST = 0.05  # of the estimate: the change for which the power is stated
+LEAST_RATIO = 3.0  # of value to bound, from which a change is also stated as a share
 
 
 def step_rows(curves_by_group: Sequence[Curves]) -> Iterator[Row]:
-    """A row for each parameter that a step in time moved; one without a parameter where only all together tell it."""
+    """A row for each parameter that a step in time moved; a row without a parameter where none moved clearly by itself."""
     for curves in curves_by_group:
         for step in curves.steps:
             moved_parameters = [m for m in step.moved if m.probability <= pooling.LEVEL]
@@ -105,7 +106,7 @@ def _step_row(curves: Curves, step: DateStep, m: ParameterStep | None, others: S
     first, last = step.dates
     date_text = f"with {group_flights.flights[step.first]} of {group_flights.dates[step.first]} (95 %: after {first}, by {last})"
     row: Row = {
-        **curves.about,
+        **curves.group_columns,
         "kind": "step",
         "flights": len(group_flights.flights),
         "at": group_flights.dates[step.first],
@@ -127,34 +128,36 @@ def _step_row(curves: Curves, step: DateStep, m: ParameterStep | None, others: S
 
 
 def difference_rows(curves_by_group: Sequence[Curves], keys: Sequence[str]) -> Iterator[Row]:
-    """Groups that differ in one of `keys` alone, parameter by parameter, at the same conditions; a day is a step in time."""
+    """Rows on pairs of groups that differ in one of `keys` alone. Days are not compared: changes in time are steps."""
     compared = [k for k in keys if k != "day"]
     for a, b in itertools.combinations(curves_by_group, 2):
-        differing_keys = [k for k in keys if a.about[k] != b.about[k]]
-        if a.about["method"] == b.about["method"] and len(differing_keys) == 1 and differing_keys[0] in compared:
+        first, second = a.group_columns, b.group_columns
+        differing_keys = [k for k in keys if first[k] != second[k]]
+        if first["method"] == second["method"] and len(differing_keys) == 1 and differing_keys[0] in compared:
             all_rows = {**a.rows, **b.rows}
-            second = np.array([flight in b.rows for flight in sorted(all_rows)])
-            for d in differences(flown_rows(all_rows), second):
+            in_second = np.array([flight in b.rows for flight in sorted(all_rows)])
+            for d in differences(flights_of_rows(all_rows), in_second):
                 yield _difference_row(a, b, d)
 
 
 def _difference_row(a: Curves, b: Curves, d: Difference) -> Row:
     low, high = d.interval
     chance = d.power(CHANGE_OF_INTEREST)
-    share_known = abs(d.value) > 3.0 * d.value_std  # a share of what may be zero says nothing
+    share_known = abs(d.value) > LEAST_RATIO * d.value_std
     share = f" ({d.change / d.value:+.1%})" if share_known else ""
     conditions_note = "" if d.form == "1" else f", at the same conditions (over {d.form})"
+    first, second = a.group_columns, b.group_columns
     text = (
-        f"{d.parameter} ({a.about['method']}): {b.about['group']} less {a.about['group']} is {d.change:+.4g}{share}"
+        f"{d.parameter} ({first['method']}): {second['group']} less {first['group']} is {d.change:+.4g}{share}"
         f"{conditions_note}, 95 % {low:.4g} to {high:.4g}: "
         + ("they differ" if d.probability <= pooling.LEVEL else "no difference found")
         + f"; a change of {CHANGE_OF_INTEREST:.0%} would be found with probability {chance:.2f}, one of {d.detectable:.2g} four"
         " times in five"
     )
     return {
-        **a.about,
+        **first,
         "kind": "difference",
-        "other": b.about["group"],
+        "other": second["group"],
         "parameter": d.parameter,
         "flights": d.flights,
         "estimate": d.change,

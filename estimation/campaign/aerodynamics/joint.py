@@ -1,8 +1,8 @@
 """One model of the whole envelope, fitted by maximum likelihood to the flights themselves.
 
 Derivatives are polynomials of angle of attack, airspeed, elevator, sideslip and their own control. All flights are fitted
-together; each keeps its constants and initial states. Terms are taken by what they gain on flights held out (`evidence`), then
-everything is fitted again, until no further term is asked for.
+together; each keeps its constants and initial states. Terms are chosen by their gain on flights held out (`evidence`), then all
+is fitted again, until no further term gains.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,20 +32,20 @@ from estimation.prepare.stretches import unique_names
 from estimation.session.proof_of_match import flown_ranges
 from groundstation.flight import Array, Flight
 
-FEWEST = 4  # flights: fewer cannot be held out and leave a choice
-FLIGHTS_A_TERM = 2  # at least: more terms than that follow flights, not the aircraft
+FEWEST = 4  # flights: with fewer, those that are not held out cannot choose terms
+FLIGHTS_A_TERM = 2  # at least: more terms would fit single flights
 AS_MEASURED = OutputErrorOptions(preparation=Preparation(denoise=False))
-"""Of the last fit: inputs with their noise. What takes it off shaves the dip of airspeed in each large sideslip, which is the
-same in every flight that flies the same manoeuvre: it does not average away, and passes for a cubic in sideslip and a part of
-Cn_beta. Noise itself does: it multiplies states that are simulated, not measured, and enters the estimates by its square only.
-Terms are chosen with the noise taken off: with it airspeed is measured better than angle of attack, and takes its place."""
-ROUNDS = 3  # of choosing and fitting: the second hardly ever finds another term
+"""Options of the last fit: inputs with their noise. De-noising flattens the dip of airspeed in each large sideslip. That error is
+the same in every flight of the same manoeuvre, so it does not average out: it looks like a cubic in sideslip and a part of
+Cn_beta. The noise does average out: it multiplies simulated states and enters the estimates only by its square. Terms are chosen
+with de-noised inputs: among noisy ones airspeed, which is measured better, would take the place of the angle of attack."""
+ROUNDS = 3  # of choosing and fitting: the second hardly ever adds a term
 
 
 @dataclass(frozen=True)
 class GlobalModel:
-    """result: of the joint fit with its terms, in `result.model`; gains: of the terms, in the order in which they were taken;
-    flown: variable -> range; why: where none could be looked for."""
+    """result: of the joint fit; its terms are in `result.model`; gains: of the terms, in the order of choice; flown: variable ->
+    range; why: reason where the search for terms ended early, else empty."""
 
     result: Result
     gains: tuple[TermGain, ...]
@@ -54,7 +54,7 @@ class GlobalModel:
 
     @property
     def model(self) -> Model:
-        """With the estimates as its values, constants of the mean flight, and what was flown: for `sideslip match` and others."""
+        """The model with the estimates as values, mean constants of the flights and the ranges flown, for `sideslip match`."""
         return replace(self.result.fitted_model, flown=self.flown)
 
     @property
@@ -63,7 +63,7 @@ class GlobalModel:
         if self.why:
             return self.why
         if not self.gains:
-            return "no term over the envelope is asked for: the derivatives are constants on these flights"
+            return "no term over the envelope gains enough: the derivatives are constants on these flights"
         gain_list = ", ".join(f"{g.name} ({g.gain:.0f} +- {g.std:.0f})" for g in self.gains)
         return f"terms by what they gain in log likelihood on flights held out: {gain_list}"
 
@@ -80,8 +80,8 @@ class GlobalModel:
 
 
 def half_band(std: Array, flights: int) -> Array:
-    """Half of the 95 % band: Student's, with a flight less than there are, for what the residuals of so many flights tell of
-    their own covariance."""
+    """Half width of the 95 % band: Student's t with flights - 1 degrees of freedom, because the covariance is estimated from the
+    residuals of the flights."""
     half: Array = t_quantile(1.0 - LEVEL / 2.0, flights - 1) * std
     return half
 
@@ -103,8 +103,8 @@ def curve(
 def global_model(
     model: Model, flights: Sequence[Flight], tell: Callable[[str], None] = lambda text: None
 ) -> GlobalModel:
-    """Choose and fit. model: of one condition; its constants become each flight's own. Raises CampaignError for too few flights,
-    DataError for flights that cannot feed the model."""
+    """Choose terms and fit. model: of one condition; its constants become local to each flight. Raises CampaignError for too few
+    flights, DataError for flights without the data that the model needs."""
     if len(flights) < FEWEST:
         raise CampaignError(f"a model over the envelope needs {FEWEST} flights to hold some out; {len(flights)} given")
     base = joint_model(model)
@@ -120,7 +120,7 @@ def global_model(
         for _ in range(ROUNDS):
             if problem := fit.unusable(result):
                 return GlobalModel(result, gains, flown_ranges(result.model, flights), problem)
-            new_gains = fit.asked_for(result, wave, len(flights) // FLIGHTS_A_TERM - len(gains))
+            new_gains = fit.new_terms(result, wave, len(flights) // FLIGHTS_A_TERM - len(gains))
             if not new_gains:
                 break
             gains = (*gains, *new_gains)
@@ -135,7 +135,7 @@ def global_model(
 
 @dataclass(frozen=True)
 class _Fit:
-    """What every fit of a search shares. wide, data, simulator: with all terms, for the evidence."""
+    """The common data of all fits of a search. wide, data, simulator: with all candidate terms, for the evidence."""
 
     base: Model
     flights: Sequence[Flight]
@@ -145,34 +145,34 @@ class _Fit:
     tried: Sequence[ConditionTerm]
     reference: Mapping[str, float]
 
-    def asked_for(self, result: Result, wave: Sequence[ConditionTerm], most: int) -> list[TermGain]:
-        """Terms of `wave` that flights held out want beside those of the result."""
+    def new_terms(self, result: Result, wave: Sequence[ConditionTerm], most: int) -> list[TermGain]:
+        """At most `most` terms of `wave` that gain on flights held out, beside those of the result."""
         pooled_information = information(self.wide, self.data, result, self.simulator)
         active = [n for n in pooled_information.names if n in result.parameters]
         return terms_that_gain(pooled_information, active, [t.name for t in wave if t.name not in active], most)
 
     def needed(self, result: Result, gains: tuple[TermGain, ...]) -> tuple[TermGain, ...]:
-        """Those that are still wanted beside all the others."""
+        """The terms that still gain beside all the others."""
         pooled_information = information(self.wide, self.data, result, self.simulator)
         active = [n for n in pooled_information.names if n in result.parameters]
         removed = superfluous_terms(pooled_information, active, {g.name: result.values[g.name] for g in gains})
         return tuple(g for g in gains if g.name not in removed)
 
     def again(self, earlier: Result, gains: Sequence[TermGain], options: OutputErrorOptions = STANDARD) -> Result:
-        """The joint fit with the terms that were taken, from where the last one ended."""
+        """The joint fit with the chosen terms, started from the derivatives of the fit before."""
         names = {g.name for g in gains}
         extended_model = with_terms(self.base, [t for t in self.tried if t.name in names], self.reference)
         start = {n: earlier.values[n] for n in derivatives_of(self.base)}
         return output_error(extended_model, self.flights, start, options)
 
     def unusable(self, result: Result) -> str:
-        """Why no terms can be looked for from a result, empty where they can."""
+        """Why terms cannot be chosen from a result; empty where they can."""
         complete = all(len(f.initial_states) == len(d.segments) for f, d in zip(result.flights, self.data, strict=True))
-        return "" if result.converged and complete else f"no further terms were looked for: {result.text}"
+        return "" if result.converged and complete else f"no further terms were tried: {result.text}"
 
 
 def references(flights: Sequence[Flight]) -> dict[str, float]:
-    """`alpha_ref` ...: means over the flights of what terms are centred on, for the variables that all of them measure."""
+    """Means over the flights, `alpha_ref` ..., of the variables in CENTRED that all of them measured."""
     return {f"{v}_ref": float(np.mean([np.nanmean(f[v]) for f in flights])) for v in CENTRED if _in_all(flights, v)}
 
 

@@ -1,4 +1,4 @@
-"""Models over the envelope as rows of the database, as text, and as sentences; from the results of a campaign alone."""
+"""Models over the envelope as rows of the database, as TOML, and as sentences; all from the results of a campaign."""
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.utilities.plain_words import file_name
 from estimation.campaign.aerodynamics.forms import CONDITIONS
 from estimation.campaign.aerodynamics.joint import curve, half_band
 from estimation.campaign.aerodynamics.pooled import PooledCurves
 from estimation.campaign.aerodynamics.tables import Curves, points_of
 from estimation.campaign.aerodynamics.terms import derivatives_of, terms_of
-from estimation.campaign.groups import Starts
+from estimation.campaign.groups import Starts, stem_of
 from estimation.campaign.tasks import Row
 from estimation.models import Model
 from groundstation.flight import Array
@@ -25,19 +24,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointModel:
-    """A joint model out of the results. values, covariance: of `names`; about: group and method in a row."""
+    """A joint model read from the results. values, covariance: of `names`; group_columns: group and method, as columns."""
 
     model: Model
     names: tuple[str, ...]
     values: Mapping[str, float]
     covariance: Array
     flights: int
-    about: Row
+    group_columns: Row
 
 
 def joint_model_rows(results: "pa.Table", starts: Starts = MappingProxyType({})) -> Iterator[Row]:
-    """A row for each group whose model over the envelope was asked for: what came of it, and what of it mixes the sides of a
-    step in time (constants do not: each flight has its own). starts: of what steps moved."""
+    """A row for each model over the envelope: its outcome, and a warning where it mixes the sides of a step in time.
+
+    starts: first flights after steps. Constants are not mixed: each flight has its own.
+    """
     for run in _runs(results):
         outcome = "model over the envelope" if run["model_text"] else "no model over the envelope"
         text = f"{run['group']}: {outcome} ({run['method']}): {run['why']}"
@@ -47,7 +48,7 @@ def joint_model_rows(results: "pa.Table", starts: Starts = MappingProxyType({}))
 
 
 def _mixed_sides_note(model: Model, group: str, starts: Starts) -> str:
-    """A sentence on derivatives that a step moved, by whatever method it was seen; the model has one value for both sides."""
+    """A sentence on the derivatives that a step moved by any method: the model has one value for both sides."""
     derivative_names = set(derivatives_of(model))
     step_dates = {
         name: flights_after[0][0]
@@ -64,35 +65,40 @@ def _mixed_sides_note(model: Model, group: str, starts: Starts) -> str:
 
 
 def model_texts(results: "pa.Table") -> dict[str, str]:
-    """Name of a file without its ending -> TOML."""
+    """Stem of a file -> TOML of a model over the envelope."""
     texts = {}
     for run in _runs(results):
         if run["model_text"]:
-            texts[file_name(f"{run['group']}_{run['method']}".replace(", ", "_").replace(" ", "_"))] = run["model_text"]
+            texts[stem_of(run["group"], run["method"])] = run["model_text"]
     return texts
 
 
 def joint_rows(results: "pa.Table", curves: Sequence[Curves]) -> list[Row]:
-    """Surfaces and curves of each derivative by the joint models, at the points of the pooled curves of the same group."""
-    points = {group_curves.about["group"]: (group_curves.about, group_curves.envelope) for group_curves in curves}
+    """Surfaces and curves of each derivative of the joint models, at the points of the pooled curves of the same group."""
+    points = {
+        group_curves.group_columns["group"]: (group_curves.group_columns, group_curves.envelope)
+        for group_curves in curves
+    }
     rows: list[Row] = []
     for joint_model in _joint_models(results):
-        if joint_model.about["group"] in points:
-            group_columns, envelope = points[joint_model.about["group"]]
-            rows += _rows(joint_model, {**group_columns, "method": joint_model.about["method"]}, envelope)
+        if joint_model.group_columns["group"] in points:
+            group_columns, envelope = points[joint_model.group_columns["group"]]
+            rows += _rows(joint_model, {**group_columns, "method": joint_model.group_columns["method"]}, envelope)
     return rows
 
 
 def _rows(joint_model: JointModel, group_columns: Row, envelope: PooledCurves) -> Iterator[Row]:
     terms = terms_of(joint_model.model)
     for name in derivatives_of(joint_model.model):
-        own_terms = [t for t in terms if t.derivative == name]
+        derivative_terms = [t for t in terms if t.derivative == name]
         common: Row = {
             **group_columns,
             "kind": "joint",
             "parameter": name,
             "flights": joint_model.flights,
-            "form": " + ".join(["1", *(f"{t.variable}^{t.power}" if t.power > 1 else t.variable for t in own_terms)]),
+            "form": " + ".join(
+                ["1", *(f"{t.variable}^{t.power}" if t.power > 1 else t.variable for t in derivative_terms)]
+            ),
         }
         for condition, grid in points_of(envelope):
             model_points = _model_points(grid, condition)
@@ -111,7 +117,7 @@ def _rows(joint_model: JointModel, group_columns: Row, envelope: PooledCurves) -
 
 
 def _model_points(points: Array, condition: str) -> list[dict[str, float]]:
-    """Values of the model's variables: sideslip is none but where it is what changes."""
+    """Values of the model's variables at points (points, 4). Sideslip is zero unless it is the condition that varies."""
     points_of_model = []
     for p in points:
         values = {n: float(x) for n, x in zip(CONDITIONS, p, strict=True) if np.isfinite(x)}
@@ -121,7 +127,7 @@ def _model_points(points: Array, condition: str) -> list[dict[str, float]]:
 
 
 def _runs(results: "pa.Table") -> list[Row]:
-    """Run rows of models over the envelope: no other run has a text, be it an empty one."""
+    """Run rows of models over the envelope, the only ones whose `model_text` is not null."""
     import pyarrow.compute as pc
 
     runs = results.filter(pc.and_(pc.equal(results["kind"], "run"), pc.is_valid(results["model_text"])))

@@ -1,7 +1,7 @@
 """The database as JSBSim functions: a table of each derivative over angle of attack and true airspeed.
 
-To be included in the <aerodynamics> of an aircraft, before the axes that multiply the derivatives with their angles and
-rates. Per rad, rates non-dimensional as p b / 2V, in the signs of docs/aircraft.md, which a JSBSim aircraft may not share.
+For the <aerodynamics> of an aircraft, before the axes that multiply the derivatives by their angles and rates. Derivatives are
+per rad, rates non-dimensional as p b / 2V, in the signs of docs/aircraft.md, which may differ from those of a JSBSim aircraft.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,8 +10,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from daq.utilities.constants import FOOT
-from daq.utilities.plain_words import file_name
 from estimation.campaign.aerodynamics.tables import SURFACE
+from estimation.campaign.groups import stem_of
 from estimation.campaign.tasks import Row
 from groundstation.flight import Array
 
@@ -20,17 +20,15 @@ ALPHA, SPEED = "aero/alpha-rad", "velocities/vt-fps"
 
 
 def aerodynamics_files(database: Sequence[Row]) -> dict[str, str]:
-    """Name of a file without its ending -> XML, for each group, method and way of estimation; of what a step in time moved, the
-    last side."""
-    last = {_identity(r): r["until"] for r in sorted(database, key=lambda r: r.get("until") or "") if r.get("until")}
+    """Stem of a file -> XML, for each group, method and kind of model; after the last step in time of each parameter."""
+    last_date = {
+        _identity(r): r["until"] for r in sorted(database, key=lambda r: r.get("until") or "") if r.get("until")
+    }
     sets: dict[tuple[str, str, str], dict[str, list[Row]]] = {}
     for r in database:
-        if r["along"] in (SURFACE, "") and r.get("until") in (None, last.get(_identity(r))):
+        if r["along"] in (SURFACE, "") and r.get("until") in (None, last_date.get(_identity(r))):
             sets.setdefault((r["group"], r["method"], r["kind"]), {}).setdefault(r["parameter"], []).append(r)
-    return {
-        file_name("_".join(labels).replace(", ", "_").replace(" ", "_")): _xml(", ".join(labels), parameters)
-        for labels, parameters in sets.items()
-    }
+    return {stem_of(*labels): _xml(", ".join(labels), parameters) for labels, parameters in sets.items()}
 
 
 def _identity(r: Row) -> tuple[str, str, str, str]:
@@ -68,7 +66,7 @@ def _table_lines(alphas: Sequence[float], speeds: Sequence[float], value: Array)
 
 
 def _filled(rows: Sequence[Row], alphas: Sequence[float], speeds: Sequence[float]) -> Array:
-    """(alphas, speeds); a table has no empty cells, so where nobody flew stands the nearest value, in steps of the grid."""
+    """(alphas, speeds) values. JSBSim has no empty cells: where nobody flew, the nearest value, counted in steps of the grid."""
     value = np.full((len(alphas), len(speeds)), np.nan)
     for r in rows:
         if r["flown"]:

@@ -1,9 +1,9 @@
-"""Many parameters of many flights at once: y_i = X_i b + u_i + e_i, by restricted maximum likelihood.
+"""All parameters of many flights in one mixed model: y_i = X_i b + u_i + e_i, by restricted maximum likelihood.
 
-y_i: (k,) estimates of one flight; e_i: their full corrected covariance V_i, taken as known; u_i: what differs from flight to
-flight beyond it, a variance for each parameter; b: coefficients of forms, those of a spline with a variance of their own.
-Restricted likelihood after Henderson's equations (Searle, Casella and McCulloch, Variance Components, 1992, ch. 7). With one
-parameter and a constant it is the random-effects mean of a meta-analysis, as `pooling.pool` has it.
+y_i: (k,) estimates of one flight; e_i: their errors, of known full corrected covariance V_i; u_i: differences between flights,
+of one variance for each parameter; b: coefficients of the forms, those of a spline random with a common variance. Restricted
+likelihood after Henderson's equations (Searle, Casella and McCulloch, Variance Components, 1992, ch. 7). With one parameter and a
+constant this is `pooling.pool`, the random-effects mean of a meta-analysis.
 """
 
 from collections.abc import Sequence
@@ -16,15 +16,15 @@ from groundstation.flight import Array
 
 Mask = NDArray[np.bool_]
 
-LEAST = 1e-7  # of a flight's variance: a variance so small is none
-MOST = 1e7
-NEGLIGIBLE = 1e-2  # of a flight's variance: so little is left out where that is no worse
-ROUNDS = 60  # of the search: it ends in 10 to 20
+LEAST, MOST = 1e-7, 1e7  # bounds of the search, in units of a flight's variance; the least stands for none
+NEGLIGIBLE = 1e-2  # of a flight's variance: a smaller one is set to none where the likelihood is no lower
+ROUNDS = 60  # of the search, which ends after 10 to 20
+FIRST_GUESS = 0.1  # least variance to start from, in units of a flight's variance
 
 
 @dataclass(frozen=True)
 class MixedData:
-    """y: (flights, k); V: (flights, k, k); known: (flights, k), which parameters each flight tells."""
+    """y: (flights, k) estimates; V: (flights, k, k) covariances; known: (flights, k), which parameters each flight has."""
 
     y: Array
     V: Array
@@ -34,15 +34,15 @@ class MixedData:
         return MixedData(self.y[keep], self.V[keep], self.known[keep])
 
     def one(self, parameter: int) -> "MixedData":
-        """One parameter by itself; flights that do not tell it stay in their places."""
+        """One parameter by itself, with all flights, known or not."""
         j = slice(parameter, parameter + 1)
         return MixedData(self.y[:, j], self.V[:, j, j], self.known[:, j])
 
 
 @dataclass(frozen=True)
 class MixedDesign:
-    """X: (flights, k, p), rows of what a flight does not tell zero; owner: (p,) parameter of each column; penalty: (p,) -1 for
-    a free column, else the number of the spline variance it has."""
+    """X: (flights, k, p), rows of unknown parameters zero; owner: (p,) index of the parameter of each column; penalty: (p,) -1
+    for a free column, else index of its spline variance."""
 
     X: Array
     owner: NDArray[np.intp]
@@ -50,7 +50,7 @@ class MixedDesign:
 
     @classmethod
     def from_columns(cls, columns: Sequence[Array], penalties: Sequence[Sequence[int]], known: Mask) -> "MixedDesign":
-        """From (flights, terms) and penalties of each parameter's form."""
+        """From the columns (flights, terms) and penalties of each parameter's form. known: (flights, k)."""
         count = sum(c.shape[1] for c in columns)
         X = np.zeros((*known.shape, count))
         owner, penalty = np.zeros(count, np.intp), np.zeros(count, np.intp)
@@ -73,9 +73,9 @@ class MixedDesign:
 
 @dataclass(frozen=True)
 class MixedFit:
-    """b, covariance: (p,), (p, p), of the coefficients (Bayes' for splines), with Knapp and Hartung's factor of each parameter;
-    tau2: (k,) variances between flights; smooth: (splines,); S: (flights, k, k) variance of a flight's estimates about the
-    curves; H: its part that the coefficients' own error would explain; residual: (flights, k); freedom: (k,)."""
+    """b: (p,) coefficients; covariance: (p, p), Bayesian for splines, with Knapp and Hartung's factor of each parameter; tau2:
+    (k,) variances between flights; smooth: (splines,) variances of spline coefficients; S: (flights, k, k) covariance of a
+    flight's estimates about the curves; H: its part from the error of the coefficients; residual: (flights, k); freedom: (k,)."""
 
     b: Array
     covariance: Array
@@ -87,27 +87,28 @@ class MixedFit:
     freedom: Array
 
     def left_out(self, known: Mask) -> Array:
-        """(flights,) squared distance of each flight from what the others say, chi-square of as many as it tells."""
+        """(flights,) squared distance of each flight from the fit to the others: chi-square of as many as it has parameters."""
         middle = np.where(known[:, :, None] & known[:, None, :], self.S - self.H, np.eye(known.shape[1]))
         r = np.where(known, self.residual, 0.0)
         distance: Array = np.einsum("nk,nk->n", r, np.linalg.solve(middle, r[:, :, None])[:, :, 0])
         return distance
 
     def scores(self) -> Array:
-        """(flights,) log density of each flight as the others predict it, of a fit of one parameter."""
+        """(flights,) log density of each flight as predicted by the others, for a fit of one parameter."""
         s, predictive_share = self.S[:, 0, 0], (self.S - self.H)[:, 0, 0]
         density: Array = -0.5 * np.log(s**2 / predictive_share) - 0.5 * self.residual[:, 0] ** 2 / predictive_share
         return density
 
 
 def fit(data: MixedData, design: MixedDesign, start: Array | None = None) -> MixedFit:
-    """The largest restricted likelihood. start: (k + splines,) variances to begin from. Needs more flights than free terms."""
+    """The fit of largest restricted likelihood, for more flights than free terms. start: (k + splines,) variances to start
+    from."""
     from scipy.optimize import minimize
 
     data, unit = _scaled(data)
     size = data.y.shape[1]
     default_start = np.concatenate(
-        [_first_guess(data, design), np.full(design.splines, 0.1 * np.maximum(1.0, np.var(data.y)))]
+        [_first_guess(data, design), np.full(design.splines, FIRST_GUESS * np.maximum(1.0, np.var(data.y)))]
     )
     begin = (
         default_start
@@ -121,14 +122,13 @@ def fit(data: MixedData, design: MixedDesign, start: Array | None = None) -> Mix
         return value, slope * variances
 
     bounds = [(np.log(LEAST), np.log(MOST))] * begin.size
-    ends = minimize(
+    minimum = minimize(
         cost, np.log(begin), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": ROUNDS, "ftol": 1e-10}
     )
-    variances = np.exp(ends.x)
+    variances = np.exp(minimum.x)
     reduced_variances = np.where(variances < NEGLIGIBLE, LEAST, variances)
-    if (
-        cost(np.log(reduced_variances))[0] <= ends.fun
-    ):  # towards nothing the likelihood grows flat long before it is there
+    # towards zero the likelihood is flat, so that the search ends long before it gets there
+    if cost(np.log(reduced_variances))[0] <= minimum.fun:
         variances = reduced_variances
     tau2 = np.where(variances[:size] > LEAST, variances[:size], 0.0)
     return _in_units(_fit_at(data, design, tau2, variances[size:]), unit, design)
@@ -144,25 +144,25 @@ def predicted(mixed_fit: MixedFit, columns: Array, owner: NDArray[np.intp], para
 def replicates(
     data: MixedData, design: MixedDesign, mixed_fit: MixedFit, count: int, rng: np.random.Generator
 ) -> Array:
-    """(count, p) coefficients from flights drawn again with replacement, variances as mixed_fit: a check of the covariance."""
+    """(at most count, p) coefficients of bootstrapped flights with the variances of `mixed_fit`: a check of its covariance."""
     X, y = design.X, np.where(data.known, data.y, 0.0)
     weighted = inverses(mixed_fit.S, data.known) @ X
     prior = np.diag([0.0 if p < 0 else 1.0 / mixed_fit.smooth[p] for p in design.penalty])
     flight_counts = rng.multinomial(len(y), np.full(len(y), 1.0 / len(y)), size=count)
     free = design.penalty < 0
-    found_b = np.full((count, X.shape[2]), np.nan)
+    replicate_b = np.full((count, X.shape[2]), np.nan)
     for number, times in enumerate(flight_counts):
         A = np.einsum("n,nkp,nkq->pq", times, weighted, X) + prior
-        if np.linalg.matrix_rank(A[np.ix_(free, free)]) == free.sum():  # a draw of too few flights tells nothing
-            found_b[number] = np.linalg.solve(A, np.einsum("n,nkp,nk->p", times, weighted, y))
-    return found_b[np.isfinite(found_b[:, 0])]
+        if np.linalg.matrix_rank(A[np.ix_(free, free)]) == free.sum():  # a draw may hold too few different flights
+            replicate_b[number] = np.linalg.solve(A, np.einsum("n,nkp,nk->p", times, weighted, y))
+    return replicate_b[np.isfinite(replicate_b[:, 0])]
 
 
 # ------------------------------------------------------------------------------------------------------ inside
 
 
 def _scaled(data: MixedData) -> tuple[MixedData, Array]:
-    """Every parameter in units of its usual bound, so that variances are of one size."""
+    """The data with each parameter in units of its median bound, so that variances are near one; and (k,) these units."""
     bounds = np.where(data.known, np.sqrt(np.diagonal(data.V, axis1=1, axis2=2)), np.nan)
     unit = np.nanmedian(bounds, axis=0)
     y = np.where(data.known, data.y, 0.0) / unit
@@ -172,7 +172,7 @@ def _scaled(data: MixedData) -> tuple[MixedData, Array]:
 
 def _first_guess(data: MixedData, design: MixedDesign) -> Array:
     """(k,) variances between flights by the scatter about plain least squares."""
-    guess = np.full(data.y.shape[1], 0.1)
+    guess = np.full(data.y.shape[1], FIRST_GUESS)
     for j in range(guess.size):
         rows = data.known[:, j]
         X = design.X[rows, j][:, (design.owner == j) & (design.penalty < 0)]
@@ -183,7 +183,7 @@ def _first_guess(data: MixedData, design: MixedDesign) -> Array:
 
 
 def inverses(S: Array, known: Mask) -> Array:
-    """(flights, k, k) inverses over what each flight tells, zero elsewhere."""
+    """(flights, k, k) inverses of S over the known parameters of each flight, zero elsewhere."""
     pair_known = known[:, :, None] & known[:, None, :]
     padded = np.where(pair_known, S, np.eye(S.shape[1]))
     inverse: Array = np.where(pair_known, np.linalg.inv(padded), 0.0)
@@ -229,15 +229,15 @@ def _likelihood(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array
 def _fit_at(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) -> MixedFit:
     S, W, _, _, inverse, b, residual = _solved(data, design, tau2, smooth)
     H = np.einsum("nkp,pq,nlq->nkl", design.X, inverse, design.X, optimize=True)
-    used_freedom = np.einsum("nkl,nlk->k", W, H)
-    freedom = np.maximum(data.known.sum(axis=0) - used_freedom, 1.0)
+    freedom_used = np.einsum("nkl,nlk->k", W, H)
+    freedom = np.maximum(data.known.sum(axis=0) - freedom_used, 1.0)
     spread = np.where(data.known, np.einsum("nkk->nk", S), 1.0)
     factor = np.sqrt(np.maximum(1.0, np.sum(residual**2 / spread, axis=0) / freedom))[design.owner]
     return MixedFit(b, inverse * np.outer(factor, factor), tau2, smooth, S, H, residual, freedom)
 
 
 def _in_units(mixed_fit: MixedFit, unit: Array, design: MixedDesign) -> MixedFit:
-    """Back from units of the usual bound."""
+    """The fit in the parameters' units. unit: (k,) of each parameter."""
     of_b, two = unit[design.owner], np.outer(unit, unit)
     smooth = mixed_fit.smooth * _spline_units(unit, design) ** 2
     return MixedFit(

@@ -1,8 +1,11 @@
-"""Changes in time: the date from which the flights of a group say something else, in all their parameters together.
+"""Steps in time: dates from which all parameters of a group's flights together are shifted.
 
-A vane that slipped moves several parameters at once; together they tell the date far better than each by itself. The statistic
-is the largest Wald chi-square over all dates, of shifts of all parameters beside the curves over the conditions; what chance
-makes of it is found by drawing campaigns without a step.
+A vane that slipped moves several parameters at once; together they date the step far better than each by itself. The statistic
+is the largest Wald chi-square over all dates, of shifts of all parameters beside the curves over the conditions. Its distribution
+without a step comes from simulated campaigns.
+
+A parameter that a step moved has a curve before it and another from it on, because the mean of both was never flown. A parameter
+that no step clearly moved keeps one curve over all flights; where the parameters show a step only together, all are split.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,15 +23,17 @@ Index = NDArray[np.intp]
 
 FEWEST_BESIDE = 3  # flights on either side of a date
 MOST_STEPS = 3  # of one group: more are a drift, and its flights are not of one aircraft
-MOST_DATES = 300  # that are tried; of more, evenly spread ones
-DRAWS = 499  # campaigns without a step: the smallest probability is 0.002
-AT_ONCE = 50  # draws, for memory
-DATE_95 = 7.35  # by which the statistic falls to the ends of 95 %: (1 - exp(-x/2))^2 = 0.95 (Yao 1987, Ann. Stat. 15)
+MOST_DATES = 300  # tried; of more, evenly spread ones
+DRAWS = 499  # simulated campaigns without a step: the smallest probability is 0.002
+AT_ONCE = 50  # draws computed together, to bound memory
+SINGULAR = 1e-9  # of the largest eigenvalue of an information matrix: smaller ones count as zero
+DATE_95 = 7.35
+"""Drop of the statistic to the ends of the 95 % interval of the date: (1 - exp(-x/2))^2 = 0.95 (Yao 1987, Ann. Stat. 15)."""
 
 
 @dataclass(frozen=True)
 class ParameterStep:
-    """One parameter: by how much, its standard error, the probability of as much without a step, heeding all parameters."""
+    """One parameter at a step. std: of the change; probability: of a change this large in any parameter by chance."""
 
     parameter: str
     change: float
@@ -38,8 +43,8 @@ class ParameterStep:
 
 @dataclass(frozen=True)
 class DateStep:
-    """first: number of the first flight after it; dates: between which it lies, 95 %; probability: of a statistic as large
-    without a step, heeding all dates; moved: every parameter that could be told."""
+    """first: index of the first flight after it; dates: 95 % interval; probability: of a statistic this large at any date without
+    a step; moved: all parameters whose shift can be estimated; freedom: degrees of freedom of the shifts."""
 
     first: int
     dates: tuple[str, str]
@@ -70,22 +75,26 @@ def with_steps(group: GroupFlights, seed: int) -> tuple[PooledCurves | None, tup
 
 
 def _described(curves: PooledCurves, number: int, first: int, dates: tuple[str, str], probability: float) -> DateStep:
-    """Sizes of a step, with all steps that were found and the variances that are left."""
-    told_shifts = [(j, s) for j in range(len(curves.group.parameters)) if (s := curves.shift(j, number)) is not None]
-    freedom = int(min((curves.fit.freedom[j] for j, _ in told_shifts), default=1))
+    """A step with its sizes, from the curves that have all steps as shifts."""
+    parameter_shifts = [
+        (j, s) for j in range(len(curves.group.parameters)) if (s := curves.shift(j, number)) is not None
+    ]
+    freedom = int(min((curves.fit.freedom[j] for j, _ in parameter_shifts), default=1))
     parameter_steps = []
-    for j, (change, std) in told_shifts:
+    for j, (change, std) in parameter_shifts:
         p = pooling.two_sided(change / std, int(curves.fit.freedom[j]))
-        parameter_steps.append(ParameterStep(curves.group.parameters[j], change, std, min(1.0, p * len(told_shifts))))
+        parameter_steps.append(
+            ParameterStep(curves.group.parameters[j], change, std, min(1.0, p * len(parameter_shifts)))
+        )
     return DateStep(first, dates, probability, tuple(parameter_steps), freedom)
 
 
 def _search(
     curves: PooledCurves, earlier_steps: Sequence[int], rng: np.random.Generator
 ) -> tuple[int, tuple[str, str], float] | None:
-    """(first flight after the step, dates between which it lies, probability), where one is found at the usual level.
+    """(first flight after the step, 95 % interval of its date, probability), None where none is significant.
 
-    earlier_steps: steps that were found already; between two there are as many flights as beside one.
+    earlier_steps: first flights after steps found before, from which it keeps FEWEST_BESIDE flights away.
     """
     known_mask = curves.group.data.known[curves.sound]
     dates = [d for d, s in zip(curves.group.dates, curves.sound, strict=True) if s]
@@ -108,7 +117,7 @@ def _search(
 
 
 def _places(dates: Sequence[str]) -> Index:
-    """First flights of a later date with enough flights on either side."""
+    """Indices of the first flights of a date, with enough flights on either side."""
     eligible = [
         k for k in range(FEWEST_BESIDE, len(dates) - FEWEST_BESIDE + 1) if dates[k - 1] and dates[k] != dates[k - 1]
     ]
@@ -119,7 +128,7 @@ def _places(dates: Sequence[str]) -> Index:
 
 
 class _Statistics:
-    """Wald's chi-square of a step of all parameters at each place, from residuals about the curves without it."""
+    """Wald's chi-square of a step of all parameters at each place, from residuals about the curves without the step."""
 
     def __init__(self, curves: PooledCurves, known: NDArray[np.bool_], places: Index) -> None:
         fit, design = curves.fit, curves.design
@@ -135,7 +144,7 @@ class _Statistics:
         later_information = _sums_from(self.W, places)
         cross = _sums_from(WX, places)
         information = later_information - np.einsum("ckp,pq,clq->ckl", cross, np.linalg.inv(A), cross, optimize=True)
-        self.inverse = np.array([np.linalg.pinv(i, rcond=1e-9, hermitian=True) for i in information])
+        self.inverse = np.array([np.linalg.pinv(i, rcond=SINGULAR, hermitian=True) for i in information])
 
     def chi_square(self, residual: Array) -> Array:
         """(draws, places) from (draws, flights, k) residuals."""
@@ -144,7 +153,7 @@ class _Statistics:
         return chi2
 
     def by_chance(self, rng: np.random.Generator) -> Array:
-        """(DRAWS,) largest statistics of campaigns without a step, with the variances that were found."""
+        """(DRAWS,) largest statistics of simulated campaigns without a step, with the estimated variances."""
         n, k = self.known.shape
         root = np.linalg.cholesky(np.where(self.known[:, :, None] & self.known[:, None, :], self.S, np.eye(k)))
         largest: list[float] = []
@@ -163,18 +172,15 @@ def _sums_from(values: Array, places: Index) -> Array:
     return sums
 
 
-# Sides of a step in time: what a step moved has a curve before it and another from it on, for a mean of both was never flown.
-#
-# A parameter that no step clearly moved keeps one curve over all flights; where a step is told by all parameters together and by
-# none clearly, all of them are taken apart.
+# ------------------------------------------------------------------------------------------- sides of a step
 
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Side:
-    """Flights between two steps that moved a parameter. since, until: dates of the first and the last of them, empty where
-    nothing moved it; shifts: (effects,) of the curves there; flights: (flights,) of the group."""
+    """The flights between two steps that moved a parameter. since, until: dates of the first and the last of them, empty where no
+    step moved it; shifts: (effects,) of the curves there; flights: (flights,) mask over the group."""
 
     since: str
     until: str
@@ -183,7 +189,7 @@ class Side:
 
 
 def moved_by(steps: Sequence[DateStep], parameter: str) -> list[int]:
-    """Numbers of the steps that moved a parameter, in order of time."""
+    """Indices of the steps that moved a parameter, in order of time."""
     step_numbers = []
     for number, step in enumerate(steps):
         clearly = [m.parameter for m in step.moved if m.probability <= pooling.LEVEL]
@@ -193,7 +199,7 @@ def moved_by(steps: Sequence[DateStep], parameter: str) -> list[int]:
 
 
 def sides(curves: PooledCurves, steps: Sequence[DateStep], parameter: str) -> Iterator[Side]:
-    """The stretches of time that have curves of their own, in order."""
+    """The periods in which a parameter has a curve of its own, in order of time."""
     step_numbers = moved_by(steps, parameter)
     count = len(curves.group.flights)
     edges = [0, *(steps[n].first for n in step_numbers), count]

@@ -1,4 +1,4 @@
-"""The aerodynamic database as rows: from the results of a campaign to curves, surfaces and sentences on flights."""
+"""The aerodynamic database as rows: from the results of a campaign to curves, surfaces and sentences on outlying flights."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,14 +19,15 @@ from groundstation.flight import Array
 if TYPE_CHECKING:
     import pyarrow as pa
 
-
 GRID = 9  # values of alpha and of V in a surface
 ALONG = 25  # points of a curve over one condition
-REPLICATES = 100  # of the bootstrap that the bands are held against: its own error is 7 %
+REPLICATES = 100  # of the bootstrap that the bands are compared with: its own error is 7 %
 SURFACE = "alpha, V"
-LEADING = 3  # parameters that are named of an outlying flight
+LEADING = 3  # parameters named in the sentence on an outlying flight
+SMOOTHING = 0.15  # standard deviation of the weights for the other conditions along a curve, over half the range flown
+LEAST_WEIGHT = 1e-12  # of a flight, so that the weights never sum to zero
 
-INSTRUMENTS = "check"  # kind and method of the instrument factors: they may change, but are no aerodynamics
+INSTRUMENTS = "check"  # kind and method of the instrument factors: compared between flights, but no aerodynamics
 
 Group = tuple[tuple[str, ...], str]
 """Values of the keys, method."""
@@ -36,20 +37,21 @@ ByFlight = dict[tuple[str, str, str], list[dict[str, Any]]]
 
 @dataclass(frozen=True)
 class Curves:
-    """One group and method: what names it in a row, its rows of results by flight, its curves, and steps in time."""
+    """One group and method. group_columns: group and method, as columns; rows: of its results by flight; envelope: its curves;
+    steps: in time."""
 
-    about: Row
+    group_columns: Row
     rows: ByFlight
     envelope: PooledCurves
     steps: tuple[DateStep, ...]
 
 
 def envelopes(results: "pa.Table", keys: Sequence[str], seed: int) -> list[Curves]:
-    """The curves of every group and method with enough flights; instrument factors of the data checks are a method too."""
+    """The curves of every group and method with enough flights. Instrument factors of the data checks count as a method."""
     group_curves = []
     for (values, method), flights in sorted(_by_group(results, keys).items()):
         group = dict(zip(keys, values, strict=True))
-        curves, steps = with_steps(flown_rows(flights), seed)
+        curves, steps = with_steps(flights_of_rows(flights), seed)
         if curves is not None:
             group_columns: Row = {
                 "group": label_of(group),
@@ -61,19 +63,19 @@ def envelopes(results: "pa.Table", keys: Sequence[str], seed: int) -> list[Curve
 
 
 def database_rows(curves_by_group: Sequence[Curves], seed: int) -> list[Row]:
-    """For each parameter a surface over alpha and V, and a curve along each condition, the others as they were flown there; for
-    each side of a step in time that moved it."""
+    """For each parameter a surface over alpha and V, and a curve along each condition with the others as flown there; one of each
+    for either side of a step in time that moved it."""
     rows: list[Row] = []
     for group_curves in curves_by_group:
         curves = group_curves.envelope
         replicates = pooled.bootstrap(curves, REPLICATES, seed)
         for j, name in enumerate(curves.group.parameters):
-            if group_curves.about["method"] == INSTRUMENTS:
+            if group_curves.group_columns["method"] == INSTRUMENTS:
                 continue
             parameter_replicates = replicates[:, curves.design.owner == j]
             for side in sides(curves, group_curves.steps, name):
                 common: Row = {
-                    **group_curves.about,
+                    **group_curves.group_columns,
                     "kind": "pooled",
                     "parameter": name,
                     "flights": int(curves.group.data.known[curves.sound & side.flights, j].sum()),
@@ -89,9 +91,9 @@ def database_rows(curves_by_group: Sequence[Curves], seed: int) -> list[Row]:
 
 
 def starts_in(curves_by_group: Sequence[Curves]) -> Starts:
-    """Where each parameter of each group begins to say something else."""
+    """The first flights after the steps that moved each parameter."""
     return {
-        (group_curves.about["group"], group_curves.about["method"], name): starts
+        (group_curves.group_columns["group"], group_curves.group_columns["method"], name): starts
         for group_curves in curves_by_group
         for name in group_curves.envelope.group.parameters
         if (starts := starts_of(group_curves.envelope, group_curves.steps, name))
@@ -99,10 +101,10 @@ def starts_in(curves_by_group: Sequence[Curves]) -> Starts:
 
 
 def flight_rows(curves_by_group: Sequence[Curves]) -> Iterator[Row]:
-    """A sentence on each flight that is far, in all its parameters together, from what the others say at its conditions."""
+    """A row with a sentence for each flight whose parameters together are far from the curves of the others."""
     for group_curves in curves_by_group:
         for i in np.flatnonzero(~group_curves.envelope.sound):
-            yield _flight_row(group_curves.envelope, int(i), group_curves.about)
+            yield _flight_row(group_curves.envelope, int(i), group_curves.group_columns)
 
 
 def _flight_row(curves: PooledCurves, i: int, group_columns: Row) -> Row:
@@ -145,8 +147,8 @@ def _by_group(results: "pa.Table", keys: Sequence[str]) -> dict[Group, ByFlight]
     return groups
 
 
-def flown_rows(flights: ByFlight) -> GroupFlights:
-    """Flights in order of date and name, parameters in order of name: no number depends on the order of the rows."""
+def flights_of_rows(flights: ByFlight) -> GroupFlights:
+    """The estimates as arrays, flights in order of date and name, parameters of name: no number depends on the order of rows."""
     order = sorted(flights)
     names = sorted({r["parameter"] for rows in flights.values() for r in rows})
     column = {name: j for j, name in enumerate(names)}
@@ -160,11 +162,11 @@ def flown_rows(flights: ByFlight) -> GroupFlights:
         for r in rows:
             values[i, column[r["parameter"]]], std[i, column[r["parameter"]]] = r["estimate"], r["std_coloured"]
         _correlate(correlation[i], rows, column)
-    return pooled.flown_of(names, [(d, f) for d, f, _ in order], conditions, values, std, correlation)
+    return pooled.group_flights_of(names, [(d, f) for d, f, _ in order], conditions, values, std, correlation)
 
 
 def _correlate(correlation: Array, rows: Sequence[Mapping[str, Any]], column: Mapping[str, int]) -> None:
-    """Correlations of one flight's estimates from the rows of its covariance; where a method gives none, there are none."""
+    """Set the correlations (k, k) of one flight's estimates from the rows of its covariance, where its method gives one."""
     placed_rows = [r for r in rows if r["place"] is not None and r["covariance"]]
     places = [r["place"] for r in placed_rows]
     if len(placed_rows) < 2:
@@ -178,7 +180,7 @@ def _correlate(correlation: Array, rows: Sequence[Mapping[str, Any]], column: Ma
 
 
 def points_of(curves: PooledCurves) -> Iterator[tuple[str, Array]]:
-    """(what changes, (points, 4) conditions); where nothing changed there is one point."""
+    """(varied condition, (points, 4) conditions); one point where no condition changed between flights."""
     flights = curves.group.conditions[curves.sound]
     middle, scale = np.median(flights, axis=0), curves.scale
     changed = [c for c, is_changed in zip(CONDITIONS, scale.changed, strict=True) if is_changed]
@@ -190,7 +192,7 @@ def points_of(curves: PooledCurves) -> Iterator[tuple[str, Array]]:
         grid = np.tile(middle, (GRID * GRID, 1))
         grid[:, 0], grid[:, 1] = np.repeat(a, GRID), np.tile(v, GRID)
         nearest = np.abs((grid[:, None, :2] - flights[None, :, :2]) / scale.half[:2]).max(axis=2).argmin(axis=1)
-        grid[:, 2:] = flights[nearest, 2:]  # as the nearest flight had them: what nobody flew is not asked
+        grid[:, 2:] = flights[nearest, 2:]  # as in the nearest flight: a combination that nobody flew has no value
         yield SURFACE, grid
     for name in changed:
         c = CONDITIONS.index(name)
@@ -199,10 +201,9 @@ def points_of(curves: PooledCurves) -> Iterator[tuple[str, Array]]:
 
 
 def _as_flown(values: Array, condition: int, flights: Array, half: Array) -> Array:
-    """(points, 4): the condition at `values`, the others at the weighted means of the flights near by."""
-    flight_weights = (
-        np.exp(-0.5 * ((values[:, None] - flights[None, :, condition]) / (0.15 * half[condition])) ** 2) + 1e-12
-    )
+    """(points, 4) conditions: one at `values`, the others at the weighted means of the flights near by."""
+    distance = (values[:, None] - flights[None, :, condition]) / (SMOOTHING * half[condition])
+    flight_weights = np.exp(-0.5 * distance**2) + LEAST_WEIGHT
     points: Array = flight_weights @ np.nan_to_num(flights) / flight_weights.sum(axis=1, keepdims=True)
     points[:, condition] = values
     return points

@@ -1,7 +1,7 @@
-"""Terms that make a derivative change over the envelope, written into the text of a model.
+"""Terms that make a derivative vary over the envelope, written into the equations of a model.
 
-`Cl_beta` becomes `Cl_beta_here = Cl_beta + Cl_beta_alpha*(alpha - alpha_ref) + ...` wherever it stands, so any model of
-equations takes them: built-in or of one's own. Airspeed enters as V/V_ref - 1, angles in rad.
+`Cl_beta` is replaced by `Cl_beta_here = Cl_beta + Cl_beta_alpha*(alpha - alpha_ref) + ...` wherever it stands, so terms can be
+added to any model of equations, built-in or not. Airspeed enters as V/V_ref - 1, angles in rad.
 """
 
 import re
@@ -13,15 +13,15 @@ from estimation.models.expressions import products_in
 
 HERE = "_here"
 CENTRED = {"alpha": "rad", "V": "m/s", "delta_e": "rad"}
-"""Variables taken from a reference, and their units; all others are taken as they are, and only squared: an aircraft that is
-symmetric knows no odd power of sideslip in a lateral derivative."""
+"""Variables that enter as differences from a reference, and their units. All others enter squared: the lateral derivatives of a
+symmetric aircraft have no odd powers of sideslip."""
 POWERS: Mapping[str, tuple[int, ...]] = {"alpha": (1, 2), "V": (1, 2), "delta_e": (1,), "beta": (2,)}
-OWN_CONTROL = (2,)  # powers of the control that a derivative stands beside: what is lost at large angles
+OWN_CONTROL = (2,)  # powers of the control that a derivative multiplies: effectiveness lost at large deflections
 
 
 @dataclass(frozen=True)
 class ConditionTerm:
-    """derivative times a power of a variable of the flight."""
+    """A correction of a derivative in proportion to a power of a variable of the flight."""
 
     derivative: str
     variable: str
@@ -29,23 +29,24 @@ class ConditionTerm:
 
     @property
     def name(self) -> str:
-        """`Cl_beta_alpha`, `Cl_beta_alpha2`: the parameter."""
+        """Name of its parameter: `Cl_beta_alpha`, `Cl_beta_alpha2`."""
         return f"{self.derivative}_{self.variable}{self.power if self.power > 1 else ''}"
 
     @property
     def first(self) -> bool:
-        """Whether it is tried before the others: the angle of attack, and squares of sideslip and of the own control. In level
-        flight speed and elevator follow the angle of attack, and measured better than it they would take its place."""
+        """Whether it is tried before the others: angle of attack, and squares of sideslip and of the derivative's control.
+
+        In level flight airspeed and elevator follow the angle of attack; as they are measured better, they would take its place.
+        """
         return self.power == (1 if self.variable == "alpha" else 2) and self.variable != "V"
 
     @property
     def text(self) -> str:
-        """What stands in the line of the derivative."""
+        """Its summand in the equation of the derivative."""
         return f"{self.name}*{_factor(self.variable)}" + (f"^{self.power}" if self.power > 1 else "")
 
     def value(self, point: Mapping[str, float], reference: Mapping[str, float]) -> float:
-        """What the parameter is multiplied by, at values of the variables; nothing for one that is not given: at its reference,
-        or zero."""
+        """The factor of the parameter at values of the variables; zero for one not given, which is at its reference."""
         if self.variable not in point:
             return 0.0
         x = point[self.variable]
@@ -68,7 +69,7 @@ def derivatives_of(model: Model) -> tuple[str, ...]:
 
 
 def candidates(model: Model, columns: Sequence[str]) -> tuple[ConditionTerm, ...]:
-    """Every term that can be tried. columns: of the flights, beyond the model's own signals."""
+    """All terms to try. columns: variables that the flights have beyond the model's signals."""
     signals = {*model.state_names, *model.input_names, *columns}
     controls = {s.name for s in model.inputs if s.control}
     names = derivatives_of(model)
@@ -87,7 +88,7 @@ def _symbols_beside(model: Model, parameter: str) -> set[str]:
 
 
 def with_terms(model: Model, terms: Sequence[ConditionTerm], reference: Mapping[str, float]) -> Model:
-    """The model with terms, their parameters zero to begin with. reference: `alpha_ref` [rad], `V_ref` [m/s], `delta_e_ref`."""
+    """The model with terms, whose parameters start at zero. reference: `alpha_ref` [rad], `V_ref` [m/s], `delta_e_ref` [rad]."""
     if not terms:
         return model
     by_derivative: dict[str, list[ConditionTerm]] = {}
@@ -128,7 +129,7 @@ def _unit(model: Model, term: ConditionTerm) -> str:
 
 
 def terms_of(model: Model) -> tuple[ConditionTerm, ...]:
-    """The terms that a model's text holds, as `with_terms` wrote them."""
+    """The terms in a model's equations, as written by `with_terms`."""
     names = set(model.parameter_names)
     variables = {*POWERS, *model.input_names}
     terms = []
@@ -140,7 +141,7 @@ def terms_of(model: Model) -> tuple[ConditionTerm, ...]:
 
 
 def row_of(model: Model, derivative: str, names: Sequence[str], point: Mapping[str, float]) -> list[float]:
-    """What each of `names` is multiplied by in the derivative, at values of the variables."""
+    """The factor of each parameter `names` in the derivative, at values of the variables."""
     term_by_name = {t.name: t for t in terms_of(model) if t.derivative == derivative}
     return [
         1.0 if n == derivative else term_by_name[n].value(point, model.constants) if n in term_by_name else 0.0

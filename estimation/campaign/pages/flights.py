@@ -1,4 +1,4 @@
-"""A page of each flight: its conditions, what every method found in it beside what the others say, its fit, its sentences."""
+"""A page for each flight: conditions, estimates beside the pooled values of its group, fits, and warnings."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -11,6 +11,7 @@ from markupsafe import Markup
 from daq.utilities.constants import RADIAN
 from daq.utilities.plain_words import file_name
 from estimation.campaign.groups import label_in
+from estimation.campaign.pages.points import method_stem
 from estimation.campaign.tasks import Row
 from estimation.report.page import Page, Section, box, breakable, bullets, free_table, paragraph
 from estimation.report.tables import ReportTable, number, significant
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FOLDER = "flights"
-MOST_PAGES = 2000  # of 20 kB: beyond, only flights with something to say have one
+MOST_PAGES = 2000  # of 20 kB each: in a larger campaign only flights with a warning have a page
 SHOWN: Mapping[str, tuple[str, float]] = {
     "duration": ("s", 1.0),
     "V": ("m/s", 1.0),
@@ -34,7 +35,7 @@ SHOWN: Mapping[str, tuple[str, float]] = {
 
 
 def write_flight_pages(results: "pa.Table", groups: Sequence[Row], keys: Sequence[str], folder: Path) -> Markup:
-    """Pages in folder/flights; gives the table of all flights with links to them, in order of date and name."""
+    """Write pages into folder/flights; returns the table of all flights with links to them, in order of date and name."""
     flights = _by_flight(results)
     sentences_by_flight = _sentences(groups)
     pooled = [r for r in groups if r["kind"] == "pooled"]
@@ -56,7 +57,7 @@ def write_flight_pages(results: "pa.Table", groups: Sequence[Row], keys: Sequenc
 
 
 def _pooled_beside(pooled: Sequence[Row], date: str) -> dict[tuple[str, str, str], Row]:
-    """Group, method, parameter -> the pooled value that a flight of a date is held against: that of its side of a step."""
+    """Group, method, parameter -> pooled value for a flight of this date: that of its side of a step."""
     return {
         (r["group"], r["method"], r["parameter"]): r
         for r in pooled
@@ -65,7 +66,7 @@ def _pooled_beside(pooled: Sequence[Row], date: str) -> dict[tuple[str, str, str
 
 
 def _by_flight(results: "pa.Table") -> dict[str, list[Row]]:
-    """Location of a flight -> its rows."""
+    """Location and digest of a flight -> its rows."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -86,7 +87,7 @@ def _sentences(groups: Sequence[Row]) -> dict[str, list[str]]:
 
 
 def _page_name(row: Row) -> str:
-    """Told apart where two flights of two folders have one name."""
+    """File name of a flight's page; the digest separates flights of the same name."""
     digest = hashlib.sha256(f"{row['source']} {row['sha256']}".encode()).hexdigest()[:8]
     return f"{file_name(row['flight'])[:60]}-{digest}.html"
 
@@ -147,7 +148,7 @@ def _write(
 
 
 def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tuple[str, str, str], Row]) -> ReportTable:
-    """Beside the pooled value of the group, and how many bounds lie between."""
+    """Estimates beside the pooled values of the group, with the distance in bounds."""
     cells = []
     for r in rows:
         if r["kind"] not in ("estimate", "check"):
@@ -166,7 +167,7 @@ def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tup
             )
         )
     head = ("parameter", "estimate", "corrected bound", "pooled", "bounds apart", "")
-    return ReportTable(f"estimates_{method.replace(':', '_')}", f"Estimates by {method}", head, tuple(cells))
+    return ReportTable(f"estimates_{method_stem(method)}", f"Estimates by {method}", head, tuple(cells))
 
 
 def _fits(kind: str, rows: Sequence[Row]) -> ReportTable:

@@ -1,4 +1,4 @@
-"""The page of a campaign: what was found, every flight, trends, envelope, residuals, failures, and a page of each flight."""
+"""The page of a campaign: claims, every flight, trends, envelope, residuals and failures; and a page for each flight."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ from markupsafe import Markup
 from estimation.campaign.groups import claims_of
 from estimation.campaign.pages.figures import bounds_figure, envelope_figure, scatter_figure, trend_figures
 from estimation.campaign.pages.flights import write_flight_pages
-from estimation.campaign.pages.points import points_of
+from estimation.campaign.pages.points import method_stem, points_of
 from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.run import CampaignOutcome
 from estimation.campaign.tasks import Row
@@ -19,11 +19,12 @@ from estimation.report.tables import ReportTable, number, significant
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SHOWN = 60  # sentences: the tables hold all
+SHOWN = 60  # sentences; groups.parquet has all
+WORST = 20  # channels in the table of the worst residuals
 
 
 def write_campaign_page(outcome: CampaignOutcome, plan: CampaignPlan, folder: Path) -> Path:
-    """Write folder/index.html with everything inside, its tables as CSV and LaTeX in folder/tables, and folder/flights."""
+    """Write folder/index.html, its tables as CSV and LaTeX in folder/tables, and the pages in folder/flights."""
     claims = [r["text"] for r in claims_of(outcome.groups)]
     failures = failed_table(outcome.failed)
     flights = write_flight_pages(outcome.results, outcome.groups, plan.groups, folder)
@@ -71,7 +72,7 @@ def _status_box(outcome: CampaignOutcome) -> Markup:
 
 
 def _found_parts(claims: Sequence[str], groups: Sequence[Row]) -> list[Part]:
-    """What a person must read first, and what could have been found."""
+    """The claims that a person must read first, steps in time, and the power of the comparisons."""
     parts: list[Part] = [paragraph("No outlier, no step in time and no difference between groups was found.")]
     if claims:
         parts = [bullets(breakable(text) for text in claims[:SHOWN])]
@@ -81,10 +82,8 @@ def _found_parts(claims: Sequence[str], groups: Sequence[Row]) -> list[Part]:
     return [*parts, step_table(groups), paragraph("What could have been found:") if power else None, power]
 
 
-WORST = 20  # channels
-
-
 def pooled_table(groups: Sequence[Row], method: str) -> ReportTable | None:
+    """The pooled estimates of all groups by a method."""
     rows = [r for r in groups if r["kind"] == "pooled" and r["method"] == method]
     cells = tuple(
         (
@@ -112,11 +111,12 @@ def pooled_table(groups: Sequence[Row], method: str) -> ReportTable | None:
         "scatter: sample standard deviation; bound: rms of the corrected bounds. Sound bounds have a ratio near 1. "
         "What a step in time moved is pooled on each side by itself, from date to date."
     )
-    name, caption = f"pooled_{method.replace(':', '_')}", f"Pooled over flights, {method}"
+    name, caption = f"pooled_{method_stem(method)}", f"Pooled over flights, {method}"
     return ReportTable(name, caption, head, cells, note=note) if cells else None
 
 
 def power_table(groups: Sequence[Row]) -> ReportTable | None:
+    """Differences between groups, with those that could have been found."""
     rows = [r for r in groups if r["kind"] == "difference"]
     cells = tuple(
         (
@@ -129,11 +129,12 @@ def power_table(groups: Sequence[Row]) -> ReportTable | None:
         for r in sorted(rows, key=lambda r: r["probability"])
     )
     head = ("parameter", "method", "groups", "difference", "std", "probability", "detectable", "power for 5 %")
-    note = "Probability heeds the number of parameters compared; detectable: the least difference found four times in five."
+    note = "Probability allows for the number of parameters compared; detectable: the least difference found four times in five."
     return ReportTable("differences", "Differences between groups", head, cells, note=note) if cells else None
 
 
 def worst_table(results: "pa.Table") -> ReportTable:
+    """The channels of least R2, of all flights and methods."""
     import pyarrow.compute as pc
 
     fits = results.filter(pc.and_(pc.equal(results["kind"], "fit"), pc.is_valid(results["r2"])))
@@ -163,6 +164,6 @@ def step_table(groups: Sequence[Row]) -> ReportTable | None:
 
 
 def failed_table(failed: Mapping[str, str]) -> ReportTable:
-    """A sentence on each flight without a usable estimate."""
+    """Each flight without a usable estimate, with the reason."""
     title = "Flights without a usable estimate"
     return ReportTable("failed", title, ("flight", "why"), tuple(failed.items()), symbols=False, texts=(0, 1))

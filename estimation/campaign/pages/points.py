@@ -1,4 +1,4 @@
-"""Estimates of the flights as points, and the curves of the database, ready to be drawn."""
+"""Estimates of the flights as points, and the curves of the database, as arrays for the figures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EstimatePoints:
-    """Estimates of one parameter by one method over the flights: arrays (flights,), labels of their groups, dates. prior: what
-    was believed before, where one thing was."""
+    """Estimates of one parameter by one method: arrays (flights,), labels of groups, dates. order: rank by date; prior: the prior
+    value, where all flights have the same."""
 
     parameter: str
     order: Array
@@ -33,12 +33,17 @@ class EstimatePoints:
 
 @dataclass(frozen=True)
 class Faired:
-    """A curve of the database along one condition: arrays (points,), NaN where nobody flew."""
+    """A curve of the database along one condition: arrays (points,), NaN outside the range flown. low, high: 95 %."""
 
     x: Array
     value: Array
     low: Array
     high: Array
+
+
+def method_stem(method: str) -> str:
+    """A method as part of a file's name: `module:NAME` without its colon."""
+    return method.replace(":", "_")
 
 
 def points_of(results: "pa.Table", method: str, keys: Sequence[str]) -> list[EstimatePoints]:
@@ -70,7 +75,7 @@ def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequ
 
 
 def faired(database: Sequence[Row], kind: str, method: str, parameter: str, along: str) -> list[tuple[str, Faired]]:
-    """(group, its curve along a condition), one for each side of a step in time, the last side last."""
+    """(group, its curve along a condition), one for each side of a step in time, in order of time."""
     rows_by_side: dict[tuple[str, str], list[Row]] = {}
     for r in database:
         if (r["kind"], r["method"], r["parameter"], r["along"]) == (kind, method, parameter, along):

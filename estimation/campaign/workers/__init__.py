@@ -1,1 +1,1 @@
-"""The work of a campaign, and who does it: this process, or the workers of a scheduler, each within its limits."""
+"""The work of a campaign, and where it runs: in this process or on the workers of a scheduler, within limits of time."""

@@ -1,4 +1,4 @@
-"""The engine `--serial`: work in this process, one piece after the other, and the limits of time that hold for any worker."""
+"""The engine `--serial`: work in this process, one piece after the other; and the limits of time of any worker."""
 
 import contextlib
 import faulthandler
@@ -13,7 +13,8 @@ from estimation.campaign.tasks import Finished, OverdueError, Work
 from estimation.campaign.workers.work import do_work, failed_rows
 
 GRACE_S = 3.0
-"""Between saying that work is overdue and ending the process: the word must leave it first."""
+"""Between reporting overdue work and ending the process: the report must leave it first."""
+OVERDUE_STATUS = 70  # exit status of a worker that ends itself: EX_SOFTWARE of sysexits.h
 
 
 @contextlib.contextmanager
@@ -30,27 +31,27 @@ def interrupted_after(limit_s: float, what: str) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, old_handler)
-        signal.setitimer(signal.ITIMER_REAL, *old_timer)  # somebody else's alarm comes later than asked, but comes
+        signal.setitimer(signal.ITIMER_REAL, *old_timer)  # another alarm that was set comes late, but comes
 
 
 @contextlib.contextmanager
 def ended_after(limit_s: float, tell: Callable[[], Any]) -> Iterator[None]:
     """End this process when the work takes longer than `limit_s`; `tell` is called GRACE_S before.
 
-    Where Python itself is held up, a thread of the C library ends the process without a word.
+    Where a C library holds the interpreter lock, faulthandler's thread ends the process without calling `tell`.
     """
 
     def end() -> None:
         tell()
         threading.Event().wait(GRACE_S)
         if not finished.is_set():
-            os._exit(70)
+            os._exit(OVERDUE_STATUS)
 
     finished = threading.Event()
     timer = threading.Timer(limit_s, end)
     timer.daemon = True
-    with open(os.devnull, "w") as nowhere:
-        faulthandler.dump_traceback_later(limit_s + 3.0 * GRACE_S, exit=True, file=nowhere)
+    with open(os.devnull, "w") as null_device:
+        faulthandler.dump_traceback_later(limit_s + 3.0 * GRACE_S, exit=True, file=null_device)
         timer.start()
         try:
             yield
@@ -61,13 +62,14 @@ def ended_after(limit_s: float, tell: Callable[[], Any]) -> Iterator[None]:
 
 
 def overdue_text(what: str, limit_s: float) -> str:
+    """Reason in the results of work that took too long."""
     return (
         f"{what}: took longer than {limit_s:g} s and was ended; look at it by itself, or allow more with --time-limit"
     )
 
 
 class SerialEngine:
-    """Runs work where it is. A flight that ends the process ends the campaign; what was done is on disk."""
+    """Runs work in this process. A flight that ends the process ends the campaign; finished work is on disk."""
 
     workers = 1
     dashboard = ""

@@ -1,5 +1,6 @@
-"""What a piece of work says of a flight: its bytes and stretches, its aircraft and model, and the conditions it was flown in."""
+"""From a piece of work to its flight, aircraft and model; and the conditions that the flight was flown in."""
 
+import hashlib
 import tempfile
 import tomllib
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from estimation.models import Model, load_model
 from estimation.resolve import which_aircraft
 from groundstation.flight import Array, Flight, read_flight
 
-CHECK = "check"  # the piece of work that is no method
+CHECK = "check"  # name of the data check among the pieces of work, which are methods otherwise
 STATISTICS: dict[str, tuple[str, Callable[[Array], float]]] = {
     "V": ("V", lambda v: float(v.mean())),
     "V_min": ("V", lambda v: float(v.min())),
@@ -31,11 +32,11 @@ STATISTICS: dict[str, tuple[str, Callable[[Array], float]]] = {
     "altitude": ("altitude", lambda v: float(v.mean())),
     "rho": ("rho", lambda v: float(v.mean())),
 }
-"""Column of the result tables -> column of the flight, and what is taken of its measured samples."""
+"""Column of the result tables -> column of the flight, statistic over its measured samples."""
 
 
 def measured(flight: Flight) -> Row:
-    """Samples, duration [s], and means and ranges of motion and air; None for what was not measured."""
+    """Number of samples, duration [s], means and ranges of motion and air, SI; None where not measured."""
     row: Row = {"samples": len(flight), "duration": float(flight.time[-1] - flight.time[0])}
     for name, (column, statistic) in STATISTICS.items():
         values = flight[column] if flight.measured(column) else None
@@ -46,17 +47,21 @@ def measured(flight: Flight) -> Row:
 
 
 def read_subject(subject: Subject) -> Flight:
-    """The flight, from wherever its bytes are. CampaignError where they are no longer those that were planned."""
+    """The flight with its stretches as segments. CampaignError where its file changed since the plan was read."""
     from estimation.prepare.stretches import select_segments
 
     source = subject.source
     if source.path and source.data is None:
         flight = read_flight(source.path)
-        if flight.provenance.sha256 != source.sha256:
-            raise CampaignError(f"{source.path}: changed while the campaign ran; run it again")
+        _refuse_changed(source, flight.provenance.sha256)
     else:
         flight = _from_bytes(source)
     return select_segments(flight, subject.segments or None)
+
+
+def _refuse_changed(source: FlightSource, sha256: str) -> None:
+    if sha256 != source.sha256:
+        raise CampaignError(f"{source.location}: changed while the campaign ran; run it again")
 
 
 def _from_bytes(source: FlightSource) -> Flight:
@@ -67,32 +72,36 @@ def _from_bytes(source: FlightSource) -> Flight:
 
 
 def bytes_of(source: FlightSource) -> bytes:
-    """Sent along, flown by the maker, or fetched from the URL."""
+    """The bytes sent along, flown by the simulator, or fetched from the URL. CampaignError where the latter changed."""
     if source.data is not None:
         return source.data
     if source.made is not None and source.maker is not None:
         return source.maker(source.made)
     from estimation.campaign.sources import fetched
 
-    return fetched(source.url)
+    data = fetched(source.url)
+    _refuse_changed(source, hashlib.sha256(data).hexdigest())
+    return data
 
 
 def aircraft_of_subject(subject: Subject, flight: Flight, work: Work) -> Aircraft:
+    """The aircraft that the plan states for a flight, else the one that the flight names; with the mass that the plan states."""
     stated_aircraft = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
     required = not subject.model_text or any(find_estimator(m).needs_aircraft for m in work.pieces if m != CHECK)
-    craft = which_aircraft([flight], stated_aircraft, needed=required)
-    return craft if subject.mass is None else craft.with_values(mass=subject.mass)
+    aircraft = which_aircraft([flight], stated_aircraft, needed=required)
+    return aircraft if subject.mass is None else aircraft.with_values(mass=subject.mass)
 
 
 @lru_cache(maxsize=32)
 def aircraft_from_text(text: str, name: str) -> Aircraft:
+    """The aircraft of a file's text; parsed once for all flights of a worker."""
     from estimation.aircraft import schema
 
     return schema.aircraft_from_text(text, f"aircraft {name}", name)
 
 
-def model_of(subject: Subject, craft: Aircraft) -> Model:
-    """The model by its text, or the built-in one with the aircraft's constants."""
+def model_of(subject: Subject, aircraft: Aircraft) -> Model:
+    """The model of the text, or the built-in one with the aircraft's constants."""
     if subject.model_text:
         return Model.from_dict(tomllib.loads(subject.model_text))
-    return load_model(subject.model, craft)
+    return load_model(subject.model, aircraft)

@@ -243,7 +243,7 @@ def test_filter_and_smoother_agree_with_the_joint_distribution() -> None:
     joint = np.block([[blocks[i, j] if i >= j else blocks[j, i].T for j in range(count)] for i in range(count)])
     rows, values, variances = [], [], []
     for k in range(count):
-        for _, value, row, variance in chain._seen(k, about[k]):
+        for _, value, row, variance in chain._measurements(k, about[k]):
             wide = np.zeros(count * STATES)
             wide[k * STATES : (k + 1) * STATES] = row
             rows.append(wide)

@@ -16,8 +16,9 @@ import pytest
 import sideslip
 from daq.utilities import limits
 from estimation.campaign.plan import plan_from, read_plan
-from estimation.campaign.sources import _pieces, entries_of, fetched
+from estimation.campaign.sources import _chunks, entries_of, fetched
 from estimation.campaign.tasks import CampaignError
+from estimation.campaign.workers.subjects import bytes_of
 
 TRAP = "from pathlib import Path\nPath('sprung').write_text('x')\nclass Model: pass\nOWN = 1\n"
 
@@ -129,6 +130,17 @@ def test_a_file_by_its_address_is_an_ordinary_one(tmp_path: Path) -> None:
             fetched(address)
 
 
+def test_an_address_whose_content_changed_after_the_plan_was_read_is_refused(tmp_path: Path) -> None:
+    flight = tmp_path / "flight.csv"
+    flight.write_bytes(b"time,p\n0,0\n")
+    (entry,) = entries_of(plan_from({"flights": [f"file://{flight}"]}, "p"), tmp_path)
+    assert entry.source is not None
+    assert bytes_of(entry.source) == flight.read_bytes()
+    flight.write_bytes(b"time,p\n0,1\n")
+    with pytest.raises(CampaignError, match="changed while the campaign ran"):
+        bytes_of(entry.source)
+
+
 class Server(BaseHTTPRequestHandler):
     """Gives a flight in order, with its length and without; one without end; drips; says nothing at all."""
 
@@ -200,8 +212,8 @@ def test_what_drips_or_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch)
     stream = Dripping()
     monkeypatch.setattr(time, "monotonic", lambda: stream.seconds)
     with pytest.raises(CampaignError, match="21 bytes in 21 s"):
-        b"".join(_pieces(cast(IO[bytes], stream), "http://x/y.csv"))
+        b"".join(_chunks(cast(IO[bytes], stream), "http://x/y.csv"))
     monkeypatch.setattr(limits, "DATA_BYTES", 100)
     with pytest.raises(CampaignError, match="longer than the 100 bytes"):
-        b"".join(_pieces(io.BytesIO(bytes(101)), "http://x/y.csv"))
-    assert b"".join(_pieces(io.BytesIO(bytes(100)), "http://x/y.csv")) == bytes(100)
+        b"".join(_chunks(io.BytesIO(bytes(101)), "http://x/y.csv"))
+    assert b"".join(_chunks(io.BytesIO(bytes(100)), "http://x/y.csv")) == bytes(100)

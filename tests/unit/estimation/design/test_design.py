@@ -47,7 +47,7 @@ class TestPrediction:
     def test_trimmed_flight_stays_trimmed(self) -> None:
         model = load_model("longitudinal", AIRCRAFT)
         found = design(model, AIRCRAFT, DesignTask("doublet", 10.0, 16.0))
-        rest = fly(found.bench, np.zeros((250, 1)), 5.0)
+        rest = fly(found.setting, np.zeros((250, 1)))
         for name in model.state_names:
             assert np.ptp(rest.signals[name]) < 1e-6, name
         assert trimmed(model, AIRCRAFT, 16.0, 1.17).trim_value("alpha") == pytest.approx(
@@ -56,7 +56,7 @@ class TestPrediction:
 
     def test_predicted_bounds_are_those_of_a_fit_to_such_a_flight(self, sines: InputDesign) -> None:
         """The estimator's own Cramer-Rao bounds on a simulated record with the predicted noise."""
-        bench, motion = sines.bench, sines.best.motion
+        setting, motion = sines.setting, sines.best.motion
         keep = np.arange(0, len(motion.time), round(0.05 / (motion.time[1] - motion.time[0])))
         names = LATERAL.output_names
         rng = np.random.default_rng(4)
@@ -64,7 +64,7 @@ class TestPrediction:
         z = np.column_stack([motion.signals[n][keep] for n in names]) + sigma * rng.standard_normal((keep.size, 5))
         u = np.column_stack(
             [
-                motion.surfaces.get(s.name, np.full(len(motion.time), bench.condition.trim_value(s.name)))[keep]
+                motion.surfaces.get(s.name, np.full(len(motion.time), setting.condition.trim_value(s.name)))[keep]
                 for s in LATERAL.inputs
             ]
         )
@@ -76,8 +76,8 @@ class TestPrediction:
             assert result.parameters[name].std == pytest.approx(std, rel=0.15), name
 
     def test_information_adds_and_scales(self, sines: InputDesign) -> None:
-        small = information(sines.bench, fly(sines.bench, 0.05 * sines.best.commands, 20.0))
-        smaller = information(sines.bench, fly(sines.bench, 0.025 * sines.best.commands, 20.0))
+        small = information(sines.setting, fly(sines.setting, 0.05 * sines.best.commands))
+        smaller = information(sines.setting, fly(sines.setting, 0.025 * sines.best.commands))
         assert small.std["Cl_p"] == pytest.approx(0.5 * smaller.std["Cl_p"], rel=0.02)
 
     def test_bounds_by_inverse_and_what_is_tied_is_infinite(self) -> None:
@@ -131,7 +131,7 @@ class TestKinds:
 
     def test_longitudinal_and_other_controls(self) -> None:
         found = design(load_model("longitudinal", AIRCRAFT), AIRCRAFT, replace(TASK, kind="3211"))
-        assert found.bench.controls == ("delta_e",)
+        assert found.setting.controls == ("delta_e",)
         assert max(found.relative.values()) < 0.1
         only = design(LATERAL, AIRCRAFT, replace(TASK, controls=("delta_a",)))
         assert "Cn_dr" in only.untold

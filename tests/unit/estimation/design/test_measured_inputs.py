@@ -46,16 +46,16 @@ def test_what_wanders_slowly_hurts_what_is_slow() -> None:
 
 
 def test_exact_inputs_leave_the_bound(steps: InputDesign, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measured_inputs, "input_noise", lambda bench, signal: 0.0)
+    monkeypatch.setattr(measured_inputs, "input_noise", lambda setting, signal: 0.0)
     bounds = steps.best.information.std
-    exact = expected_errors(steps.bench, steps.best.motion, bounds, seed=1, draws=3)
+    exact = expected_errors(steps.setting, steps.best.motion, bounds, seed=1, draws=3)
     for name, bound in bounds.items():
         assert exact[name] == pytest.approx(bound, rel=0.03), name
 
 
 def test_noisy_inputs_are_told_and_more_of_them_is_worse(steps: InputDesign) -> None:
     usual = steps.expected
-    rough = replace(steps.bench, noise={"delta_a": math.radians(0.7), "delta_r": math.radians(0.7)})
+    rough = replace(steps.setting, noise={"delta_a": math.radians(0.7), "delta_r": math.radians(0.7)})
     worse = expected_errors(rough, steps.best.motion, steps.best.information.std, seed=1, draws=10)
     for name, bound in steps.best.information.std.items():
         assert usual[name] > 0.97 * bound, name
@@ -64,6 +64,6 @@ def test_noisy_inputs_are_told_and_more_of_them_is_worse(steps: InputDesign) -> 
 
 def test_noise_that_residuals_showed_is_not_counted_twice(steps: InputDesign) -> None:
     """A flight's residuals hold the noise of its inputs already."""
-    found = replace(steps.bench, noise_of_residuals=True)
+    found = replace(steps.setting, noise_of_residuals=True)
     once = expected_errors(found, steps.best.motion, steps.best.information.std, seed=1, draws=10)
     assert once["Cl_p"] < steps.expected["Cl_p"]

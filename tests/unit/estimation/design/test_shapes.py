@@ -9,12 +9,12 @@ from estimation.design.shapes import (
     Multisine,
     chirp,
     deal,
-    flat,
-    from_zero,
+    equal_shares,
     low_peak_multisine,
     pattern,
     relative_peak_factor,
-    total,
+    shifted_to_zero_crossings,
+    wave_columns,
 )
 
 FINE = np.linspace(0.0, 20.0, 20_001)[:-1]
@@ -23,7 +23,7 @@ FINE = np.linspace(0.0, 20.0, 20_001)[:-1]
 @pytest.fixture(scope="module")
 def waves() -> list[Multisine]:
     rng = np.random.default_rng(1)
-    return [low_peak_multisine(20.0, h, flat(h.size), rng) for h in deal(3, 20.0, (0.1, 1.5))]
+    return [low_peak_multisine(20.0, h, equal_shares(h.size), rng) for h in deal(3, 20.0, (0.1, 1.5))]
 
 
 class TestMultisines:
@@ -32,7 +32,7 @@ class TestMultisines:
             assert relative_peak_factor(wave.values(FINE)) < 1.1
 
     def test_controls_are_orthogonal_over_a_period(self, waves: list[Multisine]) -> None:
-        u = total(waves, FINE)
+        u = wave_columns(waves, FINE)
         product = u.T @ u / len(u)
         np.testing.assert_allclose(product, np.eye(3), atol=1e-9)
 
@@ -49,7 +49,7 @@ class TestMultisines:
 
     def test_every_shift_begins_at_zero_and_keeps_the_peak(self, waves: list[Multisine]) -> None:
         before = relative_peak_factor(waves[0].values(FINE))
-        for shifted in from_zero(waves[0])[:5]:
+        for shifted in shifted_to_zero_crossings(waves[0])[:5]:
             assert abs(float(shifted.values(np.zeros(1))[0])) < 1e-9
             assert relative_peak_factor(shifted.values(FINE)) == pytest.approx(before, abs=2e-3)
 

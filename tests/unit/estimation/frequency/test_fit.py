@@ -9,7 +9,7 @@ import pytest
 from estimation.errors import DataError, EstimationError
 from estimation.frequency.forms import ROLL as ROLL_FORM
 from estimation.frequency.forms import TransferForm, form_for
-from estimation.frequency.handling import Craft, handling
+from estimation.frequency.handling import RatedAircraft, handling
 from estimation.frequency.response import FrequencyResponse, ResponseOptions, frequency_response
 from estimation.frequency.transfer import GOOD, fit_transfer
 from tests.unit.estimation.frequency.linear_aircraft import DUTCH_ROLL, ROLL, Case, Plant, fly
@@ -133,7 +133,7 @@ def test_too_few_coherent_points() -> None:
 def test_short_period_numbers() -> None:
     response = exact(SHORT_PERIOD, "delta_e", "q")
     fit = fit_transfer(response)
-    numbers = {n.name: n for n in handling(response, fit, Craft("I", "A", 1000.0))}
+    numbers = {n.name: n for n in handling(response, fit, RatedAircraft("I", "A", 1000.0))}
     load = 16.0 / 9.80665 * 1.5
     assert numbers["n/alpha"].value == pytest.approx(load, rel=1e-5)
     assert numbers["CAP"].value == pytest.approx(25.0 / load, rel=1e-4)
@@ -146,7 +146,7 @@ def test_bandwidth_of_an_attitude_by_hand() -> None:
     """theta / delta = K exp(-tau s) / (s (T s + 1)): phase -90 - atan(T w) - tau w."""
     plant = Plant((-8.0,), (1.0, 5.0), 0.1)
     response = exact(plant, "delta_a", "p")
-    numbers = {n.name: n for n in handling(response, fit_transfer(response), Craft())}
+    numbers = {n.name: n for n in handling(response, fit_transfer(response), RatedAircraft())}
     omega = np.linspace(0.5, 30.0, 200_000)
     phase = -np.pi / 2 - np.arctan(0.2 * omega) - 0.1 * omega
     at = {d: float(np.interp(math.radians(d), phase[::-1], omega[::-1])) for d in (-135.0, -180.0)}
@@ -160,16 +160,16 @@ def test_bandwidth_of_an_attitude_by_hand() -> None:
 @pytest.mark.parametrize(
     ("craft", "T", "level"),
     [
-        (Craft("I", "A", 1000.0), 0.9, 1),
-        (Craft("I", "A", 1000.0), 1.2, 2),
-        (Craft("III", "A", 1e5), 1.2, 1),
-        (Craft("IV", "C"), 1.5, 3),
-        (Craft("IV", "C"), 11.0, 4),
-        (Craft("", "A", 1000.0), 0.9, None),
-        (Craft("I", "A", 3.5), 0.9, None),
+        (RatedAircraft("I", "A", 1000.0), 0.9, 1),
+        (RatedAircraft("I", "A", 1000.0), 1.2, 2),
+        (RatedAircraft("III", "A", 1e5), 1.2, 1),
+        (RatedAircraft("IV", "C"), 1.5, 3),
+        (RatedAircraft("IV", "C"), 11.0, 4),
+        (RatedAircraft("", "A", 1000.0), 0.9, None),
+        (RatedAircraft("I", "A", 3.5), 0.9, None),
     ],
 )
-def test_levels_of_the_roll_mode(craft: Craft, T: float, level: int | None) -> None:
+def test_levels_of_the_roll_mode(craft: RatedAircraft, T: float, level: int | None) -> None:
     """MIL-F-8785C table VII; none for an aircraft without a pilot or a class."""
     response = exact(Plant((3.0,), (1.0, 1.0 / T)), "delta_a", "p")
     fit = fit_transfer(response, ROLL_FORM)
@@ -183,15 +183,15 @@ def test_levels_of_the_roll_mode(craft: Craft, T: float, level: int | None) -> N
 )
 def test_levels_of_the_dutch_roll(zeta: float, omega: float, level: int) -> None:
     response = exact(Plant((4.0, 4.0), (1.0, 2 * zeta * omega, omega**2)), "delta_r", "r")
-    numbers = {n.name: n for n in handling(response, fit_transfer(response), Craft("IV", "A"))}
+    numbers = {n.name: n for n in handling(response, fit_transfer(response), RatedAircraft("IV", "A"))}
     assert numbers["zeta_d"].level == level
     assert numbers["zeta_d omega_d"].value == pytest.approx(zeta * omega, rel=1e-3)
 
 
 def test_why_there_is_no_level() -> None:
-    assert "weighs 3.5 kg" in Craft("I", "A", 3.5).why_no_level
-    assert "name the class" in Craft().why_no_level
-    assert Craft("II").why_no_level == ""
+    assert "weighs 3.5 kg" in RatedAircraft("I", "A", 3.5).why_no_level
+    assert "name the class" in RatedAircraft().why_no_level
+    assert RatedAircraft("II").why_no_level == ""
     for wrong in (("V", "A"), ("I", "D")):
         with pytest.raises(EstimationError, match="MIL-F-8785C knows"):
-            Craft(*wrong)
+            RatedAircraft(*wrong)

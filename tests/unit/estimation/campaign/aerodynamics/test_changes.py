@@ -3,7 +3,7 @@
 import numpy as np
 
 from estimation.campaign.aerodynamics.differences import differences
-from estimation.campaign.aerodynamics.pooled import GroupFlights, flown_of
+from estimation.campaign.aerodynamics.pooled import GroupFlights, group_flights_of
 from estimation.campaign.aerodynamics.steps import DateStep, with_steps
 from tests.unit.estimation.campaign.aerodynamics.test_envelope_curves import CORRELATION, NAMES, SLOPES, STD, estimates
 
@@ -13,7 +13,7 @@ BOUND = np.array([STD[n] for n in NAMES])
 def in_days(at: np.ndarray, values: np.ndarray, std: np.ndarray) -> GroupFlights:
     """A flight a day."""
     flights = [(str(np.datetime64("2026-03-01") + i), f"f{i:03d}") for i in range(len(at))]
-    return flown_of(NAMES, flights, at, values, std, np.tile(CORRELATION, (len(at), 1, 1)))
+    return group_flights_of(NAMES, flights, at, values, std, np.tile(CORRELATION, (len(at), 1, 1)))
 
 
 def steps(rng: np.random.Generator, flights: int, change: np.ndarray, first: int) -> tuple[DateStep, ...]:
@@ -86,7 +86,7 @@ def test_bad_flights_beside_a_step_are_left_out_and_hide_nothing() -> None:
 def test_flights_without_dates_have_no_steps(rng: np.random.Generator) -> None:
     at, values, std, _ = estimates(rng, 20, {})
     values[10:] += 5.0 * BOUND
-    of = flown_of(NAMES, [("", f"f{i}") for i in range(20)], at, values, std, np.tile(CORRELATION, (20, 1, 1)))
+    of = group_flights_of(NAMES, [("", f"f{i}") for i in range(20)], at, values, std, np.tile(CORRELATION, (20, 1, 1)))
     assert with_steps(of, 0)[1] == ()
 
 

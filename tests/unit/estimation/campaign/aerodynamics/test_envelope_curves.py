@@ -8,7 +8,7 @@ import pyarrow as pa
 import pytest
 
 from estimation.campaign.aerodynamics.forms import CONDITIONS, CONSTANT, ConditionScale, PolynomialForm
-from estimation.campaign.aerodynamics.pooled import PooledCurves, bootstrap, envelope, flown_of
+from estimation.campaign.aerodynamics.pooled import PooledCurves, bootstrap, envelope, group_flights_of
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows
 from estimation.campaign.schema import DATABASE, RESULTS, arrow_schema
 from estimation.models.expressions import names_in
@@ -53,7 +53,7 @@ def estimates(
 
 def curves_of(at: np.ndarray, values: np.ndarray, std: np.ndarray) -> PooledCurves:
     flights = [("", f"f{i:03d}") for i in range(len(at))]
-    found = envelope(flown_of(NAMES, flights, at, values, std, np.tile(CORRELATION, (len(at), 1, 1))))
+    found = envelope(group_flights_of(NAMES, flights, at, values, std, np.tile(CORRELATION, (len(at), 1, 1))))
     assert found is not None
     return found
 
