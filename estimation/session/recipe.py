@@ -1,4 +1,4 @@
-"""What can be done with a log: which models and methods, what is missing for the others, what one more sensor would add."""
+"""What a log allows: which models and methods, what the other models lack, and what one more sensor would add."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,7 +31,7 @@ SENSORS: Mapping[str, tuple[str, ...]] = {
     "surface positions, or servo outputs with trim and travel in a mapping": SURFACES,
     "thrust, from a table over throttle and airspeed or a load cell": ("thrust",),
 }
-"""What one could add to an aircraft -> the columns that come with it."""
+"""Equipment that could be added to an aircraft -> the columns that come with it."""
 
 
 BELIEVE = (
@@ -42,9 +42,9 @@ BELIEVE = (
 
 @dataclass(frozen=True)
 class Possible:
-    """A model on a log. missing: columns without which it cannot be fitted; reconstructed: columns that `sideslip reconstruct`
-    makes; silent: outputs that are not compared. slow: why the samples come too slowly for it. methods: by name, none where
-    something is missing or too slow."""
+    """A model on a log. missing: required columns that the log lacks; reconstructed: columns that `sideslip reconstruct` makes;
+    silent: outputs that are not compared; slow: why the sampling is too slow for it; methods: names, none where something is
+    missing or too slow."""
 
     model: str
     missing: tuple[str, ...]
@@ -61,8 +61,8 @@ class Possible:
 
 @dataclass(frozen=True)
 class Recipe:
-    """measured: by sensors; computed, assumed: columns that a program made or nobody measured; adds: sensor -> models that it
-    would make possible; contradictions: what the log says twice."""
+    """measured: columns from sensors; computed, assumed: columns from a program or an assumption -> their origin; adds: sensor ->
+    models that it would make possible; contradictions: quantities that the log holds twice with different values."""
 
     measured: tuple[str, ...]
     models: tuple[Possible, ...]
@@ -73,7 +73,7 @@ class Recipe:
     contradictions: tuple[Contradiction, ...] = ()
 
     def lines(self) -> list[str]:
-        """For a person."""
+        """The text that is printed."""
         lines = [f"measured: {', '.join(self.measured)}"]
         for word, columns in (("computed", self.computed), ("assumed", self.assumed)):
             if columns:
@@ -135,16 +135,13 @@ def recipe(flight: Flight) -> Recipe:
         gained = tuple(m.name for m in models if m.name not in able and _possible(m, columns_with_sensor, flight).able)
         if gained:
             adds[sensor] = gained
-    by_kind = {kind: _of_kind(flight, kind) for kind in ("computed", "assumed")}
-    unmeasured = {*by_kind["computed"], *by_kind["assumed"]}
-    measured = tuple(c for c in flight.columns if c in have and c not in unmeasured)
-    return Recipe(
-        measured, possible, adds, _air(have), by_kind["computed"], by_kind["assumed"], contradictions(flight)
-    )  # fmt: skip
+    computed, assumed = (_of_kind(flight, kind) for kind in ("computed", "assumed"))
+    measured = tuple(c for c in flight.columns if c in have and c not in {*computed, *assumed})
+    return Recipe(measured, possible, adds, _air(have), computed, assumed, contradictions(flight))
 
 
 def _of_kind(flight: Flight, kind: str) -> dict[str, str]:
-    """Columns whose import says that they are of a kind, and what they are from."""
+    """Columns that the import marked as of this kind -> their origin."""
     return {n: str(c.get("from", "")) for n, c in flight.channels.items() if c["kind"] == kind}
 
 
@@ -169,7 +166,9 @@ def _possible(model: Model, have: frozenset[str], flight: Flight) -> Possible:
     required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional]
     missing = tuple(dict.fromkeys(n for n in required if not _there(n, all_there)))
     may_lack = [n for n in MAY_LACK.get(model.name, ()) if not _there(n, all_there)]
-    missing = tuple(n for n in missing if may_lack != [n])  # one of them may be lacking, and a fit says what that costs
+    missing = tuple(
+        n for n in missing if may_lack != [n]
+    )  # a model may lack one of these; the fit says what that costs
     model_columns = {s.source for s in (*model.inputs, *model.outputs)}
     silent = tuple(dict.fromkeys((*(s.source for s in model.outputs if s.source not in all_there), *may_lack)))
     slow = too_slow(flight, model_columns)

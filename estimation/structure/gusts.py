@@ -23,7 +23,7 @@ FOLLOWS = 0.08
 """Share of the innovations of one output that past movements of the controls predict, from which they follow the controls: at
 most 0.03 in calm and gusty flights, 0.13 to 0.35 with a late vane, a late rudder or another product of inertia (random
 aeroplanes, docs/validation.md)."""
-FOLLOWS_BY_CHANCE = 1e-6  # probability of such a share by chance
+FOLLOWS_BY_CHANCE = 1e-6  # probability of such a share by chance, above which it is not reported
 
 NO_GUSTS = "its process noise is no gusts"
 
@@ -88,7 +88,7 @@ def _rows(result: Result, data: Sequence[FlightData], controls: list[int], outpu
     return np.concatenate(history), np.concatenate(rest)
 
 
-BY_CHANCE = 1e-4  # probability of such a deviation by chance
+BY_CHANCE = 1e-4  # probability of such a deviation by chance, above which it is not reported
 UNEVEN = 0.18
 """Largest deviation of the cumulated periodogram of white innovations from a straight line: at most 0.14 in gusts, 0.22 to 0.55
 where the model lacks backlash, a lag or a curved derivative (docs/validation.md)."""
