@@ -159,7 +159,7 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
             break
         next_scores = _scores(linear, (*selected, strongest), result, filtered)
         rivals = _rivals(scores, next_scores, selected, strongest, result)
-        if (derivative := _derivative_instead(scores, strongest, rivals, result)) is not None:
+        if (derivative := derivative_instead(scores, strongest, rivals, result)) is not None:
             strongest = derivative
             next_scores = _scores(linear, (*selected, strongest), result, filtered)
             rivals = _rivals(scores, next_scores, selected, strongest, result)
@@ -189,7 +189,7 @@ def _rivals(
     ]
 
 
-def _derivative_instead(scores: Sequence[Tested], strongest: int, rivals: Sequence[int], result: Result) -> int | None:
+def derivative_instead(scores: Sequence[Tested], strongest: int, rivals: Sequence[int], result: Result) -> int | None:
     """The strongest derivative among the rivals of a product of inertia, or None. It is preferred because flights determine
     derivatives, while inertia belongs to the aircraft file; the bounds span the estimates with either."""
     if scores[strongest].candidate.kind is not CandidateKind.INERTIA:
