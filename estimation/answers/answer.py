@@ -102,7 +102,7 @@ def plot_watched(watched: "Watched", ax: Any) -> Any:
 
 
 def _histories(units: Mapping[str, str], time: Any, measured: Any, curves: Mapping[str, Any], ax: Any) -> Any:
-    """Draw measured points and curves, (N, outputs) each, one axes an output. units: output -> its SI unit, in the columns' order;
+    """Draw measured points and curves, (N, outputs) each, one axes an output. units: output -> its SI unit, in order of columns;
     curves: label -> values."""
     from estimation.report.drawing.figures import broken_at_gaps
     from estimation.report.names import face

@@ -1,8 +1,8 @@
-"""A model found on a JSBSim aircraft, written back: a folder with the aircraft and what was found in it.
+"""A model found on a JSBSim aircraft, written back as a copy of the aircraft with the model's increments.
 
-Each term of a moment is a function in its axis. Terms of forces act in body and stability axes at the centre of gravity; JSBSim's
-LIFT, DRAG and SIDE are wind axes and act at AERORP: so they are turned, and their moment about that point is taken off again.
-What an effect does to a surface stands as components behind its position, which the whole aerodynamics then reads.
+Each term of a moment becomes a function in its axis. Our force terms act in body and stability axes at the centre of gravity,
+while JSBSim's LIFT, DRAG and SIDE are wind axes and act at AERORP: forces are rotated, and their moment about that point is
+cancelled. An effect on a surface becomes components after its position, whose output the whole aerodynamics reads.
 """
 
 import shutil
@@ -26,7 +26,8 @@ SAME_MASS = 1e-3  # relative: by which the model's mass may differ from the airc
 
 @dataclass(frozen=True)
 class JsbsimExport:
-    """file: the aircraft's XML. terms: names of the functions and components that were added. left_out: what is no aircraft's."""
+    """file: the aircraft's XML. terms: names of the added functions and components. left_out: sentences on what does not belong
+    to an aircraft."""
 
     file: Path
     terms: tuple[str, ...]
@@ -35,7 +36,8 @@ class JsbsimExport:
 
 @dataclass(frozen=True)
 class Written:
-    """An aircraft's XML with what was found. chains: property that the aerodynamics reads now -> the position behind it."""
+    """An aircraft's XML with the increments. chains: property that the aerodynamics now reads -> the position before our
+    components."""
 
     root: ET.Element
     terms: tuple[str, ...]
@@ -45,8 +47,8 @@ class Written:
 def export_aircraft(
     model: Model, source: Path, folder: Path, lineage: str, rate: float
 ) -> tuple[JsbsimExport, Written, Increments]:
-    """Write NAME-sideslip/NAME-sideslip.xml into `folder`, NAME the aircraft `source`. rate: steps per second it is meant for, in
-    which delays are counted. Raises SimulationError for what cannot be written, before anything is."""
+    """Write NAME-sideslip/NAME-sideslip.xml into `folder`, NAME the aircraft `source`. rate: JSBSim steps per second, the unit of
+    delays. Raises SimulationError, before anything is written, for what an aircraft cannot have."""
     increments = increments_of(model)
     written_aircraft = write_aircraft(increments, source, rate, lineage)
     name = f"{source.stem}-{OURS}"
@@ -67,20 +69,18 @@ def export_aircraft(
     )
 
 
+WIND_AXES = {"LIFT", "DRAG", "SIDE", "ROLL", "PITCH", "YAW"}
+
+
 def write_aircraft(increments: Increments, source: Path, rate: float, lineage: str) -> Written:
+    """The XML of the aircraft `source` with the increments. rate: JSBSim steps per second; lineage: a note for its header. Raises
+    SimulationError for what cannot be written."""
     root = inlined(source)
     aerodynamics = _child(root, "aerodynamics")
-    strange = {a.get("name", "").upper() for a in aerodynamics.iter("axis")} - {
-        "LIFT",
-        "DRAG",
-        "SIDE",
-        "ROLL",
-        "PITCH",
-        "YAW",
-    }
-    if strange:
+    other_axes = {a.get("name", "").upper() for a in aerodynamics.iter("axis")} - WIND_AXES
+    if other_axes:
         raise SimulationError(
-            f"{source}: its aerodynamics is in axes {', '.join(sorted(strange))}; only wind axes can be added to"
+            f"{source}: its aerodynamics is in axes {', '.join(sorted(other_axes))}; only wind axes can be added to"
         )
     values = _values(increments.physical)
     chains, channel = chains_of(increments, values, source, rate)
@@ -108,7 +108,7 @@ def write_aircraft(increments: Increments, source: Path, rate: float, lineage: s
 
 
 def inlined(source: Path) -> ET.Element:
-    """The aircraft's XML with aerodynamics and flight control that stand in files of their own."""
+    """The aircraft's XML with aerodynamics and flight control included from their own files."""
     root = tree_of(source)
     for tag in ("aerodynamics", "flight_control"):
         section = root.find(tag)
@@ -122,6 +122,7 @@ def inlined(source: Path) -> ET.Element:
 
 
 def _child(root: ET.Element, tag: str, first: bool = False) -> ET.Element:
+    """The section `tag`, which is added where it is missing; first: before all others."""
     child = root.find(tag)
     if child is None:
         child = ET.Element(tag)
@@ -139,7 +140,8 @@ def _values(model: Model) -> dict[str, float]:
 
 
 def _inertia(model: Model, root: ET.Element, source: Path) -> list[str]:
-    """Moments of inertia of the model where they are not the aircraft's as loaded; SimulationError for another mass."""
+    """Write the model's moments of inertia where they differ from the aircraft's as loaded; returns their names. Raises
+    SimulationError where the mass differs."""
     values = _values(model)
     craft = aircraft_as_loaded(loaded(source), source.stem)
     if abs(values["m"] / craft.mass - 1.0) > SAME_MASS:
@@ -154,11 +156,12 @@ def _inertia(model: Model, root: ET.Element, source: Path) -> list[str]:
             continue
         added_inertia = sign * (values[name] - getattr(craft, name)) / SLUG_FOOT2
         if abs(added_inertia) * SLUG_FOOT2 > SAME_MASS * craft.Ixx:
-            changed.append(_shifted(balance, name.lower(), added_inertia))
+            _add_inertia(balance, name.lower(), added_inertia)
+            changed.append(name.lower())
     return changed
 
 
-def _shifted(balance: ET.Element, tag: str, more: float) -> str:
+def _add_inertia(balance: ET.Element, tag: str, increment: float) -> None:
     """Add to a moment of inertia of the empty aircraft [slug ft2]. A file's ixz is the product unless it says otherwise."""
     element = balance.find(tag)
     if element is None:
@@ -167,5 +170,4 @@ def _shifted(balance: ET.Element, tag: str, more: float) -> str:
     unit = 1.0 if element.get("unit", "SLUG*FT2") == "SLUG*FT2" else SLUG_FOOT2
     negated = balance.get("negated_crossproduct_inertia", "true") == "true"
     sign = -1.0 if tag == "ixz" and not negated else 1.0
-    element.text = repr(float(element.text or 0.0) + sign * more * unit)
-    return tag
+    element.text = repr(float(element.text or 0.0) + sign * increment * unit)
