@@ -136,13 +136,13 @@ def gyroscopic(aircraft: Aircraft, motion: FlightStates) -> dict[str, Array]:
     return {axis: angular_rates[axis] for axis in ("L", "M", "N")}
 
 
-STATES = 200  # random ones, at which two descriptions of an aircraft are compared
+STATES = 200  # random ones, at which two forms of an aircraft are compared
 SEED = 20261127  # fixed, so that a comparison is repeatable
 ALPHAS = (-0.1, 0.2)  # rad: the range in which an aircraft is linear
 LARGEST = {"beta": 0.2, "p": 1.0, "q": 0.6, "r": 0.6}  # rad, rad/s
 DEFLECTION = 0.3  # rad, or the throw if that is less
-CRUISE = 0.4  # lift coefficient of the speed about which states are drawn
-SPEEDS = (0.7, 1.8)  # times that speed
+CRUISE = 0.4  # lift coefficient that sets the cruise speed
+SPEEDS = (0.7, 1.8)  # range of speeds over the cruise speed
 
 
 def random_motion(

@@ -49,8 +49,8 @@ def _symbols() -> dict[str, Sum]:
 
 
 SYMBOLS: Mapping[str, Sum] = _symbols()
-"""Property -> its form in our symbols. `area`, `span`, `chord` [ft2, ft], `pressure` [lbs/ft2], `spans` (b/2V) and `chords` (c/2V)
-remain symbols until the end, so that they cancel."""
+"""Property -> its form in our symbols. `area`, `span`, `chord` [ft2, ft], `pressure` [lbs/ft2], `spans` (b/2V) and `chords`
+(c/2V) remain symbols until the end, so that they cancel."""
 CALLS: Mapping[str, tuple[str, Callable[..., float]]] = {
     "abs": ("abs", abs), "sin": ("sin", math.sin), "cos": ("cos", math.cos), "tan": ("tan", math.tan), "exp": ("exp", math.exp),
     "asin": ("asin", math.asin), "acos": ("acos", math.acos), "atan": ("atan", math.atan), "ln": ("log", math.log),
@@ -68,9 +68,9 @@ class NotExact(Exception):
 class Reader:
     """Reads functions of one aircraft.
 
-    section: its aerodynamics. surfaces: property -> (our column, function from our value to its). values_of: name of a property ->
-    its values at several states (None where it does not exist); one that never changes counts as a number. line: writes a sum as
-    a line of the given name and returns its symbol.
+    section: its aerodynamics. surfaces: property -> (our column, function from our value to its). values_of: name of a property
+    -> its values at several states (None where it does not exist); one that never changes counts as a number. line: writes a sum
+    as a line of the given name and returns its symbol.
     """
 
     section: ET.Element
