@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from estimation.session.verdict import Verdict
 
 BOUNDS = (
-    "bound: Cramér–Rao; corrected: for coloured residuals, the one to be believed. What the flight cannot tell "
-    "is printed and said so; the reason is given below. Before flying: from the wind tunnel, or an engineering estimate (guess)."
+    "bound: Cramér–Rao; corrected: for coloured residuals, the one to use. Values that the flight does not determine "
+    "are marked; the reason is given below. Before flying: from the wind tunnel, or an engineering estimate (guess)."
 )
 
 

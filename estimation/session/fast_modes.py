@@ -45,7 +45,7 @@ class FastMode:
     def text(self) -> str:
         """For a person."""
         return (
-            f"{self.damping} cannot be told at {1.0 / self.interval:.3g} Hz: the motion that it damps is over in"
+            f"{self.damping} cannot be told at {1.0 / self.interval:.3g} Hz: the motion that it damps decays in"
             f" {self.time_constant * 1e3:.0f} ms and the surface was logged every {self.interval * 1e3:.0f} ms; {self.control}/"
             f"{self.damping} can: {self.ratio:.3g} +- {self.std:.2g}; log the servo outputs faster to tell both"
         )

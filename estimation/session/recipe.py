@@ -35,8 +35,8 @@ SENSORS: Mapping[str, tuple[str, ...]] = {
 
 
 BELIEVE = (
-    f"believe {' and '.join(TRUSTED_RECONSTRUCTED)}: reconstructed angles lack the gusts, which methods that regress on them "
-    "cannot bear"
+    f"believe {' and '.join(TRUSTED_RECONSTRUCTED)}: reconstructed angles lack the gusts, which spoils methods that regress on "
+    "them"
 )
 
 

@@ -181,7 +181,7 @@ def impossible_values(result: Result) -> list[str]:
             largest = LARGEST_BIAS.get(parameter.unit, np.inf)
             if excess > largest:
                 sentences.append(
-                    f"{e.name} = {e.estimate:.3g} {parameter.unit} is no bias of an instrument (at most {largest:g})"
+                    f"{e.name} = {e.estimate:.3g} {parameter.unit} is too large for an instrument's bias (at most {largest:g})"
                 )
         elif parameter.role is ParameterRole.CONSTANT and e.name.partition("_")[0] in SYMMETRIC:
             angle = excess / _largest_slope(result, e.name.partition("_")[0])

@@ -137,13 +137,15 @@ def verdict(
         case.against = dict.fromkeys(results, text) | case.against
     if reconstructed:
         objection = (
-            f"{case.reconstructed} reconstructed, not measured, without the gusts, which only output error bears"
+            f"{case.reconstructed} reconstructed, not measured, without the gusts, which only output error tolerates"
         )
         for method in (m for m in results if m not in TRUSTED_RECONSTRUCTED):
             case.object_to(method, DoubtKind.RECONSTRUCTED, objection)
     if corrected := corrected_states(results):
         for method in (m for m in results if m in REGRESSIONS):
-            case.against.setdefault(method, f"it takes records for the motion that {corrected} tells from it")
+            case.against.setdefault(
+                method, f"it takes records for the true motion, from which {corrected} shows them to differ"
+            )
     for method, reason in (failures or {}).items():
         case.doubts.append(Doubt(DoubtKind.FAILED, f"{method}: {reason}"))
     for method, result in results.items():
@@ -173,10 +175,10 @@ def _doubt_result(case: _Case, method: str, result: Result, aspect: float) -> No
             case.against.setdefault(method, doubt.text)
     r2 = [f.r2 for fit in result.flights for f in fit.fit.values() if math.isfinite(f.r2)]
     if r2 and max(r2) < EXPLAINS:
-        text = f"it explains none of the outputs (r2 {max(r2):.2f} at most): nothing here moves as the model says"
+        text = f"it explains none of the outputs (r2 {max(r2):.2f} at most): the motion is not the model's"
         case.object_to(method, DoubtKind.UNEXPLAINED, text)
     if not result.informative:
-        case.against.setdefault(method, "it can tell none of the derivatives")
+        case.against.setdefault(method, "it determines none of the derivatives")
 
 
 # ------------------------------------------------------------------------------------------------------------ the choice
@@ -252,7 +254,7 @@ def _process_noise(case: _Case) -> ProcessNoise:
     else:
         size = predictability(ml)
         text = (
-            f"its residuals follow one another ({1.0 - math.exp(-0.5 * size):.0%} of them is foretold by the sample before): "
+            f"its residuals follow one another (the sample before predicts {1.0 - math.exp(-0.5 * size):.0%} of them): "
             "gusts, or what the model lacks, move the aircraft; estimate with --method ml,fem,ls"
         )
         noise = ProcessNoise(size > PREDICTABLE, text)
@@ -307,13 +309,15 @@ def _without_likelihood(case: _Case) -> Recommendation:
             if furthest is not None and furthest[1] <= DISAGREE:
                 agree = f"{method} and {second} agree within their bounds"
                 return Recommendation(
-                    method, f"no likelihood is to be believed here ({_objections(case)}), and {agree}"
+                    method, f"no likelihood method is credible here ({_objections(case)}), and {agree}"
                 )
     unranked = [m for m in case.credible if m not in REGRESSIONS and m not in ("ml", *FILTERS)]
     if unranked:
-        return Recommendation(unranked[0], "nothing that is looked at speaks against it")
+        return Recommendation(unranked[0], "no check speaks against it")
     if regressions:
-        reason = f"{regressions[0]} takes measured motion for truth, which its bounds leave out; nothing confirms it"
+        reason = (
+            f"{regressions[0]} takes measured motion for truth, which its bounds leave out; no other method confirms it"
+        )
         return Recommendation(NO_METHOD, _joined(reason, _objections(case)))
     return Recommendation(NO_METHOD, _objections(case))
 
@@ -339,7 +343,7 @@ def _why(case: _Case, method: str, noise: ProcessNoise, tested: bool) -> str:
     if any(m in case.credible for m in FILTERS):
         quiet = noise.quiet
     else:
-        quiet = "its residuals do not follow one another more than noise of the inputs makes them"
+        quiet = "its residuals follow one another no more than noise of the inputs explains"
     return _joined(quiet, agree)
 
 

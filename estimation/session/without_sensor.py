@@ -27,16 +27,16 @@ KINEMATIC = "beta_kinematic"
 
 LACKING: Mapping[str, str] = {
     "beta": (
-        "beta not measured: it follows from p, r, phi and ay and begins at zero as an unknown, so that CY_0, Cl_0 and Cn_0 "
-        "cannot be told from the sideslip at the beginning, and what is slower than the manoeuvres tells nothing of beta"
+        "beta not measured: it is integrated from p, r, phi and ay, from an unknown initial value, so that CY_0, Cl_0 and Cn_0 "
+        "cannot be told from the initial sideslip, and motion slower than the manoeuvres gives no information on beta"
     ),
     "ay": (
-        "ay not measured: the side force CY is told by how beta moves alone, and what turns the air or the vane passes for it: "
-        "the bounds of every CY are several times as wide"
+        "ay not measured: the side force CY follows only from the motion of beta, and errors of the air or the vane act like a "
+        "side force: the bounds of every CY are several times as wide"
     ),
     "thrust": (
-        "thrust not measured: taken as constant within the flight and unknown, so that CD_0 cannot be told from it; what thrust "
-        "does off the CG passes for Cm_0"
+        "thrust not measured: taken as constant within the flight and unknown, so that CD_0 cannot be told from it; its moment "
+        "about the CG is counted as Cm_0"
     ),
 }
 """Column that may be lacking -> what then cannot be determined."""
@@ -102,7 +102,7 @@ def with_unknown_thrust(result: Result) -> Result:
     """The result with zero-lift drag and thrust marked not identifiable where thrust is an unknown."""
     if THRUST not in result.model.parameter_names or DRAG not in result.parameters:
         return result
-    why = f"{NO_THRUST}: the record tells thrust less drag, and not one of them"
+    why = f"{NO_THRUST}: the record determines only thrust minus drag"
     names = [n for n in (DRAG, THRUST) if n in result.parameters]
     blind = {n: replace(result.parameters[n], identifiable=False, why=why) for n in names}
     return replace(result, parameters={**result.parameters, **blind})

@@ -67,8 +67,8 @@ def follows_controls(result: Result, data: Sequence[FlightData]) -> str:
     if not name:
         return ""
     return (
-        f"{NO_GUSTS}: what the controls did before foretells {largest:.0%} of its innovations of {name}, where"
-        f" in rough air they foretell {FOLLOWS:.0%} at most; the model, a channel or the record of a control lacks something"
+        f"{NO_GUSTS}: past movements of the controls predict {largest:.0%} of its innovations of {name}, in rough air"
+        f" {FOLLOWS:.0%} at most; the model, a channel or the record of a control lacks something"
     )
 
 
@@ -157,8 +157,8 @@ def turns_no_wind(result: Result, data: Sequence[FlightData]) -> str:
     if worst <= MOMENTS:
         return ""
     return (
-        f"{NO_GUSTS}: gusts turn {which[0]} first, and here the moment that drives {which[1]} does {worst:.1f} times as much as"
-        f" they (in rough air {MOMENTS:g} at most); the model or a control lacks something"
+        f"{NO_GUSTS}: gusts turn {which[0]} first, but here the moment that drives {which[1]} has {worst:.1f} times their effect"
+        f" (in rough air {MOMENTS:g} at most); the model or a control lacks something"
     )
 
 

@@ -46,7 +46,7 @@ def chains_of(
         for name in names if acting else ():
             if not name.endswith("-rad") or "mag-" in name:
                 raise SimulationError(
-                    f"{source}: its aerodynamics reads {name}, behind which {acting[0].kind} of {column} cannot be written; only"
+                    f"{source}: its aerodynamics reads {name}, after which a {acting[0].kind} of {column} cannot be written; only"
                     " positions in rad can"
                 )
             sign = SIGNS[name.removeprefix("fcs/").removesuffix("-pos-rad")][1]

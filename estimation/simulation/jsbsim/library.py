@@ -166,7 +166,7 @@ def aerodynamics_of(path: Path) -> ET.Element:
     if section is not None and section.get("file"):
         section = tree_of(path.parent / f"{section.get('file', '').removesuffix('.xml')}.xml")
     if section is None:
-        raise SimulationError(f"{path}: has no section <aerodynamics>; nothing can be asked of it")
+        raise SimulationError(f"{path}: has no section <aerodynamics>, so it has no coefficients")
     return section
 
 

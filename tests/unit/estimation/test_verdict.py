@@ -94,7 +94,7 @@ def test_a_regression_is_no_witness_against_a_model_that_has_its_vane_late() -> 
     assert found.verdict.recommended.method == "ml"
     assert "agrees" not in found.verdict.recommended.why
     only = {"ml": replace(found.results["ml"], status=output_error_module.Status.DIVERGED), "ls": found.results["ls"]}
-    assert "takes records for the motion that delay_beta" in verdict(only).recommended.why
+    assert "takes records for the true motion, from which delay_beta" in verdict(only).recommended.why
 
 
 def test_a_filter_that_leaves_a_late_vane_aside_is_not_believed_in_rough_air(rough: Mapping[str, Result]) -> None:
