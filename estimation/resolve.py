@@ -70,14 +70,14 @@ def resolve(
     selected = read_flights(flights, segments, each_segment=each_segment)
     if simulation is not None:
         attached = _on_simulation(simulation, model, selected, aircraft, free, controls)
-        loaded, craft, selected, notes = attached.model, attached.aircraft, list(attached.flights), attached.notes
+        loaded, airframe, selected, notes = attached.model, attached.aircraft, list(attached.flights), attached.notes
     else:
-        craft = which_aircraft(selected, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
-        loaded, notes = load_model(model, craft), ()
-    loaded, with_mass, mass_notes = with_mass_history(loaded, selected, craft)
+        airframe = which_aircraft(selected, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
+        loaded, notes = load_model(model, airframe), ()
+    loaded, with_mass, mass_notes = with_mass_history(loaded, selected, airframe)
     loaded, with_cg, cg_notes = with_cg_history(loaded, with_mass)
     notes = (*(f"simulation: {note}" for note in notes), *mass_notes, *cg_notes)
-    return ResolvedCall(with_initial_states(loaded, hold_initial, free_initial), craft, with_cg, method_names, notes)
+    return ResolvedCall(with_initial_states(loaded, hold_initial, free_initial), airframe, with_cg, method_names, notes)
 
 
 def read_flights(flights: Flights, segments: str | None = None, *, each_segment: bool = False) -> list[Flight]:

@@ -228,8 +228,12 @@ class Check(Answer):
         result, findings = self.results[flight], self.quality[flight]
         if not result.converged:
             return f"{flight}: no motion was found that the instruments agree on: {result.text}"
-        off = [n for n, f in result.factors.items() if f.identifiable and _is_off(f)]
-        text = f"agree once {', '.join(off)} {'is' if len(off) == 1 else 'are'} corrected" if off else "agree"
+        miscalibrated = [n for n, f in result.factors.items() if f.identifiable and _is_off(f)]
+        text = (
+            f"agree once {', '.join(miscalibrated)} {'is' if len(miscalibrated) == 1 else 'are'} corrected"
+            if miscalibrated
+            else "agree"
+        )
         if worst(findings) != "fail":
             return f"{flight}: the instruments {text}"
         failed = ", ".join(dict.fromkeys(f.kind for f in findings if f.severity == "fail"))

@@ -86,8 +86,8 @@ def gap(
             raise
         hint = "if it works without --effects, an effect of your own is not finite along these flights"
         raise GapError(f"{error}; {hint}") from error
-    before, after = (at_stated_cg(at_mean_mass(m)) for m in (result.model_before, result.model_after))
-    result = replace(result, model_before=before, model_after=after)
+    model_before, model_after = (at_stated_cg(at_mean_mass(m)) for m in (result.model_before, result.model_after))
+    result = replace(result, model_before=model_before, model_after=model_after)
     notes = (*problem.notes, *untested_effects(own_effects, result))
     return GapAnswer(result, problem.flights, effect_list, seed, notes)
 
@@ -240,9 +240,13 @@ def beside_simulation(model: "Model") -> str:
 
     coefficients = [n.removesuffix("_sim") for n in model.definitions if n.endswith("_sim")]
     names = {SHARE, *(name for c in coefficients for name in (f"{c}_0", f"k_{c}"))} if coefficients else {}
-    found = [
+    estimated = [
         f"{p.name} {p.start:.3g} ({p.reference:g})"
         for p in model.parameters
         if p.name in names and not p.fixed and p.reference is not None
     ]
-    return "estimated beside the simulation, which has what stands in brackets: " + ", ".join(found) if found else ""
+    return (
+        "estimated beside the simulation, which has what stands in brackets: " + ", ".join(estimated)
+        if estimated
+        else ""
+    )

@@ -121,8 +121,8 @@ class Match(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        judged = [(p.name, n, f.matches(self.limit)) for p in self.proofs for n, f in p.fit.items()]
-        failed = [n if len(self.proofs) == 1 else f"{n} of {name}" for name, n, matches in judged if not matches]
+        channels = [(p.name, n, f.matches(self.limit)) for p in self.proofs for n, f in p.fit.items()]
+        failed = [n if len(self.proofs) == 1 else f"{n} of {name}" for name, n, matches in channels if not matches]
         verdict = f"{', '.join(failed)} beyond the limit" if failed else "every channel within its limit"
         return f"Match of {', '.join(p.name for p in self.proofs)}: {verdict}"
 
@@ -139,10 +139,10 @@ def _proof_lines(proof: "ProofOfMatch", limit: float) -> list[str]:
     head = f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}{'limit':>7}  match"
     lines = [f"{proof.name}: {proof.text}", head]
     for name, f in proof.fit.items():
-        judged = "pass" if f.matches(limit) else "FAIL"
+        verdict = "pass" if f.matches(limit) else "FAIL"
         lines.append(
             f"  {name:<10}{f.r2:8.3f}{f.theil:8.3f}{f.theil_bias:7.2f}{f.theil_variance:7.2f}"
-            f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}{f.limit(limit):7.2f}  {judged}"
+            f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}{f.limit(limit):7.2f}  {verdict}"
         )
     if proof.estimated_from:
         lines.append(

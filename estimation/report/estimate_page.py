@@ -158,13 +158,13 @@ def _first_screen(session: "EstimationSession") -> list[Section]:
     answer = leading_answer(session)
     verdict = paragraph(sentence(answer.verdict), "verdict-line")
     pictures = estimate_figures(session)
-    drawn = {name: pictures[name]() for name in ("forest", "strips") if name in pictures}
+    drawings = {name: pictures[name]() for name in ("forest", "strips") if name in pictures}
     steps = [Markup("<p><b>Next</b></p>"), bullets(next_steps(session, answer))]
     table = answer_table(session, answer) if answer.rows else None
     return [
         Section("", "", [verdict, _status_box(session)]),
-        Section("answer", "", [table, drawn.get("forest")], kind="answer"),
-        Section("", "", [drawn.get("strips"), *steps]),
+        Section("answer", "", [table, drawings.get("forest")], kind="answer"),
+        Section("", "", [drawings.get("strips"), *steps]),
     ]
 
 

@@ -61,12 +61,12 @@ def _aircraft_of_flight(flight: "Flight") -> "Aircraft | None":
         return None
 
 
-def _row(flight: "Flight", craft: "Aircraft | None") -> tuple[str, ...]:
+def _row(flight: "Flight", aircraft: "Aircraft | None") -> tuple[str, ...]:
     return (
         flight.name,
         _date(flight),
-        "" if craft is None or not math.isfinite(craft.mass) else f"{craft.mass:.4g}",
-        "" if craft is None or craft.cg_from_nose is None else f"{craft.cg_from_nose:.4g}",
+        "" if aircraft is None or not math.isfinite(aircraft.mass) else f"{aircraft.mass:.4g}",
+        "" if aircraft is None or aircraft.cg_from_nose is None else f"{aircraft.cg_from_nose:.4g}",
         _range(flight, "V", 1.0, 1),
         _range(flight, "altitude", 1.0, 0),
         _range(flight, "alpha", float(np.degrees(1.0)), 1),

@@ -50,7 +50,7 @@ def write_front_page(folder: Path) -> Path:
     truth.json, of simulated flights: {"derivatives": {name: value},
     "hidden": {"name": effect, "parameters": {name: [value, unit]}}}.
     """
-    contents = {name: _read(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap", "truth")}
+    contents = {name: _read_json(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap", "truth")}
     links = [(n, title, description) for n, title, description in PAGES if (folder / n / "index.html").is_file()]
     files = [f"{name}.json" for name, data in contents.items() if data is not None]
     sections = [
@@ -104,7 +104,7 @@ def _file_links(files: Sequence[str]) -> Markup:
     return paragraph(Markup("The same results for a program: {}.").format(links))
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+def _read_json(path: Path) -> dict[str, Any] | None:
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
 
@@ -113,8 +113,8 @@ def _lead(estimate: dict[str, Any] | None, check: dict[str, Any] | None) -> str:
     if source is None:
         return "No results in this folder yet."
     names = ", ".join(f["name"] for f in source["flights"])
-    craft = f"Aircraft {estimate['aircraft']}, model {estimate['model']}. " if estimate else ""
-    return f"{craft}Flights: {names}."
+    aircraft_text = f"Aircraft {estimate['aircraft']}, model {estimate['model']}. " if estimate else ""
+    return f"{aircraft_text}Flights: {names}."
 
 
 def _limit(match: dict[str, Any]) -> float:

@@ -18,7 +18,7 @@ from estimation.report.drawing.figures import Picture
 from estimation.report.names import html as symbol
 from estimation.report.tables import ReportTable, cell_label, needs_width, table_slices, word_columns
 
-HERE = Path(__file__).parent
+TEMPLATES = Path(__file__).parent
 FRONT = "index.html"
 BACK = "<!-- back to the front page -->"
 """Place holder in a page without a front page; writing the front page replaces it by a link."""
@@ -73,7 +73,7 @@ class Page:
     def html(self, back: str = "") -> str:
         """The file's text. back: HTML of a link to another page."""
         environment = Environment(
-            loader=FileSystemLoader(HERE),
+            loader=FileSystemLoader(TEMPLATES),
             autoescape=True,
             undefined=StrictUndefined,
             finalize=printed,
@@ -88,7 +88,7 @@ class Page:
             page=self,
             links=[*((f"#{s.anchor}", s.link) for s in self.shown() if s.link), *self.links],
             landscape=needs_width(_tables(s for s in self.shown() if s.printed)),
-            style=(HERE / "style.css").read_text(encoding="utf-8"),
+            style=(TEMPLATES / "style.css").read_text(encoding="utf-8"),
             back=back,
             software=software(),
             written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),

@@ -145,7 +145,7 @@ class AircraftObjections:
     aspect: float = math.nan
 
 
-NOTHING = AircraftObjections()
+NO_OBJECTIONS = AircraftObjections()
 
 
 def aircraft_objections(aircraft: Aircraft, model: Model) -> AircraftObjections:

@@ -41,7 +41,7 @@ def ambiguous_text(lack: Lack) -> str:
     rivals = ", ".join(f"{r.candidate.phrase} ({r.candidate.name} = {r.value:.3g})" for r in lack.rivals)
     return (
         f"{leading.name} was added (score {abs(lack.leading.score):.1f}), but {rivals} instead explains these flights as well"
-        f" and moves estimates by up to {lack.apart:.1f} of their bounds, which the bounds now span: to tell them, state"
-        f" {leading.name} in the aircraft file, measure the other (a swing test for inertia), or fly a symmetric pull-up with"
-        " aileron 3-2-1-1"
+        f" and moves estimates by up to {lack.largest_difference:.1f} of their bounds, which the bounds now span: to tell them,"
+        f" state {leading.name} in the aircraft file, measure the other (a swing test for inertia), or fly a symmetric pull-up"
+        " with aileron 3-2-1-1"
     )

@@ -124,20 +124,20 @@ class Recipe:
 
 def recipe(flight: Flight) -> Recipe:
     """What the built-in models and methods can do with a flight's columns; nothing is fitted."""
-    have = frozenset(c for c in flight.known_columns if flight.measured(c))
+    available = frozenset(c for c in flight.known_columns if flight.measured(c))
     aircraft = load_aircraft("cdfp")  # for the names in the models only
     models = [build(aircraft) for build in BUILDERS.values()]
-    possible = tuple(_possible(m, have, flight) for m in models)
+    possible = tuple(_possible(m, available, flight) for m in models)
     able = {p.model for p in possible if p.able}
     adds = {}
     for sensor, columns in SENSORS.items():
-        columns_with_sensor = have | set(columns)
+        columns_with_sensor = available | set(columns)
         gained = tuple(m.name for m in models if m.name not in able and _possible(m, columns_with_sensor, flight).able)
         if gained:
             adds[sensor] = gained
     computed, assumed = (_of_kind(flight, kind) for kind in ("computed", "assumed"))
-    measured = tuple(c for c in flight.columns if c in have and c not in {*computed, *assumed})
-    return Recipe(measured, possible, adds, _air(have), computed, assumed, contradictions(flight))
+    measured = tuple(c for c in flight.columns if c in available and c not in {*computed, *assumed})
+    return Recipe(measured, possible, adds, _air(available), computed, assumed, contradictions(flight))
 
 
 def _of_kind(flight: Flight, kind: str) -> dict[str, str]:
@@ -145,27 +145,27 @@ def _of_kind(flight: Flight, kind: str) -> dict[str, str]:
     return {n: str(c.get("from", "")) for n, c in flight.channels.items() if c["kind"] == kind}
 
 
-def _can_reconstruct(have: frozenset[str]) -> bool:
-    return have.issuperset(RECONSTRUCTION) and not have.isdisjoint(AIRSPEED)
+def _can_reconstruct(available: frozenset[str]) -> bool:
+    return available.issuperset(RECONSTRUCTION) and not available.isdisjoint(AIRSPEED)
 
 
-def _air(have: frozenset[str]) -> str:
-    if have.issuperset(AIR):
+def _air(available: frozenset[str]) -> str:
+    if available.issuperset(AIR):
         return "measured"
-    if _can_reconstruct(have):
+    if _can_reconstruct(available):
         return "no vanes for all of it; 'sideslip reconstruct' makes V, alpha, beta and wind, with their uncertainty"
-    missing = [c for c in RECONSTRUCTION if c not in have]
-    if have.isdisjoint(AIRSPEED):
+    missing = [c for c in RECONSTRUCTION if c not in available]
+    if available.isdisjoint(AIRSPEED):
         missing.append("an airspeed by a pitot (V, p_dynamic or V_cas)")
     return f"incomplete, and to reconstruct it this is missing: {', '.join(missing)}"
 
 
-def _possible(model: Model, have: frozenset[str], flight: Flight) -> Possible:
-    reconstructed = tuple(n for n in AIR if n not in have) if _can_reconstruct(have) else ()
-    all_there = have | set(reconstructed)
+def _possible(model: Model, available: frozenset[str], flight: Flight) -> Possible:
+    reconstructed = tuple(n for n in AIR if n not in available) if _can_reconstruct(available) else ()
+    all_there = available | set(reconstructed)
     required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional]
-    missing = tuple(dict.fromkeys(n for n in required if not _there(n, all_there)))
-    may_lack = [n for n in MAY_LACK.get(model.name, ()) if not _there(n, all_there)]
+    missing = tuple(dict.fromkeys(n for n in required if not _is_available(n, all_there)))
+    may_lack = [n for n in MAY_LACK.get(model.name, ()) if not _is_available(n, all_there)]
     missing = tuple(
         n for n in missing if may_lack != [n]
     )  # a model may lack one of these; the fit says what that costs
@@ -176,5 +176,7 @@ def _possible(model: Model, have: frozenset[str], flight: Flight) -> Possible:
     return Possible(model.name, missing, tuple(n for n in reconstructed if n in model_columns), silent, methods, slow)
 
 
-def _there(column: str, have: frozenset[str] | Sequence[str]) -> bool:
-    return column in have or any(all(n in have for n in way.needs) for way in DERIVED.get(column, ()))
+def _is_available(column: str, available: frozenset[str] | Sequence[str]) -> bool:
+    return column in available or any(
+        all(n in available for n in derivation.needs) for derivation in DERIVED.get(column, ())
+    )

@@ -66,34 +66,36 @@ def estimate(
     model, flights = without_sensor(model, flights)
     flights = thinned(model, flights, keep_held=extras.keep_held)
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
-    session = _fitted(task, estimators, joint)
+    session = _fit_all(task, estimators, joint)
     if structure is not StructureWish.OFF:
         base_model = task.plain or model
         session = with_structure_tests(
             session,
             task,
             structure,
-            lambda more, names: _fitted(
-                replace(task, model=more, plain=base_model),
+            lambda other_model, names: _fit_all(
+                replace(task, model=other_model, plain=base_model),
                 [e for e in estimators if names is None or e.name in names],
                 joint,
             ),
         )
-    return with_stated_uncertainty(_judged(session))
+    return with_stated_uncertainty(_with_verdicts(session))
 
 
-def _fitted(task: Task, estimators: Sequence[Estimator], joint: bool) -> EstimationSession:
+def _fit_all(task: Task, estimators: Sequence[Estimator], joint: bool) -> EstimationSession:
     """Every method over every flight, and over all of them together where `joint`."""
     flights = task.flights
     base_model = None if task.plain is None else joint_model(task.plain)
     together = replace(task, number=len(flights), model=joint_model(task.model), plain=base_model) if joint else task
-    outcomes_by_method = {e.name: _with_limits_of_records(_each(e, task), [[f] for f in flights]) for e in estimators}
+    outcomes_by_method = {
+        e.name: _with_limits_of_records(_fit_each(e, task), [[f] for f in flights]) for e in estimators
+    }
     for flight, outcomes in zip(flights, zip(*outcomes_by_method.values(), strict=True), strict=True):
         _refuse_useless(flight, outcomes)
     joint_outcomes: dict[str, Outcome] = {}
     for e in estimators if joint else ():
         task.tell(f"joint over {len(flights)} flights: {e.title}")
-        joint_outcomes[e.name] = _with_limits_of_records([_tried(e, together)], [flights])[0]
+        joint_outcomes[e.name] = _with_limits_of_records([_fit_or_error(e, together)], [flights])[0]
     estimates = []
     for i, flight in enumerate(flights):
         results, failures = _split({m: outcomes[i] for m, outcomes in outcomes_by_method.items()})
@@ -117,11 +119,11 @@ def _with_limits_of_records(outcomes: Sequence[Outcome], flights: Sequence[Seque
     ]
 
 
-def _judged(session: EstimationSession) -> EstimationSession:
+def _with_verdicts(session: EstimationSession) -> EstimationSession:
     """The session with a verdict on each flight, and on the joint estimate where there is one."""
     reconstructed = {f.flight.name: _reconstructed_angles(session.model, f.flight) for f in session.flights}
     odd = {f.flight.name: _odd_columns(session.model, f.flight) for f in session.flights}
-    craft = aircraft_objections(session.aircraft, session.model)
+    objections = aircraft_objections(session.aircraft, session.model)
     flights = tuple(
         replace(
             f,
@@ -130,7 +132,7 @@ def _judged(session: EstimationSession) -> EstimationSession:
                 f.failures,
                 reconstructed=reconstructed[f.flight.name],
                 odd=odd[f.flight.name],
-                craft=craft,
+                objections=objections,
                 structure=f.structure,
                 fast=_fast(f.results, [f.flight]),
             ),
@@ -148,7 +150,7 @@ def _judged(session: EstimationSession) -> EstimationSession:
         members,
         reconstructed_angles,
         all_odd,
-        craft=craft,
+        objections=objections,
         structure=session.structure,
         odd_flights=session.odd,
         fast=_fast(session.joint, [f.flight for f in session.flights]),
@@ -189,12 +191,12 @@ def contradicted_columns(model_columns: set[str], flight: Flight) -> tuple[str, 
 
 def _matters(contradiction: Contradiction, model_columns: set[str], flight: Flight) -> bool:
     """Whether a contradiction concerns the model. A failed sensor does where a column of the model is its own or made from it."""
-    ways = [way_to(flight, n) for n in model_columns if not flight.measured(n)]
-    used = model_columns.union(*(w.needs for w in ways if w is not None))
-    return not contradiction.failed or bool(flight.reconstructed) or bool(used & set(contradiction.failed))
+    derivations = [way_to(flight, n) for n in model_columns if not flight.measured(n)]
+    used_columns = model_columns.union(*(w.needs for w in derivations if w is not None))
+    return not contradiction.failed or bool(flight.reconstructed) or bool(used_columns & set(contradiction.failed))
 
 
-def _tried(estimator: Estimator, task: Task) -> Outcome:
+def _fit_or_error(estimator: Estimator, task: Task) -> Outcome:
     """One fit; where it fails, its error, so that the other methods and flights keep their results."""
     try:
         with numerical_failures():
@@ -203,7 +205,7 @@ def _tried(estimator: Estimator, task: Task) -> Outcome:
         return error
 
 
-def _each(estimator: Estimator, task: Task) -> list[Outcome]:
+def _fit_each(estimator: Estimator, task: Task) -> list[Outcome]:
     """What the method makes of each flight by itself."""
     if estimator.fit_each is not None:
         count = len(task.flights)
@@ -216,7 +218,7 @@ def _each(estimator: Estimator, task: Task) -> list[Outcome]:
     outcomes = []
     for number, flight in enumerate(task.flights):
         task.tell(f"{flight.name}: {estimator.title}")
-        outcomes.append(_tried(estimator, replace(task, flights=[flight], number=number)))
+        outcomes.append(_fit_or_error(estimator, replace(task, flights=[flight], number=number)))
     return outcomes
 
 

@@ -64,12 +64,12 @@ def with_structure_tests(
     session: EstimationSession,
     task: Task,
     wish: StructureWish,
-    fitted: Callable[[Model, Collection[str] | None], EstimationSession],
+    fit_model: Callable[[Model, Collection[str] | None], EstimationSession],
 ) -> EstimationSession:
     """The session with structure tests of each flight and of the joint fit, fitted again where a term is added.
 
-    fitted: gives the session of another model by the named methods, None being all. While terms are being added, only the methods
-    that the test needs are fitted.
+    fit_model: gives the session of another model by the named methods, None being all. While terms are being added, only the
+    methods that the test needs are fitted.
     """
     added_names: list[str] = []
     ambiguous: list[Lack] = []
@@ -78,7 +78,7 @@ def with_structure_tests(
     left_open: list[UndecidedTerms] = [() for _ in _bases(tested)]
     for _ in range(ROUNDS):
         lacks = _lacks(tested)
-        new = [lack for lack in lacks if _wanted(lack, tested.model, wish) and lack.names[0] not in added_names]
+        new = [lack for lack in lacks if _to_be_added(lack, tested.model, wish) and lack.names[0] not in added_names]
         by_name = {c.name: c for c in structure_candidates(tested.model)}
         terms = [by_name[lack.names[0]] for lack in new if lack.names[0] in by_name]
         if not terms:
@@ -93,9 +93,9 @@ def with_structure_tests(
         added_names += dict.fromkeys(t.name for t in terms)
         ambiguous += [lack for lack in new if lack.rivals]
         distinct = {t.name: t for t in terms}.values()
-        tested = _tested(fitted(with_candidates(tested.model, distinct, fitting=True), methods), task)
+        tested = _tested(fit_model(with_candidates(tested.model, distinct, fitting=True), methods), task)
     if added_names and methods is not None:
-        tested = _tested(fitted(tested.model, None), task)
+        tested = _tested(fit_model(tested.model, None), task)
     return _with_added(tested, added_names, ambiguous, left_open)
 
 
@@ -138,7 +138,7 @@ def _lacks(session: EstimationSession) -> list[Lack]:
     return sorted(strongest, key=lambda lack: -abs(lack.leading.score))[:1]
 
 
-def _wanted(lack: Lack, model: Model, wish: StructureWish) -> bool:
+def _to_be_added(lack: Lack, model: Model, wish: StructureWish) -> bool:
     """Whether a lack is to be added to the model."""
     if not (
         lack.holds and lack.possible

@@ -14,7 +14,7 @@ import numpy as np
 
 from estimation.estimators.result import Estimate, Result
 from estimation.models.base import ParameterRole
-from estimation.session.aircraft_review import NOTHING, AircraftObjections
+from estimation.session.aircraft_review import NO_OBJECTIONS, AircraftObjections
 from estimation.session.evidence import (
     PREDICTABLE,
     ProcessNoise,
@@ -112,7 +112,7 @@ def verdict(
     members: Mapping[str, Sequence[Result]] | None = None,
     reconstructed: Sequence[str] = (),
     odd: Sequence[str] = (),
-    craft: AircraftObjections = NOTHING,
+    objections: AircraftObjections = NO_OBJECTIONS,
     structure: StructureTest | None = None,
     odd_flights: Sequence[OddFlight] = (),
     fast: Sequence[str] = (),
@@ -122,15 +122,17 @@ def verdict(
     failures: method -> why it gives no result. members: method -> results of the single flights of a joint estimate.
     reconstructed: flow angles of the model that were computed from other instruments. They lack the gusts: methods that take
     them for the true angles are off by several bounds (docs/compatibility.md), output error hardly is. odd: sentences on
-    columns that the record itself shows in another unit or sign, which spoils every result. craft: objections of the aircraft
+    columns that the record itself shows in another unit or sign, which spoils every result. objections: of the aircraft
     review. structure: what the model lacks; odd_flights: flights that differ from the others of a joint fit. fast: sentences on
     dampings that the records of the controls are too slow for.
     """
     case = _Case(results, reconstructed=" and ".join(reconstructed))
-    for text in craft.impossible:
+    for text in objections.impossible:
         case.doubts.append(Doubt(DoubtKind.AIRCRAFT, text))
         case.against = dict.fromkeys(results, text) | case.against
-    for text in (f"the aircraft file states {n}, and the model has no term for it: not used" for n in craft.dropped):
+    for text in (
+        f"the aircraft file states {n}, and the model has no term for it: not used" for n in objections.dropped
+    ):
         case.doubts.append(Doubt(DoubtKind.STATED, text))
     for text in odd:
         case.doubts.append(Doubt(DoubtKind.CHANNEL, text))
@@ -149,7 +151,7 @@ def verdict(
     for method, reason in (failures or {}).items():
         case.doubts.append(Doubt(DoubtKind.FAILED, f"{method}: {reason}"))
     for method, result in results.items():
-        _doubt_result(case, method, result, craft.aspect)
+        _doubt_result(case, method, result, objections.aspect)
     for method, results_of_flights in (members or {}).items():
         if method in results and len(results_of_flights) > 1:
             _doubt_joint(case, method, results[method], results_of_flights)

@@ -36,7 +36,7 @@ MOMENTS = ("Cl", "Cm", "Cn")
 
 
 @dataclass(frozen=True)
-class Along:
+class AlongFlights:
     """A simulation along several flights.
 
     columns: for each flight, name -> (samples,), NaN where the flight cannot be used: `sim_<C>_0` and `sim_<C>_<variable>` [per
@@ -53,27 +53,29 @@ class Along:
 
 def simulate_along(
     simulation: Simulation,
-    plain: Model,
+    model: Model,
     flights: Sequence[Flight],
-    moved: Sequence[Mapping[str, Array]] = (),
+    motions: Sequence[Mapping[str, Array]] = (),
     preparation: Preparation = WITHOUT_DRAWS,
     names: Sequence[str] | None = None,
     controls: Model | None = None,
-) -> Along:
-    """Evaluate a simulation along flights for the coefficients and variables of `plain`, a model with lines for them.
+) -> AlongFlights:
+    """Evaluate a simulation along flights for the coefficients and variables of `model`, which has lines for them.
 
-    moved: for each flight, variable -> (samples,) motion that replaces the measured one where it is finite. controls: a model
+    motions: for each flight, variable -> (samples,) motion that replaces the measured one where it is finite. controls: a model
     whose input transforms delay control surfaces or give them play; by default they move as measured. names: the columns that an
     existing model reads; by default those that are not zero throughout. Slopes without a column stay in the constant part, at
     their values along the motion. Raises SimulationError where the simulation lacks a coefficient of the model, DataError or
     MissingColumnError for a flight that cannot feed it.
     """
-    coefficients = coefficients_in(plain)
-    variables = variables_of(plain)
+    coefficients = coefficients_in(model)
+    variables = variables_of(model)
     slopes: list[dict[str, Array]] = []
     evaluations, absent = [], set(VARIABLES)
     for i, flight in enumerate(flights):
-        states, usable, unmeasured = motion(plain, flight, moved[i] if i < len(moved) else {}, preparation, controls)
+        states, usable, unmeasured = motion(
+            model, flight, motions[i] if i < len(motions) else {}, preparation, controls
+        )
         absent &= unmeasured
         base_values, flight_slopes = _values_and_slopes(simulation, states, coefficients, variables)
         evaluations.append((states, usable, base_values))
@@ -94,7 +96,7 @@ def simulate_along(
         for c in coefficients for v in variables if column_name(c, v) in slopes[0]
     }  # fmt: skip
     speed = float(np.mean([np.mean(states.values["V"]) for states, _, _ in evaluations]))
-    return Along(tuple(columns), tuple(names), means, speed, tuple(v for v in VARIABLES if v in absent))
+    return AlongFlights(tuple(columns), tuple(names), means, speed, tuple(v for v in VARIABLES if v in absent))
 
 
 def variables_of(model: Model) -> list[str]:
@@ -122,7 +124,11 @@ def coefficients_in(model: Model) -> tuple[str, ...]:
 
 
 def motion(
-    model: Model, flight: Flight, moved: Mapping[str, Array], preparation: Preparation, controls: Model | None = None
+    model: Model,
+    flight: Flight,
+    replacement: Mapping[str, Array],
+    preparation: Preparation,
+    controls: Model | None = None,
 ) -> tuple[States, np.ndarray, set[str]]:  # type: ignore[type-arg]
     """(states, usable, unmeasured): de-noised states at the usable samples, (samples,) which are usable, variables that the
     flight does not measure. Raises SimulationError where the airspeed is not above zero."""
@@ -143,8 +149,8 @@ def motion(
             measured = _history(probe, data, s, segment.u, name)
             if controls is not None and name.startswith("delta_"):
                 measured = as_moved_by(controls, name, segment.time, measured)
-            if name in moved:
-                measured = np.where(np.isfinite(moved[name][s]), moved[name][s], measured)
+            if name in replacement:
+                measured = np.where(np.isfinite(replacement[name][s]), replacement[name][s], measured)
             values[name][s] = measured
         if not preparation.denoise and flight.measured(ALPHA_RATE):
             values[ALPHA_RATE][s] = flight[ALPHA_RATE][s]
@@ -172,18 +178,20 @@ def _history(probe: Model, data: FlightData, s: slice, u: Array, name: str) -> A
 
 
 def _values_and_slopes(
-    simulation: Simulation, states: States, wanted: Sequence[str], by: Sequence[str]
+    simulation: Simulation, states: States, wanted: Sequence[str], variables: Sequence[str]
 ) -> tuple[Array, dict[str, Array]]:
     """(N, wanted) coefficients of one flight; column -> (N,) slopes. Only moments have slopes with the rate of alpha."""
-    steps = {v: STEPS.get(v) or RELATIVE_STEP * max(float(np.mean(np.abs(_variable(states, v)))), 1.0) for v in by}
-    shifted_states = [states, *(states.moved(v, sign * steps[v]) for v in by for sign in (1.0, -1.0))]
+    steps = {
+        v: STEPS.get(v) or RELATIVE_STEP * max(float(np.mean(np.abs(_variable(states, v)))), 1.0) for v in variables
+    }
+    shifted_states = [states, *(states.moved(v, sign * steps[v]) for v in variables for sign in (1.0, -1.0))]
     base_values, *shifted_values = np.split(
         _coefficient_columns(simulation, States.joined(shifted_states), wanted), len(shifted_states)
     )
     slopes = {
         column_name(c, v): (shifted_values[2 * j][:, k] - shifted_values[2 * j + 1][:, k]) / (2.0 * steps[v])
         for k, c in enumerate(wanted)
-        for j, v in enumerate(by)
+        for j, v in enumerate(variables)
         if v != ALPHA_RATE or c in MOMENTS
     }
     return base_values, slopes

@@ -15,7 +15,7 @@ from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
 from estimation.models.load import load_model, read_model
-from estimation.simulation.along_flight import Along, simulate_along
+from estimation.simulation.along_flight import AlongFlights, simulate_along
 from estimation.simulation.autopilot.simulations import ARDUPILOT, GAZEBO, ardupilot_simulation, gazebo_simulation
 from estimation.simulation.base_model import Free, base_model
 from estimation.simulation.jsbsim.aircraft import jsbsim_simulation
@@ -177,12 +177,12 @@ def computed(model: Model) -> tuple[str, ...]:
     return tuple(s.name for s in model.inputs if s.computed)
 
 
-def with_simulation_columns(flights: Sequence[Flight], along_flights: Along) -> tuple[Flight, ...]:
+def with_simulation_columns(flights: Sequence[Flight], along_flights: AlongFlights) -> tuple[Flight, ...]:
     """The flights with the columns of the simulation."""
     return tuple(flight.with_columns(**columns) for flight, columns in zip(flights, along_flights.columns, strict=True))
 
 
-def _unmeasured_notes(along_flights: Along) -> tuple[str, ...]:
+def _unmeasured_notes(along_flights: AlongFlights) -> tuple[str, ...]:
     surfaces = [v for v in along_flights.unmeasured if v != "thrust"]
     return (f"no flight measures {', '.join(surfaces)}: the simulation has them at zero",) if surfaces else ()
 

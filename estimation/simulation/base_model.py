@@ -19,7 +19,7 @@ from estimation.aircraft import Aircraft
 from estimation.models.base import Model, Parameter, Signal
 from estimation.models.load import load_model
 from estimation.models.parts import usual_role
-from estimation.simulation.along_flight import Along, coefficients_in, column_name, variables_of
+from estimation.simulation.along_flight import AlongFlights, coefficients_in, column_name, variables_of
 from estimation.simulation.oracle import Simulation
 
 REGRESSORS = {
@@ -41,7 +41,9 @@ class Free(StrEnum):
     NOTHING = "nothing"
 
 
-def base_model(simulation: Simulation, which: str, aircraft: Aircraft, along_flights: Along, free: Free) -> Model:
+def base_model(
+    simulation: Simulation, which: str, aircraft: Aircraft, along_flights: AlongFlights, free: Free
+) -> Model:
     """The built-in model `which` with the coefficients of a simulation that was evaluated along the flights."""
     built_in = load_model(which, aircraft)
     coefficients = coefficients_in(built_in)
@@ -86,7 +88,7 @@ def base_model(simulation: Simulation, which: str, aircraft: Aircraft, along_fli
     )
 
 
-def _derivative(along_flights: Along, coefficient: str, variable: str, aircraft: Aircraft) -> float:
+def _derivative(along_flights: AlongFlights, coefficient: str, variable: str, aircraft: Aircraft) -> float:
     """Mean slope as a derivative: per rad, for rates per rate times length over twice the mean airspeed."""
     slope = along_flights.means.get((coefficient, variable), 0.0)
     length = {"p": aircraft.span, "q": aircraft.chord, "r": aircraft.span}.get(variable)

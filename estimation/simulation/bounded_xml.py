@@ -9,7 +9,7 @@ from estimation.simulation.oracle import SimulationError
 
 LARGEST = 4 * 2**20  # bytes; models of PX4 have some 20 kB
 DEEPEST = 64  # nested elements; SDF needs ten
-MOST = 50_000  # elements; models of PX4 have some hundreds
+MOST_ELEMENTS = 50_000  # elements; models of PX4 have some hundreds
 
 
 def bounded_tree(path: Path, what: str, most: int = LARGEST) -> ET.Element:
@@ -21,8 +21,10 @@ def bounded_tree(path: Path, what: str, most: int = LARGEST) -> ET.Element:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
-        if depth > DEEPEST or count > MOST:
-            raise SimulationError(f"{path}: more than {DEEPEST} levels or {MOST} elements; {what} has no need of them")
+        if depth > DEEPEST or count > MOST_ELEMENTS:
+            raise SimulationError(
+                f"{path}: more than {DEEPEST} levels or {MOST_ELEMENTS} elements; {what} has no need of them"
+            )
         builder.start(tag, attributes)
 
     def end(tag: str) -> None:

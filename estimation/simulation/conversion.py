@@ -179,13 +179,13 @@ def import_from_jsbsim(spec: str, path: Path) -> ProvedImport:
 def imported_exactly(spec: str) -> ProvedImport:
     """The model of an aircraft with its proof. Raises SimulationError where it has no exact form or the proof fails."""
     simulation = jsbsim_simulation(spec.removeprefix(PREFIX))
-    oracle, craft = simulation.oracle, simulation.aircraft
+    oracle, aircraft = simulation.oracle, simulation.aircraft
     assert isinstance(oracle, JsbsimOracle)
-    assert craft is not None
+    assert aircraft is not None
     states = random_states(simulation)
     fdm = oracle.fdm
     source = AircraftSource(
-        simulation.name, simulation.spec, craft, aerodynamics_of(aircraft_file(spec.removeprefix(PREFIX))),
+        simulation.name, simulation.spec, aircraft, aerodynamics_of(aircraft_file(spec.removeprefix(PREFIX))),
         oracle.surfaces.writes, arm_of(lambda name: float(fdm[name])), _air(oracle, states), _property_reader(oracle, states),
     )  # fmt: skip
     imported_model = import_aircraft(source)
@@ -220,10 +220,10 @@ def _both_coefficients(oracle: JsbsimOracle, text: TextOracle, states: States) -
 
 def random_states(simulation: Simulation, count: int = STATES) -> States:
     """States in which the aircraft may fly, the same at every call."""
-    craft = simulation.aircraft
-    assert craft is not None
+    aircraft = simulation.aircraft
+    assert aircraft is not None
     rng = np.random.default_rng(SEED)
-    cruise = math.sqrt(2.0 * craft.mass * GRAVITY / (SEA_LEVEL_DENSITY * craft.area * CRUISE))
+    cruise = math.sqrt(2.0 * aircraft.mass * GRAVITY / (SEA_LEVEL_DENSITY * aircraft.area * CRUISE))
     values = {n: rng.uniform(-SIZES.get(n, 0.0), SIZES.get(n, 0.0), count) for n in VARIABLES}
     values["V"], values["alpha"] = cruise * rng.uniform(*SPEEDS, count), rng.uniform(*ALPHAS, count)
     return States(values, rng.uniform(*DENSITIES, count), np.zeros(count))

@@ -13,7 +13,7 @@ from estimation.prepare.flight_data import FlightData, Preparation, Segment
 from estimation.prepare.pipeline import prepare
 from estimation.simulation.along_flight import MOMENTS, column_name, simulate_along
 from estimation.simulation.attach import computed, with_simulation_columns, without_simulation
-from estimation.simulation.jsbsim.export import Written
+from estimation.simulation.jsbsim.export import WrittenAircraft
 from estimation.simulation.jsbsim.flying import fly_aircraft
 from estimation.simulation.jsbsim.increments import Increments
 from estimation.simulation.oracle import ALPHA_RATE, Array, Simulation
@@ -109,7 +109,7 @@ class ExportProof:
 
 
 def proof_of(
-    source: Path, simulation: Simulation, written_aircraft: Written, increments: Increments, rate: float
+    source: Path, simulation: Simulation, written_aircraft: WrittenAircraft, increments: Increments, rate: float
 ) -> ExportProof:
     """Fly the written aircraft and the model side by side. Raises SimulationError where there is nothing to fly."""
     values = increments.physical.starts()

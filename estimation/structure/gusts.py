@@ -110,10 +110,11 @@ def coloured_spectrum(result: Result, data: Sequence[FlightData]) -> str:
                     rate = max(rate, 0.5 / float(np.median(np.diff(s.time))))
         if not bins or total[-1] <= 0.0:
             continue
-        off = np.abs(total / total[-1] - SHARES)
+        deviation = np.abs(total / total[-1] - SHARES)
         limit = max(UNEVEN, float(np.sqrt(-0.5 * np.log(0.5 * BY_CHANCE) / bins)), furthest)
-        if off.max() > limit:
-            furthest, name, where = float(off.max()), result.model.output_names[c], rate * SHARES[int(np.argmax(off))]
+        if deviation.max() > limit:
+            furthest, name = float(deviation.max()), result.model.output_names[c]
+            where = rate * SHARES[int(np.argmax(deviation))]
     if not name:
         return ""
     return (

@@ -43,13 +43,14 @@ them, which no data can separate."""
 class FlightProducts:
     """Products of one flight, columns [shared parameters | candidates | residual], its own unknowns eliminated.
 
-    gram: (columns, columns) weighed by the noise spectrum; plain: without the residual, weighed by the residual variances as
-    output error does. noise, edges: (columns, draws), common: (columns, errors), products with the response to input errors.
+    gram: (columns, columns) weighed by the noise spectrum; output_error_gram: without the residual, weighed by the residual
+    variances as output error does. noise, edges: (columns, draws), common: (columns, errors), products with the response to input
+    errors.
     """
 
     name: str
     gram: Array
-    plain: Array
+    output_error_gram: Array
     noise: Array
     edges: Array
     common: Array
@@ -58,7 +59,12 @@ class FlightProducts:
         """The products for the columns `index`, whose last is the residual."""
         block, inner = np.ix_(index, index), np.ix_(index[:-1], index[:-1])
         return FlightProducts(
-            self.name, self.gram[block], self.plain[inner], self.noise[index], self.edges[index], self.common[index]
+            self.name,
+            self.gram[block],
+            self.output_error_gram[inner],
+            self.noise[index],
+            self.edges[index],
+            self.common[index],
         )
 
 
@@ -88,9 +94,9 @@ class LinearisedFit:
         gram[: self.n, : self.n] += self.prior
         return np.asarray(gram)
 
-    def plain(self) -> Array:
+    def output_error_gram(self) -> Array:
         """The same over all flights, weighed as output error does, without the residual."""
-        gram = np.sum([f.plain for f in self.flights], axis=0)
+        gram = np.sum([f.output_error_gram for f in self.flights], axis=0)
         gram[: self.n, : self.n] += self.prior
         return np.asarray(gram)
 

@@ -70,7 +70,7 @@ SMALLEST_FACTOR = 0.05  # of all forces, so that their inverse, the ratio of mas
 class OddFlight:
     """A flight that differs. what: the most likely cause; ratio: this flight's value over the others' (mass, derivative, scale),
     for a lag its value [s]; probability: of such a difference by chance; parameter, moves: the joint estimate that the flight
-    moves most, and by how many bounds; beside: name of the other flight where there are only two."""
+    moves most, and by how many bounds; other_flight: name of the other flight where there are only two."""
 
     flight: str
     what: str
@@ -78,15 +78,16 @@ class OddFlight:
     probability: float
     parameter: str
     moves: float
-    beside: str = ""
+    other_flight: str = ""
 
     @property
     def text(self) -> str:
         """As it is printed."""
         size = f"{self.ratio:.3g} s" if self.what.startswith("lag") else f"{self.ratio:.3g} times the others'"
         subject = f"{self.flight} differs from the other flights"
-        if self.beside:
-            subject = f"{self.flight} and {self.beside} differ from one another, and two flights cannot tell which is the odd one"
+        if self.other_flight:
+            pair = f"{self.flight} and {self.other_flight}"
+            subject = f"{pair} differ from one another, and two flights cannot tell which is the odd one"
         return (
             f"{subject} (probability of chance {self.probability:.1g}), most likely in"
             f" {self.what}: {size}; it moves the joint {self.parameter} by {self.moves:.1f} bounds"
@@ -105,12 +106,11 @@ class OddFlight:
 
 @dataclass(frozen=True)
 class _Hypothesis:
-    """One cause: a change along `along` of the parameters or candidates `columns`, of size 0 where the flight is like the others.
-    null: ratio at size 0."""
+    """One cause: a change along `direction` of the parameters or candidates `columns`; null: ratio without a change."""
 
     what: str
     columns: tuple[int, ...]
-    along: Array
+    direction: Array
     kind: CandidateKind | None = None
     null: float = 1.0
 
@@ -157,14 +157,14 @@ def odd_flights(linear: LinearisedFit, result: Result, scales: Scales) -> tuple[
     """
     if len(linear.flights) < 2:
         return ()
-    moved = _moved_scores(linear, result.model, scales)
-    tests = [_test_flight(linear, result, moved, i) for i in range(len(linear.flights))]
+    scale_scores = _scale_scores(linear, result.model, scales)
+    tests = [_test_flight(linear, result, scale_scores, i) for i in range(len(linear.flights))]
     _, oddest = max(tests, key=lambda test: test[0])
     return () if oddest is None else (oddest,)
 
 
 def _test_flight(
-    linear: LinearisedFit, result: Result, moved: Sequence[Sequence[Array]], index: int
+    linear: LinearisedFit, result: Result, scale_scores: Sequence[Sequence[Array]], index: int
 ) -> tuple[float, OddFlight | None]:
     """(chi-square over its degrees of freedom, the odd flight or None where chance may explain it)."""
     from scipy.special import chdtrc
@@ -175,7 +175,7 @@ def _test_flight(
     theta = spread @ rest[:n, -1]
     products = linear.flights[index]
     score = products.gram[: n + k, -1] - products.gram[: n + k, :n] @ theta
-    covariance = _covariance(linear, index, spread, moved)
+    covariance = _covariance(linear, index, spread, scale_scores)
     weight, rank = _inverse(covariance[:n, :n])
     chi_square, freedom = float(score[:n] @ weight @ score[:n]), max(rank, 1)
     probability = min(1.0, len(linear.flights) * float(chdtrc(freedom, chi_square)))
@@ -198,15 +198,15 @@ def _test_flight(
     return chi_square / freedom, odd
 
 
-def _covariance(linear: LinearisedFit, index: int, spread: Array, moved: Sequence[Sequence[Array]]) -> Array:
-    """Covariance of one flight's scores at the estimate of the others. moved: from `_moved_scores`."""
+def _covariance(linear: LinearisedFit, index: int, spread: Array, scale_scores: Sequence[Sequence[Array]]) -> Array:
+    """Covariance of one flight's scores at the estimate of the others. scale_scores: from `_scale_scores`."""
     n, products = linear.n + len(linear.tested), linear.flights[index]
     gram = products.gram[:n, :n]
     total = gram + gram[:, : linear.n] @ spread @ gram[: linear.n]
     for draws, size in ((products.noise[:n], 1.0), (products.edges[:n], linear.edges)):
         if draws.shape[1]:
             total = total + size / draws.shape[1] * (draws @ draws.T)
-    for i, scores in enumerate(moved):
+    for i, scores in enumerate(scale_scores):
         for score in scores:  # another flight's scale acts through the estimate
             column = score if i == index else -gram[:, : linear.n] @ (spread @ score[: linear.n])
             total = total + np.outer(column, column)
@@ -214,18 +214,21 @@ def _covariance(linear: LinearisedFit, index: int, spread: Array, moved: Sequenc
     return np.asarray(INFLATED * (total + common @ linear.common @ common.T))
 
 
-def _moved_scores(linear: LinearisedFit, model: Model, scales: Scales) -> list[list[Array]]:
+def _scale_scores(linear: LinearisedFit, model: Model, scales: Scales) -> list[list[Array]]:
     """For each flight, (columns,) changes of its own scores by one standard deviation of each of its channels' scales."""
     names = (*linear.shared, *(c.name for c in linear.tested))
     n, values = len(names), np.concatenate([linear.values, np.zeros(len(linear.tested))])
     inputs = [inputs_beside(model, name) if name in linear.shared else frozenset[str]() for name in names]
 
-    def along(channel: str) -> Array:
+    def direction_of(channel: str) -> Array:
         beside = [channel in i for i in inputs]
         return np.asarray(np.where(beside, values, [name == f"scale_{channel}" for name in names]))
 
     return [
-        [bound * (flight.gram[:n, :n] @ along(channel)) for channel, bound in scales.get(flight.name, {}).items()]
+        [
+            bound * (flight.gram[:n, :n] @ direction_of(channel))
+            for channel, bound in scales.get(flight.name, {}).items()
+        ]
         for flight in linear.flights
     ]
 
@@ -239,7 +242,7 @@ def _explained(
     for h in _hypotheses(linear, result):
         columns = np.array(h.columns)
         weight = _inverse(covariance[np.ix_(columns, columns)])[0]
-        mean = gram[np.ix_(columns, columns)] @ h.along
+        mean = gram[np.ix_(columns, columns)] @ h.direction
         power = float(mean @ weight @ mean)
         if power > 0.0:
             product = float(mean @ weight @ score[columns])

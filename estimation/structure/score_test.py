@@ -28,7 +28,7 @@ RIVAL = 0.85
 """Share of the strongest score from which another candidate is a rival, if it is no longer significant once that one is in."""
 TIED = 0.97
 """Share of the strongest score from which the likelier kind is selected instead (`LIKELIEST_FIRST`)."""
-MOST = 4  # candidates selected: a model that lacks more is another model
+MOST_SELECTED = 4  # candidates selected: a model that lacks more is another model
 ADVERSE = 0.25
 """Largest yaw by aileron over roll by aileron (Roskam, Airplane Flight Dynamics I, 4.1: -5 to -15 %; spoilers as much with the
 other sign): more indicates a wrong product of inertia in the aircraft file."""
@@ -89,13 +89,13 @@ class Tested:
 @dataclass(frozen=True)
 class Lack:
     """Something the model lacks, and its rivals. differs: parameter -> by how much its estimate differs with a rival instead;
-    apart: the largest of these in bounds. holdout: gain in twice the log likelihood on each flight by a fit to all the others,
-    summed; None with one flight. possible: whether a candidate of the leading one's kind can have that size."""
+    largest_difference: the largest of these in bounds. holdout: gain in twice the log likelihood on each flight by a fit to all
+    the others, summed; None with one flight. possible: whether a candidate of the leading one's kind can have that size."""
 
     leading: Tested
     rivals: tuple[Tested, ...] = ()
     differs: Mapping[str, float] = field(default_factory=dict)
-    apart: float = 0.0
+    largest_difference: float = 0.0
     holdout: float | None = None
     possible: bool = True
 
@@ -153,7 +153,7 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
     selected: list[int] = []
     lacks: list[Lack] = []
     scores = first
-    while len(selected) < MOST:
+    while len(selected) < MOST_SELECTED:
         strongest = _strongest(scores, selected, result)
         if strongest is None:
             break
@@ -164,12 +164,14 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
             next_scores = _scores(linear, (*selected, strongest), result, filtered)
             rivals = _rivals(scores, next_scores, selected, strongest, result)
         differs = _differences(linear, strongest, rivals, scores)
-        apart = max(
+        largest_difference = max(
             (d / result.parameters[n].std_coloured for n, d in differs.items() if _has_bound(result, n)), default=0.0
         )
         holdout = _holdout_gain(linear, selected, strongest)
         can_be = _possible(scores[strongest], result)
-        lacks.append(Lack(scores[strongest], tuple(scores[k] for k in rivals), differs, apart, holdout, can_be))
+        lacks.append(
+            Lack(scores[strongest], tuple(scores[k] for k in rivals), differs, largest_difference, holdout, can_be)
+        )
         selected.append(strongest)
         scores = next_scores
     return StructureTest(tuple(first), tuple(lacks))
@@ -264,7 +266,7 @@ def _scores(linear: LinearisedFit, selected: Sequence[int], result: Result, filt
     information = np.einsum("ij,ij->i", gram[n : n + k] - lever @ gram[projected_out], combine)
     spread = np.diag(linear.input_error_covariance(combine))
     bounds = _bounds(linear, result)
-    weigh = gram if filtered else linear.plain()
+    weigh = gram if filtered else linear.output_error_gram()
     shift = pseudo_inverse(weigh[:n, :n])[0] @ weigh[:n, n : n + k]
     tests = []
     for a, candidate in enumerate(linear.tested):
@@ -293,7 +295,7 @@ def _differences(
     linear: LinearisedFit, leading: int, rivals: Sequence[int], scores: Sequence[Tested]
 ) -> dict[str, float]:
     """Parameter -> the largest difference between its estimates with `leading` in the model and with a rival instead."""
-    n, weigh = linear.n, linear.plain()
+    n, weigh = linear.n, linear.output_error_gram()
     inverse = pseudo_inverse(weigh[:n, :n])[0]
     change = {k: inverse @ weigh[:n, n + k] * (scores[k].value - scores[k].candidate.null) for k in (leading, *rivals)}
     differences = np.array([np.abs(change[leading] - change[k]) for k in rivals]).reshape(-1, n)

@@ -97,47 +97,49 @@ class SimulatorProof:
         }
 
 
-def against_sitl(plane: SitlPlane, craft: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()) -> SimulatorProof:
+def against_sitl(
+    plane: SitlPlane, linear: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()
+) -> SimulatorProof:
     """SITL's accelerations with a file against the model's, both at sea level. beyond: terms of the model outside its
     coefficients, as (name, size)."""
     stall = plane.values["alpha_stall"]
     alpha_range = (ALPHAS[0], min(ALPHAS[1], max(stall - ardupilot.CLEAR, 0.0)))
-    motion = random_motion(craft, alpha_range)
-    omitted = ardupilot.left_out(craft)
-    omitted_terms = _omitted_terms(craft, motion, omitted, ardupilot.INDUCED, air_of_sitl)
-    omitted_terms += _gyroscopic(craft, motion)
+    motion = random_motion(linear, alpha_range)
+    omitted = ardupilot.left_out(linear)
+    omitted_terms = _omitted_terms(linear, motion, omitted, ardupilot.INDUCED, air_of_sitl)
+    omitted_terms += _gyroscopic(linear, motion)
 
     def model(m: FlightStates) -> Axes:
         return accelerations(
-            craft.aircraft, forces(craft.without(omitted), m.with_air(*air_of_sitl(m)), ardupilot.INDUCED)
+            linear.aircraft, forces(linear.without(omitted), m.with_air(*air_of_sitl(m)), ardupilot.INDUCED)
         )
 
     omitted_terms += _blend(
-        lambda m: sitl_accelerations(plane, m), model, random_motion(craft), alpha_range[1] < ALPHAS[1]
+        lambda m: sitl_accelerations(plane, m), model, random_motion(linear), alpha_range[1] < ALPHAS[1]
     )
     deviation = _axis_deviations(sitl_accelerations(plane, motion), model(motion))
     return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond_terms(beyond)), SITL_LIMIT)
 
 
 def against_gazebo(
-    plane: GazeboPlane, craft: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()
+    plane: GazeboPlane, linear: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()
 ) -> SimulatorProof:
     """Gazebo's forces and moments with a file against the model's, and the mass and inertia of all links together."""
     density = plane.values["air_density"]
-    motion = random_motion(craft, rho=density)
-    omitted = gazebo.left_out(craft)
+    motion = random_motion(linear, rho=density)
+    omitted = gazebo.left_out(linear)
     unstalled_plane = replace(plane, values={**plane.values, "alpha_stall": gazebo.STALL})
-    omitted_terms = _omitted_terms(craft, motion, omitted, gazebo.INDUCED, air_of_gazebo)
+    omitted_terms = _omitted_terms(linear, motion, omitted, gazebo.INDUCED, air_of_gazebo)
 
     def model(m: FlightStates) -> Axes:
-        return forces(craft.without(omitted), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
+        return forces(linear.without(omitted), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
 
     omitted_terms += _blend(
         lambda m: gazebo_forces(plane, m), model, motion, plane.values["alpha_stall"] < gazebo.STALL
     )
     deviation = {
         **_axis_deviations(gazebo_forces(unstalled_plane, motion), model(motion)),
-        **_body_deviations(plane, craft),
+        **_body_deviations(plane, linear),
     }
     return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond_terms(beyond)), GAZEBO_LIMIT)
 
@@ -174,42 +176,42 @@ def _share(difference: Array, reference: Array) -> float:
     return float(np.max(np.abs(difference))) / largest if largest > 0.0 else float(np.max(np.abs(difference)))
 
 
-def _body_deviations(plane: GazeboPlane, craft: LinearAircraft) -> dict[str, float]:
+def _body_deviations(plane: GazeboPlane, linear: LinearAircraft) -> dict[str, float]:
     """Relative deviations of mass and inertia."""
-    a, b = plane.aircraft, craft.aircraft
+    a, b = plane.aircraft, linear.aircraft
     size = max(b.Ixx, b.Iyy, b.Izz)
     inertia = max(abs(getattr(a, n) - getattr(b, n)) for n in ("Ixx", "Iyy", "Izz", "Ixz")) / size
     return {"mass": abs(a.mass / b.mass - 1.0), "inertia": inertia}
 
 
 def _omitted_terms(
-    craft: LinearAircraft,
+    linear: LinearAircraft,
     motion: FlightStates,
     omitted: tuple[str, ...],
     induced: tuple[str, ...],
     air: Callable[[FlightStates], tuple[Array, Array, Array]],
 ) -> list[OmittedTerm]:
     """Derivatives without a key, missing parts of induced drag, and other definitions of air data, each with its size."""
-    full_axes = accelerations(craft.aircraft, forces(craft, motion))
+    full_axes = accelerations(linear.aircraft, forces(linear, motion))
     terms = []
     for name in omitted:
-        reduced_axes = accelerations(craft.aircraft, forces(craft.without((name,)), motion))
-        terms.append(_largest(name, craft[name], full_axes, reduced_axes))
-    expressible = craft.without(omitted)
+        reduced_axes = accelerations(linear.aircraft, forces(linear.without((name,)), motion))
+        terms.append(_largest(name, linear[name], full_axes, reduced_axes))
+    expressible = linear.without(omitted)
     for ending in ("beta", "p", "q", "r", "de", "da", "dr"):
         if ending not in induced and expressible[f"CL_{ending}"] != 0.0 and expressible["CD_k"] != 0.0:
-            full_drag = accelerations(craft.aircraft, forces(expressible, motion, (*induced, ending)))
-            reduced_axes = accelerations(craft.aircraft, forces(expressible, motion, induced))
+            full_drag = accelerations(linear.aircraft, forces(expressible, motion, (*induced, ending)))
+            reduced_axes = accelerations(linear.aircraft, forces(expressible, motion, induced))
             terms.append(_largest(f"induced drag of CL_{ending}", np.nan, full_drag, reduced_axes))
-    model_axes = accelerations(craft.aircraft, forces(expressible, motion, induced))
-    theirs = accelerations(craft.aircraft, forces(expressible, motion.with_air(*air(motion)), induced))
+    model_axes = accelerations(linear.aircraft, forces(expressible, motion, induced))
+    theirs = accelerations(linear.aircraft, forces(expressible, motion.with_air(*air(motion)), induced))
     terms.append(_largest("sideslip taken as atan2(v, u)", np.nan, model_axes, theirs))
     return [t for t in terms if t.share > LEAST_SHARE]
 
 
-def _gyroscopic(craft: LinearAircraft, motion: FlightStates) -> list[OmittedTerm]:
-    without = accelerations(craft.aircraft, forces(craft, motion))
-    with_terms = {**without, **{n: without[n] + v for n, v in gyroscopic(craft.aircraft, motion).items()}}
+def _gyroscopic(linear: LinearAircraft, motion: FlightStates) -> list[OmittedTerm]:
+    without = accelerations(linear.aircraft, forces(linear, motion))
+    with_terms = {**without, **{n: without[n] + v for n, v in gyroscopic(linear.aircraft, motion).items()}}
     return [_largest("gyroscopic terms", np.nan, without, with_terms)]
 
 

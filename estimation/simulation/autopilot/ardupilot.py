@@ -40,27 +40,27 @@ FULL_THROTTLE = 14.0  # m/s2, SITL's thrust over mass at full throttle: g / 0.7
 NO_POLAR = 1e12  # oswald without induced drag
 
 
-def sitl_values(craft: LinearAircraft, stall: float | None) -> dict[str, float]:
+def sitl_values(linear: LinearAircraft, stall: float | None) -> dict[str, float]:
     """Key -> value of a file. stall: angle of attack [rad] or None. Raises SimulationError for throws that differ in the two
     directions."""
-    a, throw = craft.aircraft, symmetric_throws(craft, "ArduPilot's SITL")
+    a, throw = linear.aircraft, symmetric_throws(linear, "ArduPilot's SITL")
     share = MASS / a.mass
     inertia = a.Ixx * a.Izz - a.Ixz**2
     stall_angle = STALL if stall is None else stall
-    oswald = share * a.area / (math.pi * a.span**2 * craft["CD_k"]) if craft["CD_k"] else NO_POLAR
-    lift = {"c_lift_0": craft["CL_0"], "c_lift_deltae": -craft["CL_de"] * throw["delta_e"],
-            "c_lift_a": craft["CL_alpha"], "c_lift_q": craft["CL_q"]}  # fmt: skip
-    drag = {"c_drag_q": craft["CD_q"], "c_drag_deltae": 0.0, "c_drag_p": craft["CD_0"]}
+    oswald = share * a.area / (math.pi * a.span**2 * linear["CD_k"]) if linear["CD_k"] else NO_POLAR
+    lift = {"c_lift_0": linear["CL_0"], "c_lift_deltae": -linear["CL_de"] * throw["delta_e"],
+            "c_lift_a": linear["CL_alpha"], "c_lift_q": linear["CL_q"]}  # fmt: skip
+    drag = {"c_drag_q": linear["CD_q"], "c_drag_deltae": 0.0, "c_drag_p": linear["CD_0"]}
     scale = {"0": 1.0, "b": 1.0, "p": 1.0, "r": 1.0, "deltaa": -throw["delta_a"], "deltar": -throw["delta_r"]}
     ending_by_key = {"0": "0", "b": "beta", "p": "p", "r": "r", "deltaa": "da", "deltar": "dr"}
     side, roll, yaw = {}, {}, {}
     for key, ending in ending_by_key.items():
-        CY, Cl, Cn = (craft[f"{c}_{ending}"] for c in ("CY", "Cl", "Cn"))
+        CY, Cl, Cn = (linear[f"{c}_{ending}"] for c in ("CY", "Cl", "Cn"))
         side[f"c_y_{key}"] = CY * scale[key]
         roll[f"c_l_{key}"] = (a.Izz * Cl + a.Ixz * Cn) / (share * inertia) * scale[key]
         yaw[f"c_n_{key}"] = (a.Ixx * Cn + a.Ixz * Cl) / (share * inertia) * scale[key]
-    pitch_values = {"c_m_0": craft["Cm_0"], "c_m_a": craft["Cm_alpha"], "c_m_q": craft["Cm_q"],
-           "c_m_deltae": -craft["Cm_de"] * throw["delta_e"]}  # fmt: skip
+    pitch_values = {"c_m_0": linear["Cm_0"], "c_m_a": linear["Cm_alpha"], "c_m_q": linear["Cm_q"],
+           "c_m_deltae": -linear["Cm_de"] * throw["delta_e"]}  # fmt: skip
     pitch = {key: value / (share * a.Iyy) for key, value in pitch_values.items()}
     sharpness = min(SHARPEST, LARGEST_EXPONENT / (2.0 * stall_angle + CLAMP))
     return {
@@ -70,9 +70,9 @@ def sitl_values(craft: LinearAircraft, stall: float | None) -> dict[str, float]:
     }  # fmt: skip
 
 
-def left_out(craft: LinearAircraft) -> tuple[str, ...]:
+def left_out(linear: LinearAircraft) -> tuple[str, ...]:
     """Names of the non-zero derivatives without a key."""
-    return tuple(f"{c}_{e}" for c in LINES for e in ("0", *SLOPES) if e not in HAS_KEY[c] and craft[f"{c}_{e}"] != 0.0)
+    return tuple(f"{c}_{e}" for c in LINES for e in ("0", *SLOPES) if e not in HAS_KEY[c] and linear[f"{c}_{e}"] != 0.0)
 
 
 def check_stall(stall: float | None) -> None:
@@ -126,24 +126,24 @@ def command_lines(path: Path, thrust: float | None, mass: float) -> list[str]:
     return lines
 
 
-def comments(craft: LinearAircraft, origin: str, omitted: list[tuple[str, float]], stall: float | None) -> list[str]:
+def comments(linear: LinearAircraft, origin: str, omitted: list[tuple[str, float]], stall: float | None) -> list[str]:
     """The comments above the object: real values, signs, omitted terms as (name, value)."""
-    a = craft.aircraft
+    a = linear.aircraft
     units = {"mass": "kg", "area": "m2", "span": "m", "chord": "m"}
     real = [f"real {n} = {getattr(a, n)!r} {units.get(n, 'kg m2')}" for n in
             ("mass", "area", "span", "chord", "Ixx", "Iyy", "Izz", "Ixz")]  # fmt: skip
     values = [
-        f"real {n} = {craft[n]!r}" + (f" ({craft.sources[n]})" if n in craft.sources else "") for n in craft.stated
+        f"real {n} = {linear[n]!r}" + (f" ({linear.sources[n]})" if n in linear.sources else "") for n in linear.stated
     ]
-    throws = [f"real throw {n} = {high!r} rad" for n, (_, high) in craft.throws.items()]
+    throws = [f"real throw {n} = {high!r} rad" for n, (_, high) in linear.throws.items()]
     note = "the stall is not stated, so it is as late as SITL allows" if stall is None else "stall as stated"
     return [
-        f"ArduPilot SITL, model plane: {craft.title}, from {origin}, written by sideslip export --to ardupilot",
+        f"ArduPilot SITL, model plane: {linear.title}, from {origin}, written by sideslip export --to ardupilot",
         "Mass and inertia are absorbed: SITL flies 2 kg and 1 kg m2, the keys below make the real accelerations with these.",
         "Do not add aero_moment_inertia (it would divide twice). Coefficients per full throw; + is right, nose up, nose right.",
         *real, *throws, "Derivatives per rad, + trailing edge down (right minus left) or to port, rates as pb/2V, qc/2V, rb/2V:",
         *values, *(f"left out: {n} ({v:.4g})" for n, v in omitted), f"alpha_stall: {note}",
-        *craft.notes,
+        *linear.notes,
     ]  # fmt: skip
 
 

@@ -46,9 +46,9 @@ class Stated:
 
 @dataclass(frozen=True)
 class Gathered:
-    """craft: the linear aircraft. beyond: terms of the model outside its coefficients, as (name, size)."""
+    """linear: the linear aircraft. beyond: terms of the model outside its coefficients, as (name, size)."""
 
-    craft: LinearAircraft
+    linear: LinearAircraft
     beyond: tuple[tuple[str, float], ...]
 
 
@@ -97,11 +97,11 @@ def gather_aircraft(path: Path, stated: Stated, target: str, *, needs_thrust: bo
         missing.append("static thrust ([engine] static_thrust, or --thrust; 0 for a glider)")
     if missing:
         raise MissingPartsError(missing_parts_message(path, target, missing, stated_aircraft))
-    craft = replace(frame, derivatives=derivatives, sources=sources, throws=throws, thrust=thrust, notes=tuple(notes))
+    linear = replace(frame, derivatives=derivatives, sources=sources, throws=throws, thrust=thrust, notes=tuple(notes))
     if model is not None:
-        return Gathered(craft, _beyond_coefficients(model, craft))
+        return Gathered(linear, _beyond_coefficients(model, linear))
     beliefs = {} if stated_aircraft is None else stated_aircraft.derivatives
-    return Gathered(craft, tuple((n, d.value) for n, d in beliefs.items() if n not in STANDARD))
+    return Gathered(linear, tuple((n, d.value) for n, d in beliefs.items() if n not in STANDARD))
 
 
 def lines_named(path: Path, model: Model) -> tuple[str, ...]:
@@ -188,10 +188,10 @@ def missing_parts_message(path: Path, target: str, missing: list[str], stated_ai
     )
 
 
-def _beyond_coefficients(model: Model, craft: LinearAircraft) -> tuple[tuple[str, float], ...]:
+def _beyond_coefficients(model: Model, linear: LinearAircraft) -> tuple[tuple[str, float], ...]:
     """Terms of a model outside its coefficients, as (name, size)."""
     try:
-        accelerations = beyond_coefficients(model, craft)
+        accelerations = beyond_coefficients(model, linear)
     except SimulationError as error:
         raise SimulationError(f"{error}, and no simulator of an autopilot has that") from error
     beyond_terms = [(f"{line} beyond coefficients", share) for line, share in accelerations.items()]
@@ -200,13 +200,13 @@ def _beyond_coefficients(model: Model, craft: LinearAircraft) -> tuple[tuple[str
     return tuple(beyond_terms)
 
 
-def symmetric_throws(craft: LinearAircraft, target: str) -> dict[str, float]:
+def symmetric_throws(linear: LinearAircraft, target: str) -> dict[str, float]:
     """Surface -> throw [rad]. Raises SimulationError for a throw that differs in the two directions."""
-    for name, (lowest, greatest) in craft.throws.items():
+    for name, (lowest, greatest) in linear.throws.items():
         if not math.isclose(-lowest, greatest, rel_tol=1e-6):
             raise SimulationError(
-                f"{craft.name}: {name} goes from {math.degrees(lowest):.3g} to {math.degrees(greatest):.3g} deg, and in {target}"
+                f"{linear.name}: {name} goes from {math.degrees(lowest):.3g} to {math.degrees(greatest):.3g} deg, and in {target}"
                 " a throw is the same both ways; limit it in the autopilot to the smaller one and state that,"
                 f" --throw {name}={min(-lowest, greatest):.4g}"
             )
-    return {name: greatest for name, (_, greatest) in craft.throws.items()}
+    return {name: greatest for name, (_, greatest) in linear.throws.items()}

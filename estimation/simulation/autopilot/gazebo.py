@@ -61,43 +61,43 @@ FLAPS = (
 left."""
 
 
-def left_out(craft: LinearAircraft) -> tuple[str, ...]:
+def left_out(linear: LinearAircraft) -> tuple[str, ...]:
     """Names of the non-zero derivatives without a key."""
     return tuple(
         f"{c}_{e}" for c in LINES for e in ("0", *SLOPES)
-        if (e not in HAS_KEY[c] or e == ALPHADOT) and craft[f"{c}_{e}"] != 0.0
+        if (e not in HAS_KEY[c] or e == ALPHADOT) and linear[f"{c}_{e}"] != 0.0
     )  # fmt: skip
 
 
-def plugin_values(craft: LinearAircraft, stall: float | None) -> dict[str, float]:
+def plugin_values(linear: LinearAircraft, stall: float | None) -> dict[str, float]:
     """Key -> number of the plugin, without those of its surfaces. stall: angle of attack [rad] or None."""
-    a = craft.aircraft
+    a = linear.aircraft
     aspect = a.span**2 / a.area
-    values = {"CL0": craft["CL_0"], "CD0": craft["CD_0"], "Cem0": craft["Cm_0"]}
+    values = {"CL0": linear["CL_0"], "CD0": linear["CD_0"], "Cem0": linear["Cm_0"]}
     for line, name in NAMES.items():
         letters = (
             {"p": "p", "q": "q", "r": "r"}
             if line == "CD"
             else {"a": "alpha", "b": "beta", "p": "p", "q": "q", "r": "r"}
         )
-        values |= {f"{name}{letter}": craft[f"{line}_{ending}"] for letter, ending in letters.items()}
-    eff = 1.0 / (math.pi * aspect * craft["CD_k"]) if craft["CD_k"] else NO_POLAR
+        values |= {f"{name}{letter}": linear[f"{line}_{ending}"] for letter, ending in letters.items()}
+    eff = 1.0 / (math.pi * aspect * linear["CD_k"]) if linear["CD_k"] else NO_POLAR
     return {
-        **values, "alpha_stall": STALL if stall is None else stall, "Cema_stall": craft["Cm_alpha"], "area": a.area,
+        **values, "alpha_stall": STALL if stall is None else stall, "Cema_stall": linear["Cm_alpha"], "area": a.area,
         "AR": aspect, "mac": a.chord, "eff": eff, "air_density": DENSITY,
     }  # fmt: skip
 
 
-def control_values(craft: LinearAircraft, flap: Flap) -> dict[str, float]:
+def control_values(linear: LinearAircraft, flap: Flap) -> dict[str, float]:
     """Key -> number of a surface per degree of its joint. Each aileron has half the effect of delta_a."""
     ending = flap.delta.replace("delta_", "d")
     share = 0.5 if flap.delta == "delta_a" else 1.0
-    return {f"{name}_ctrl": craft[f"{line}_{ending}"] * share * DEGREE / flap.turns for line, name in NAMES.items()}
+    return {f"{name}_ctrl": linear[f"{line}_{ending}"] * share * DEGREE / flap.turns for line, name in NAMES.items()}
 
 
-def inertia_of(craft: LinearAircraft) -> Body:
+def inertia_of(linear: LinearAircraft) -> Body:
     """The whole aircraft about its centre of gravity in axes x forward, y left, z up, where Ixz is the matrix element itself."""
-    a = craft.aircraft
+    a = linear.aircraft
     return Body(a.mass, np.zeros(3), np.array([[a.Ixx, 0.0, a.Ixz], [0.0, a.Iyy, 0.0], [a.Ixz, 0.0, a.Izz]]))
 
 
@@ -107,17 +107,17 @@ def possible(inertia: Array) -> bool:
     return bool(principal[0] > 0.0 and principal[2] <= principal[0] + principal[1])
 
 
-def model_sdf(name: str, craft: LinearAircraft, stall: float | None) -> ET.Element:
+def model_sdf(name: str, linear: LinearAircraft, stall: float | None) -> ET.Element:
     """The XML of model.sdf. Raises SimulationError for throws that differ in the two directions."""
-    throws = symmetric_throws(craft, "PX4's simulated servos")
-    thrust = craft.thrust or 0.0
+    throws = symmetric_throws(linear, "PX4's simulated servos")
+    thrust = linear.thrust or 0.0
     root = ET.Element("sdf", version="1.9")
     model = ET.SubElement(root, "model", name=name)
-    a = craft.aircraft
+    a = linear.aircraft
     _text_element(model, "pose", f"0 0 {_number_text(0.1 * a.span)} 0 0 0")
     parts = [Body(SURFACE.mass, a.span * np.array(f.place), SURFACE.inertia) for f in FLAPS]
-    propeller = _propeller(craft)
-    base = remaining_body(inertia_of(craft), [*parts, *([propeller] if thrust else [])])
+    propeller = _propeller(linear)
+    base = remaining_body(inertia_of(linear), [*parts, *([propeller] if thrust else [])])
     model.append(_base_link(base, a.span, a.chord))
     for flap, body in zip(FLAPS, parts, strict=True):
         size = (
@@ -133,7 +133,7 @@ def model_sdf(name: str, craft: LinearAircraft, stall: float | None) -> ET.Eleme
         model.append(_rotor(propeller, a.span))
         model.append(_joint("rotor_puller_joint", "rotor_puller", (0, 0, 1), -JOINT_LIMIT, JOINT_LIMIT, 0.0))
         model.append(_motor(thrust))
-    model.append(_aerodynamics(craft, stall))
+    model.append(_aerodynamics(linear, stall))
     ET.indent(root)
     return root
 
@@ -217,11 +217,11 @@ def _servo(joint: str) -> ET.Element:
     return _plugin("JointPositionController", {"joint_name": joint, "sub_topic": joint, **gains})
 
 
-def _propeller(craft: LinearAircraft) -> Body:
+def _propeller(linear: LinearAircraft) -> Body:
     """A disc ahead, so light that its gyroscopic moment is negligible."""
-    mass, radius = min(PROPELLER_SHARE * craft.aircraft.mass, PROPELLER_MOST), 0.05 * craft.aircraft.span
+    mass, radius = min(PROPELLER_SHARE * linear.aircraft.mass, PROPELLER_MOST), 0.05 * linear.aircraft.span
     across = 0.25 * mass * radius**2
-    return Body(mass, np.array([0.2 * craft.aircraft.span, 0.0, 0.0]), np.diag([2.0 * across, across, across]))
+    return Body(mass, np.array([0.2 * linear.aircraft.span, 0.0, 0.0]), np.diag([2.0 * across, across, across]))
 
 
 def _rotor(propeller: Body, span: float) -> ET.Element:
@@ -241,14 +241,14 @@ def _motor(thrust: float) -> ET.Element:
     })  # fmt: skip
 
 
-def _aerodynamics(craft: LinearAircraft, stall: float | None) -> ET.Element:
-    numbers = {key: _number_text(value) for key, value in plugin_values(craft, stall).items()}
+def _aerodynamics(linear: LinearAircraft, stall: float | None) -> ET.Element:
+    numbers = {key: _number_text(value) for key, value in plugin_values(linear, stall).items()}
     plugin = _plugin("AdvancedLiftDrag", {"link_name": "base_link", **numbers, "cp": "0 0 0", "forward": "1 0 0",
                                           "upward": "0 0 1", "num_ctrl_surfaces": str(len(FLAPS))})  # fmt: skip
     for flap in FLAPS:
         surface = ET.SubElement(plugin, "control_surface")
         _text_element(surface, "name", flap.joint)
         _text_element(surface, "direction", "1")
-        for key, value in control_values(craft, flap).items():
+        for key, value in control_values(linear, flap).items():
             _text_element(surface, key, _number_text(value))
     return plugin

@@ -43,10 +43,10 @@ def read_gazebo_plane(path: Path) -> GazeboPlane:
     model = next((m for m in root.iter("model") if plugin in list(m)), root)
     values = {key: _number(plugin, key, path, default) for key, default in KEYS.items()}
     _check(values, path)
-    link = next((e for e in model.iter("link") if e.get("name") == _word(plugin, "link_name")), None)
+    link = next((e for e in model.iter("link") if e.get("name") == _child_text(plugin, "link_name")), None)
     if link is None:
         raise SimulationError(
-            f"{path}: its AdvancedLiftDrag acts on link {_word(plugin, 'link_name')!r}, which the model has not"
+            f"{path}: its AdvancedLiftDrag acts on link {_child_text(plugin, 'link_name')!r}, which the model has not"
         )
     axes = [_vector(plugin, key, path, default) for key, default in (("forward", (1, 0, 0)), ("upward", (0, 0, 1)))]
     if axes != [(1, 0, 0), (0, 0, 1)]:
@@ -66,8 +66,8 @@ def read_gazebo_plane(path: Path) -> GazeboPlane:
         notes.append(
             f"{path.name}: Cem0 and Cema are taken as gz-sim with pull 3817 does; before it they are thrown away"
         )
-    craft = _aircraft(model.get("name") or path.parent.name, total_body, values, path)
-    return GazeboPlane(values, (float(cp[0]), float(cp[1]), float(cp[2])), surfaces, craft, tuple(notes))
+    aircraft = _aircraft(model.get("name") or path.parent.name, total_body, values, path)
+    return GazeboPlane(values, (float(cp[0]), float(cp[1]), float(cp[2])), surfaces, aircraft, tuple(notes))
 
 
 def _plugin(root: ET.Element, path: Path) -> ET.Element:
@@ -96,7 +96,7 @@ def _check(values: dict[str, float], path: Path) -> None:
         raise SimulationError(f"{path}: mac is {values['mac']:g}; give a number above zero, {SIZES[1]:g} at most")
 
 
-def _word(element: ET.Element, tag: str) -> str:
+def _child_text(element: ET.Element, tag: str) -> str:
     return (element.findtext(tag) or "").strip()
 
 
@@ -116,7 +116,7 @@ def _number(element: ET.Element, tag: str, path: Path, default: float | None = N
 
 
 def _vector(element: ET.Element, tag: str, path: Path, default: tuple[float, ...]) -> tuple[float, ...]:
-    words = _word(element, tag).split()
+    words = _child_text(element, tag).split()
     if not words:
         return default
     try:
@@ -166,7 +166,7 @@ def _surfaces(model: ET.Element, plugin: ET.Element, path: Path) -> tuple[tuple,
     for element in listed[: int(count)]:
         direction = _number(element, "direction", path)
         values = {key: direction * _number(element, key, path) for key in CONTROLS}
-        read.append((_word(element, "name"), values, _hinge(model, _word(element, "name"), path)))
+        read.append((_child_text(element, "name"), values, _hinge(model, _child_text(element, "name"), path)))
     return hinged(read, path)
 
 
@@ -177,7 +177,7 @@ def _hinge(model: ET.Element, name: str, path: Path) -> tuple[Array, float]:
         raise SimulationError(f"{path}: control surface {name!r} is no joint of the model")
     axis = joint.find("axis")
     axis_direction = np.array(_vector(axis, "xyz", path, (0, 0, 1)) if axis is not None else (0, 0, 1), float)
-    child = next((e for e in model.iter("link") if e.get("name") == _word(joint, "child")), None)
+    child = next((e for e in model.iter("link") if e.get("name") == _child_text(joint, "child")), None)
     link_place, link_axes = _pose(child, path)
     position, rotation = _pose(joint, path)
     size = float(np.linalg.norm(axis_direction))

@@ -93,9 +93,9 @@ def coefficients(
         constant = linear[f"{name}_{CONSTANT}"] if CONSTANT in endings else 0.0
         return np.asarray(sum(terms, np.full(len(motion), constant)))
 
-    every = (CONSTANT, *SLOPES)
-    values = {name: sum_of_terms(name, every) for name in LINES}
-    values["CD"] = values["CD"] + linear[POLAR] * sum_of_terms("CL", induced or every) ** 2
+    all_endings = (CONSTANT, *SLOPES)
+    values = {name: sum_of_terms(name, all_endings) for name in LINES}
+    values["CD"] = values["CD"] + linear[POLAR] * sum_of_terms("CL", induced or all_endings) ** 2
     return values
 
 

@@ -104,7 +104,7 @@ class BuildUp:
     units: Mapping[str, str]
 
 
-def neutral(model: BuildUp, craft: Aircraft, more: Mapping[str, Any]) -> dict[str, Any]:
+def neutral(model: BuildUp, body: Aircraft, more: Mapping[str, Any]) -> dict[str, Any]:
     """The content of a file. more: further keys (throws, thrust, sources, notes). Raises SimulationError where coefficients
     depend on more than VARIABLES and constants."""
     outputs = [c for c in ("CL", "CD") if c in model.definitions] + list(COEFFICIENTS)
@@ -119,7 +119,7 @@ def neutral(model: BuildUp, craft: Aircraft, more: Mapping[str, Any]) -> dict[st
         )
     return {
         "format": FORMAT, "version": VERSION, "name": model.name, "title": model.title, "about": ABOUT,
-        "body": {f: {"value": getattr(craft, f), "unit": UNITS.get(f, "kg m2")}
+        "body": {f: {"value": getattr(body, f), "unit": UNITS.get(f, "kg m2")}
                  for f in ("mass", "Ixx", "Iyy", "Izz", "Ixz", "area", "span", "chord")},
         "variables": [{"name": n, "unit": unit, "meaning": meaning} for n, (unit, meaning) in VARIABLES.items()],
         "constants": {n: {"value": numbers[n], "unit": model.units.get(n, "")} for n in sorted(used_names & set(numbers))},

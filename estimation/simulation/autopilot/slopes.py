@@ -102,12 +102,12 @@ def _without_rounding(slopes: Mapping[str, float]) -> dict[str, float]:
     return {n: v if abs(v) > ROUNDING * largest else 0.0 for n, v in slopes.items()}
 
 
-def _drag(line: Line, craft: LinearAircraft) -> dict[str, float]:
+def _drag(line: Line, linear: LinearAircraft) -> dict[str, float]:
     """CD_0, CD_k (on the square of lift) and slopes, by least squares: exact where drag has that form."""
     rng = np.random.default_rng(STATES)
     values = {e: rng.uniform(-2.0 * STEP, 2.0 * STEP, STATES) for e in SLOPES}
-    motion, rate = _points(craft, values, STATES)
-    lift = coefficients(craft, motion)["CL"]
+    motion, rate = _points(linear, values, STATES)
+    lift = coefficients(linear, motion)["CL"]
     rows = np.column_stack([np.ones(STATES), lift**2, *values.values()])
     size = np.maximum(np.abs(rows).max(axis=0), 1e-300)
     solved = np.linalg.lstsq(rows / size, line(motion, rate, np.zeros(STATES)), rcond=None)[0] / size
@@ -117,18 +117,18 @@ def _drag(line: Line, craft: LinearAircraft) -> dict[str, float]:
     return {n: float(v) if abs(v * s) > DRAG_ROUNDING * largest else 0.0 for n, v, s in terms}
 
 
-def _check(model: Model, lines: Mapping[str, Line], craft: LinearAircraft) -> None:
+def _check(model: Model, lines: Mapping[str, Line], linear: LinearAircraft) -> None:
     """Raise SimulationError for the first line that differs from its slopes."""
-    motion = random_motion(craft)
+    motion = random_motion(linear)
     rng = np.random.default_rng(STATES + 1)
     rate, thrust, density = (rng.uniform(*ends, STATES) for ends in (RATES, THRUSTS, DENSITIES))
-    hat = rate * craft.aircraft.chord / (2.0 * motion.values["V"])
+    hat = rate * linear.aircraft.chord / (2.0 * motion.values["V"])
     motion = FlightStates({**motion.values, "rho": density, "alphadot_hat": hat})
-    linear = coefficients(craft, motion)
+    linear_values = coefficients(linear, motion)
     for name, line in lines.items():
         line_values = line(motion, rate, thrust)
-        largest = max(float(np.max(np.abs(line_values))), float(np.max(np.abs(linear[name]))), 1e-12)
-        deviation = float(np.max(np.abs(line_values - linear[name]))) / largest
+        largest = max(float(np.max(np.abs(line_values))), float(np.max(np.abs(linear_values[name]))), 1e-12)
+        deviation = float(np.max(np.abs(line_values - linear_values[name]))) / largest
         if not deviation <= SAME:
             form = "a polar, CD_0 + CD_k CL^2, and slopes" if name == "CD" else "a constant and slopes"
             raise SimulationError(
@@ -141,15 +141,15 @@ MOTIONS: Mapping[str, str] = {"p_dot": "L", "q_dot": "M", "r_dot": "N", "ax": "X
 """Line of a model -> axis of the force or moment that causes it."""
 
 
-def beyond_coefficients(model: Model, craft: LinearAircraft) -> dict[str, float]:
+def beyond_coefficients(model: Model, linear: LinearAircraft) -> dict[str, float]:
     """Line -> share of its largest value that coefficients, mass and inertia do not explain, for a model's accelerations. Lines
     may have gyroscopic terms or not."""
-    motion = random_motion(craft)
+    motion = random_motion(linear)
     rng = np.random.default_rng(STATES + 2)
     thrust, phi, theta = (rng.uniform(*ends, STATES) for ends in (THRUSTS, RATES, RATES))
-    linear_axes = accelerations(craft.aircraft, forces(craft, motion))
-    linear_axes["X"] = linear_axes["X"] + thrust / craft.aircraft.mass
-    coupling = gyroscopic(craft.aircraft, motion)
+    linear_axes = accelerations(linear.aircraft, forces(linear, motion))
+    linear_axes["X"] = linear_axes["X"] + thrust / linear.aircraft.mass
+    coupling = gyroscopic(linear.aircraft, motion)
     states = States({**motion.values, "thrust": thrust, "phi": phi, "theta": theta}, motion.values["rho"], 0.0 * thrust)
     oracle, beyond = TextOracle(model), {}
     for name, axis in MOTIONS.items():

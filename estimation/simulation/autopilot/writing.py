@@ -37,7 +37,7 @@ def check_folder_name(folder: Path) -> str:
     return name
 
 
-def airframe(name: str, craft: LinearAircraft) -> str:
+def airframe(name: str, linear: LinearAircraft) -> str:
     """The text of an airframe file for PX4's simulation: allocation, throws in degrees, motor. Gains: of gz_advanced_plane."""
     lines = [
         "#!/bin/sh", "#", f"# @name {name}", "#", f"# Written by sideslip export --to gazebo. Gains: those of airframe {BASE}.",
@@ -47,7 +47,7 @@ def airframe(name: str, craft: LinearAircraft) -> str:
     ]  # fmt: skip
     for i, flap in enumerate(FLAPS):
         effect, kind = EFFECTS[flap.link]
-        throw = math.degrees(craft.throws[flap.delta][1])
+        throw = math.degrees(linear.throws[flap.delta][1])
         lines += [
             f"param set-default CA_SV_CS{i}_{effect}",
             f"param set-default CA_SV_CS{i}_TYPE {kind}",
@@ -55,7 +55,7 @@ def airframe(name: str, craft: LinearAircraft) -> str:
             f"param set-default SIM_GZ_SV_MINA{i + 1} {-throw:.6g}",
             f"param set-default SIM_GZ_SV_MAXA{i + 1} {throw:.6g}",
         ]
-    if craft.thrust:
+    if linear.thrust:
         lines += ["param set-default SIM_GZ_EC_FUNC1 101", f"param set-default SIM_GZ_EC_MAX1 {FASTEST:g}"]
     return "\n".join([*lines, ""])
 
@@ -115,19 +115,19 @@ def to_ardupilot(path: Path, out: Path, request: Request) -> ExportedSimulator:
     ardupilot.check_name(out)
     ardupilot.check_stall(request.stall)
     _check_free((out,), request)
-    gathered_aircraft = gather_aircraft(path, request.stated, "ArduPilot's SITL", needs_thrust=False)
-    craft = gathered_aircraft.craft
-    values = ardupilot.sitl_values(craft, request.stall)
+    gathered = gather_aircraft(path, request.stated, "ArduPilot's SITL", needs_thrust=False)
+    linear = gathered.linear
+    values = ardupilot.sitl_values(linear, request.stall)
     if not request.only_prove:
-        omitted_terms = [(n, craft[n]) for n in ardupilot.left_out(craft)] + list(gathered_aircraft.beyond)
-        comments = ardupilot.comments(craft, path.name, omitted_terms, request.stall)
+        omitted_terms = [(n, linear[n]) for n in ardupilot.left_out(linear)] + list(gathered.beyond)
+        comments = ardupilot.comments(linear, path.name, omitted_terms, request.stall)
         write_text(file_text(values, comments), out)
     plane = read_sitl_plane(out)
-    proof = against_sitl(plane, craft, gathered_aircraft.beyond)
-    lines = list(craft.notes)
+    proof = against_sitl(plane, linear, gathered.beyond)
+    lines = list(linear.notes)
     if request.stall is None:
         lines.append(f"stall: not stated, so it is at {ardupilot.STALL} rad, as late as SITL allows; --alpha-stall RAD")
-    lines += ardupilot.command_lines(out, craft.thrust, craft.aircraft.mass)
+    lines += ardupilot.command_lines(out, linear.thrust, linear.aircraft.mass)
     return ExportedSimulator(() if request.only_prove else (out,), proof, tuple(lines))
 
 
@@ -140,18 +140,20 @@ def to_gazebo(path: Path, out: Path, request: Request) -> ExportedSimulator:
         )
     files = (out / "model.config", out / "model.sdf", out / airframe_name(name))
     _check_free(files, request)
-    gathered_aircraft = gather_aircraft(path, request.stated, "a Gazebo model", needs_thrust=True)
-    craft = gathered_aircraft.craft
-    sdf = gazebo.model_sdf(name, craft, request.stall)
+    gathered = gather_aircraft(path, request.stated, "a Gazebo model", needs_thrust=True)
+    linear = gathered.linear
+    sdf = gazebo.model_sdf(name, linear, request.stall)
     if not request.only_prove:
-        for file, text in zip(files, (_xml(config(name, craft.title)), _xml(sdf), airframe(name, craft)), strict=True):
+        for file, text in zip(
+            files, (_xml(config(name, linear.title)), _xml(sdf), airframe(name, linear)), strict=True
+        ):
             write_text(text, file)
     plane = read_gazebo_plane(files[1])
-    proof = against_gazebo(plane, craft, gathered_aircraft.beyond)
+    proof = against_gazebo(plane, linear, gathered.beyond)
     return ExportedSimulator(
         () if request.only_prove else files,
         proof,
-        (*craft.notes, *_warnings(gathered_aircraft, request), *command_lines(out, name)),
+        (*linear.notes, *_warnings(gathered, request), *command_lines(out, name)),
     )
 
 
@@ -159,9 +161,9 @@ def _xml(root: ET.Element) -> str:
     return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
 
-def _warnings(gathered_aircraft: Gathered, request: Request) -> list[str]:
+def _warnings(gathered: Gathered, request: Request) -> list[str]:
     lines = []
-    if not gazebo.possible(gazebo.inertia_of(gathered_aircraft.craft).inertia):
+    if not gazebo.possible(gazebo.inertia_of(gathered.linear).inertia):
         lines.append("warning: no body has this inertia (one principal moment is above the sum of the others), and gz-sim will"
                      " not load it; weigh and swing the aircraft again")  # fmt: skip
     if request.stall is None:

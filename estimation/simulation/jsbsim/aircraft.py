@@ -56,7 +56,7 @@ class JsbsimOracle:
     def coefficients(self, states: States) -> Array:
         result = np.empty((len(states), len(COEFFICIENTS)))
         for i in range(len(states)):
-            result[i] = self._at({n: float(v[i]) for n, v in states.values.items()}, float(states.rho[i]),
+            result[i] = self._loads_at({n: float(v[i]) for n, v in states.values.items()}, float(states.rho[i]),
                                  float(states.alpha_dot[i])) / self._sizes()  # fmt: skip
         return result
 
@@ -70,7 +70,7 @@ class JsbsimOracle:
         area, span, chord = (self.fdm[f"metrics/{n}"] for n in ("Sw-sqft", "bw-ft", "cbarw-ft"))
         return np.asarray(area * np.array([1.0, 1.0, 1.0, span, chord, span]))
 
-    def _at(self, state: dict[str, float], rho: float, alpha_dot: float) -> Array:
+    def _loads_at(self, state: dict[str, float], rho: float, alpha_dot: float) -> Array:
         """(6,) forces and moments over dynamic pressure [ft2, ft3] at one state."""
         if not (
             state["V"] > 0.0

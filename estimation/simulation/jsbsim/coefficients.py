@@ -51,9 +51,9 @@ class Text:
     parameters: dict[str, Parameter] = field(default_factory=dict)
     taken: set[str] = field(default_factory=set)
 
-    def name(self, wanted: str) -> str:
-        """A free name, made from `wanted`."""
-        base = re.sub(r"\W", "_", wanted.rpartition("/")[2]) or "term"
+    def name(self, preferred: str) -> str:
+        """A free name, made from `preferred`."""
+        base = re.sub(r"\W", "_", preferred.rpartition("/")[2]) or "term"
         base = f"f_{base}" if base[0].isdigit() or base in FUNCTIONS else base
         free_name, count = base, 1
         while free_name in self.taken:
@@ -62,9 +62,9 @@ class Text:
         self.taken.add(free_name)
         return free_name
 
-    def line(self, wanted: str, terms: Sum) -> Sum:
+    def line(self, preferred: str, terms: Sum) -> Sum:
         """Add a sum as a line; returns the line's symbol."""
-        name = self.name(wanted)
+        name = self.name(preferred)
         self.lines[name] = coefficient_text(terms)
         return factor(name)
 

@@ -68,7 +68,7 @@ def _changes_nothing(transform: InputTransform, values: Mapping[str, float]) -> 
 def _component(t: InputTransform, size: float, position: str, sign: float, name: str, rate: float) -> list[ET.Element]:
     """Components that do to a position what a transform does to a column. Widths of a deadband and of a play are full widths."""
 
-    def made(tag: str, ending: str, *inside: ET.Element, inputs: tuple[str, ...] = (position,)) -> ET.Element:
+    def make(tag: str, ending: str, *inside: ET.Element, inputs: tuple[str, ...] = (position,)) -> ET.Element:
         element = ET.Element(tag, name=f"{name}{ending}")
         element.extend([node("input", i) for i in inputs])
         element.extend(inside)
@@ -76,33 +76,33 @@ def _component(t: InputTransform, size: float, position: str, sign: float, name:
 
     match t.kind:
         case "lag":
-            return [made("lag_filter", "", node("c1", repr(1.0 / size)))]
+            return [make("lag_filter", "", node("c1", repr(1.0 / size)))]
         case "deadzone":
-            return [made("deadband", "", node("width", repr(2.0 * abs(size))), node("gain", "1"))]
+            return [make("deadband", "", node("width", repr(2.0 * abs(size))), node("gain", "1"))]
         case "backlash":
-            return [made("actuator", "", node("hysteresis_width", repr(abs(size))))]
+            return [make("actuator", "", node("hysteresis_width", repr(abs(size))))]
         case "scale":
-            return [made("pure_gain", "", node("gain", repr(size)))]
+            return [make("pure_gain", "", node("gain", repr(size)))]
         case "bias":
-            return [made("summer", "", node("bias", repr(sign * size)))]
+            return [make("summer", "", node("bias", repr(sign * size)))]
     if size < 0.0:
         raise SimulationError(f"{t.input}: a delay of {size:g} s is none that a simulation can have")
     whole_frames, part = divmod(size * rate, 1.0)
-    delays = [_frame_delay(made, "-early", int(whole_frames)), _frame_delay(made, "-late", int(whole_frames) + 1)]
+    delays = [_frame_delay(make, "-early", int(whole_frames)), _frame_delay(make, "-late", int(whole_frames) + 1)]
     gains = [
         _gain(f"{name}{end}-share", source.get("name", ""), share)
         for end, source, share in (("-early", delays[0], 1.0 - part), ("-late", delays[1], part))
     ]
-    return [*delays, *gains, made("summer", "", inputs=tuple(g.get("name", "") for g in gains))]
+    return [*delays, *gains, make("summer", "", inputs=tuple(g.get("name", "") for g in gains))]
 
 
-def _frame_delay(made: Maker, ending: str, frames: int) -> ET.Element:
+def _frame_delay(make: Maker, ending: str, frames: int) -> ET.Element:
     """A delay by whole frames. JSBSim's actuator delays by one frame less than it is told."""
     if frames == 0:
-        return made("pure_gain", ending, node("gain", "1"))
+        return make("pure_gain", ending, node("gain", "1"))
     delay = node("delay", str(frames + 1))
     delay.set("type", "frames")
-    return made("actuator", ending, delay)
+    return make("actuator", ending, delay)
 
 
 def _gain(name: str, source: str, gain: float) -> ET.Element:

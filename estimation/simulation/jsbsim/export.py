@@ -35,7 +35,7 @@ class JsbsimExport:
 
 
 @dataclass(frozen=True)
-class Written:
+class WrittenAircraft:
     """An aircraft's XML with the increments. chains: property that the aerodynamics now reads -> the position before our
     components."""
 
@@ -46,7 +46,7 @@ class Written:
 
 def export_aircraft(
     model: Model, source: Path, folder: Path, lineage: str, rate: float
-) -> tuple[JsbsimExport, Written, Increments]:
+) -> tuple[JsbsimExport, WrittenAircraft, Increments]:
     """Write NAME-sideslip/NAME-sideslip.xml into `folder`, NAME the aircraft `source`. rate: JSBSim steps per second, the unit of
     delays. Raises SimulationError, before anything is written, for what an aircraft cannot have."""
     increments = increments_of(model)
@@ -72,7 +72,7 @@ def export_aircraft(
 WIND_AXES = {"LIFT", "DRAG", "SIDE", "ROLL", "PITCH", "YAW"}
 
 
-def write_aircraft(increments: Increments, source: Path, rate: float, lineage: str) -> Written:
+def write_aircraft(increments: Increments, source: Path, rate: float, lineage: str) -> WrittenAircraft:
     """The XML of the aircraft `source` with the increments. rate: JSBSim steps per second; lineage: a note for its header. Raises
     SimulationError for what cannot be written."""
     root = inlined(source)
@@ -104,7 +104,7 @@ def write_aircraft(increments: Increments, source: Path, rate: float, lineage: s
     terms += _inertia(increments.physical, root, source)
     header = _child(root, "fileheader", first=True)
     ET.SubElement(header, "note").text = lineage
-    return Written(root, tuple(terms), chains)
+    return WrittenAircraft(root, tuple(terms), chains)
 
 
 def inlined(source: Path) -> ET.Element:
@@ -143,19 +143,19 @@ def _inertia(model: Model, root: ET.Element, source: Path) -> list[str]:
     """Write the model's moments of inertia where they differ from the aircraft's as loaded; returns their names. Raises
     SimulationError where the mass differs."""
     values = _values(model)
-    craft = aircraft_as_loaded(loaded(source), source.stem)
-    if abs(values["m"] / craft.mass - 1.0) > SAME_MASS:
+    loaded_aircraft = aircraft_as_loaded(loaded(source), source.stem)
+    if abs(values["m"] / loaded_aircraft.mass - 1.0) > SAME_MASS:
         raise SimulationError(
-            f"model {model.name}: its mass is {values['m']:.5g} kg, that of {source.stem} as loaded {craft.mass:.5g} kg;"
-            " set weight, loads and fuel of the aircraft to what was flown, and start again from it"
+            f"model {model.name}: its mass is {values['m']:.5g} kg, that of {source.stem} as loaded"
+            f" {loaded_aircraft.mass:.5g} kg; set weight, loads and fuel of the aircraft to what was flown, and start again"
         )
     changed = []
     balance = _child(root, "mass_balance")
     for name, sign in (("Ixx", 1.0), ("Iyy", 1.0), ("Izz", 1.0), ("Ixz", -1.0)):
         if name not in values:
             continue
-        added_inertia = sign * (values[name] - getattr(craft, name)) / SLUG_FOOT2
-        if abs(added_inertia) * SLUG_FOOT2 > SAME_MASS * craft.Ixx:
+        added_inertia = sign * (values[name] - getattr(loaded_aircraft, name)) / SLUG_FOOT2
+        if abs(added_inertia) * SLUG_FOOT2 > SAME_MASS * loaded_aircraft.Ixx:
             _add_inertia(balance, name.lower(), added_inertia)
             changed.append(name.lower())
     return changed

@@ -137,12 +137,14 @@ def _prepare(fdm: Any) -> None:
     fdm["ic/terrain-elevation-ft"] = GROUND
 
 
-def _begin(fdm: Any, at: Mapping[str, float], surfaces: Surfaces | None = None, positions: Array | None = None) -> None:
+def _begin(
+    fdm: Any, state: Mapping[str, float], surfaces: Surfaces | None = None, positions: Array | None = None
+) -> None:
     """Set the initial conditions `at`, and surface positions where given."""
     for _ in range(3):  # setting an angle moves those set before, and forces depend on the last step
-        fdm["ic/vt-fps"] = at["V"] / FOOT
-        fdm["ic/theta-rad"], fdm["ic/phi-rad"] = at["theta"], at["phi"]
-        fdm["ic/alpha-rad"], fdm["ic/beta-rad"] = at["alpha"], 0.0
+        fdm["ic/vt-fps"] = state["V"] / FOOT
+        fdm["ic/theta-rad"], fdm["ic/phi-rad"] = state["theta"], state["phi"]
+        fdm["ic/alpha-rad"], fdm["ic/beta-rad"] = state["alpha"], 0.0
         if surfaces is not None and positions is not None:
             _write(fdm, surfaces, {n: n for n in surfaces.writes}, positions)
         fdm.run_ic()

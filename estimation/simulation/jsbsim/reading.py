@@ -26,7 +26,7 @@ STALL = "aero/stall-hyst-norm"
 CONSTANTS = ("metrics/", "inertia/")  # begin properties that are constant for any aircraft
 HEIGHTS = ("aero/h_b-mac-ft", "aero/h_b-cg-ft")  # above ground, in spans
 FAR_ABOVE = 1e3  # spans above ground: out of ground effect, where JSBSim is evaluated
-LEAST = 1e-300  # smaller values are what JSBSim leaves in a switch that never ran
+NEGLIGIBLE = 1e-300  # smaller values are what JSBSim leaves in a switch that never ran
 
 
 def _symbols() -> dict[str, Sum]:
@@ -57,7 +57,7 @@ CALLS: Mapping[str, tuple[str, Callable[..., float]]] = {
     "sqrt": ("sqrt", math.sqrt), "atan2": ("atan2", math.atan2), "min": ("min", min), "max": ("max", max),
 }  # fmt: skip
 OPERATIONS = ("sum", "difference", "product", "quotient", "pow", *CALLS)
-WORDS = ("description", "documentation")
+COMMENTS = ("description", "documentation")
 
 
 class NotExact(Exception):
@@ -79,26 +79,26 @@ class Reader:
     line: Callable[[str, Sum], Sum]
     held: dict[str, float] = field(default_factory=dict)
     """Properties that were taken as numbers, though an aircraft could change them."""
-    _done: dict[str, Sum] = field(default_factory=dict)
+    _values: dict[str, Sum] = field(default_factory=dict)
     _path: tuple[str, ...] = ()
 
     def function(self, element: ET.Element) -> Sum:
         """The value of a <function>. Raises NotExact."""
         name = element.get("name", "")
-        if name in self._done:
-            return self._done[name]
+        if name in self._values:
+            return self._values[name]
         if name in self._path:
             raise NotExact("builds on itself")
         outer_path, self._path = self._path, (*self._path, name) if name else self._path
         try:
-            parts = [e for e in element if e.tag not in WORDS]
+            parts = [e for e in element if e.tag not in COMMENTS]
             if len(parts) != 1:
                 raise NotExact("is not made of one operation")
             value = self.sum_of(parts[0])
         finally:
             self._path = outer_path
         if name:
-            self._done[name] = value
+            self._values[name] = value
         return value
 
     def sum_of(self, element: ET.Element) -> Sum:
@@ -115,7 +115,7 @@ class Reader:
                 return self.function(element)
         if element.tag not in OPERATIONS:
             raise NotExact(f"has <{element.tag}>, which our text has no form for")
-        parts = [self.sum_of(e) for e in element if e.tag not in WORDS]
+        parts = [self.sum_of(e) for e in element if e.tag not in COMMENTS]
         if not parts:
             raise NotExact(f"has <{element.tag}> with nothing in it")
         return _operated(element.tag, parts)
@@ -141,7 +141,7 @@ class Reader:
             raise NotExact(f"reads {name}, which JSBSim does not know")
         if any(a != b for a, b in pairwise(values)) or not math.isfinite(values[0]):
             raise NotExact(f"reads {name}, which airspeed, flow angles, rates, surfaces and density do not say")
-        value = values[0] if abs(values[0]) > LEAST else 0.0
+        value = values[0] if abs(values[0]) > NEGLIGIBLE else 0.0
         if not name.startswith(CONSTANTS):
             self.held[name] = value
         return constant(value)

@@ -129,7 +129,7 @@ def _power(text: str, power: int) -> str:
 
 Line = Callable[[Sum], Sum]
 """Writes a sum as its own line and returns the symbol of that line."""
-MOST = 60  # terms in one line: an expression has at most 4000 characters and 200 nested operations
+MOST_TERMS = 60  # terms in one line: an expression has at most 4000 characters and 200 nested operations
 
 
 class TableError(Exception):
@@ -202,7 +202,7 @@ def looked_up(table: LookupTable, arguments: list[Sum], line: Line) -> Sum:
     """The value of a table at its variables, the last one first. A variable that is a number is interpolated here."""
     x, *further_arguments = arguments
     number = x.number
-    needed = range(len(table.points)) if number is None else _around(table.points, number)
+    needed = range(len(table.points)) if number is None else _bracketing(table.points, number)
     values = {}
     for i in needed:
         value = table.values[i]
@@ -231,7 +231,7 @@ def looked_up(table: LookupTable, arguments: list[Sum], line: Line) -> Sum:
     return _in_lines(nodes[0].plus(*parts), line)
 
 
-def _around(points: Array, x: float) -> range:
+def _bracketing(points: Array, x: float) -> range:
     """Indices of the two points around x, or of one: a point at x, or the last point before x outside the table."""
     if x <= points[0] or len(points) == 1:
         return range(1)
@@ -259,7 +259,9 @@ def _ramp_above(x: Sum, point: float) -> Sum:
 
 def _in_lines(terms: Sum, line: Line) -> Sum:
     """A long sum as several lines."""
-    if len(terms.products) <= MOST:
+    if len(terms.products) <= MOST_TERMS:
         return line(terms) if len(terms.products) > 1 else terms
-    parts: list[tuple[Product, ...]] = [terms.products[i : i + MOST] for i in range(0, len(terms.products), MOST)]
+    parts: list[tuple[Product, ...]] = [
+        terms.products[i : i + MOST_TERMS] for i in range(0, len(terms.products), MOST_TERMS)
+    ]
     return _in_lines(Sum().plus(*(line(Sum(p)) for p in parts)), line)
