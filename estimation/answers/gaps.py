@@ -63,9 +63,8 @@ def gap(
     from estimation.simulation.base_model import Free
 
     files = tuple(Path(f) for f in effects)
-    own_effects = {
-        path: [e.name for e in load_effects(path)] for path in files
-    }  # refuses mistakes before a flight is read
+    # loaded here so that mistakes in them are refused before a flight is read
+    own_effects = {path: [e.name for e in load_effects(path)] for path in files}
     training = as_listed(flights)
     every_flight = [*training, *as_listed(holdout)]
     options = Options(seed=seed, nulls=nulls)

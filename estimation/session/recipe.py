@@ -166,9 +166,8 @@ def _possible(model: Model, available: frozenset[str], flight: Flight) -> Possib
     required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional]
     missing = tuple(dict.fromkeys(n for n in required if not _is_available(n, all_there)))
     may_lack = [n for n in MAY_LACK.get(model.name, ()) if not _is_available(n, all_there)]
-    missing = tuple(
-        n for n in missing if may_lack != [n]
-    )  # a model may lack one of these; the fit says what that costs
+    # a model may lack one of these; a note of the fit says what that costs
+    missing = tuple(n for n in missing if may_lack != [n])
     model_columns = {s.source for s in (*model.inputs, *model.outputs)}
     silent = tuple(dict.fromkeys((*(s.source for s in model.outputs if s.source not in all_there), *may_lack)))
     slow = too_slow(flight, model_columns)

@@ -19,9 +19,7 @@ Array = NDArray[np.float64]
 
 ANOTHER_UNIT = 8.0  # estimate over belief, or its inverse, from which a control has another unit
 SURE_BOUNDS = 5.0  # bounds by which a derivative has to differ from zero
-REVERSED = (
-    -0.7
-)  # correlation of a channel with the model's output, below which its sign is wrong: -0.9 to -1 where it is
+REVERSED = -0.7  # correlation of a channel with the model's output, below which its sign is wrong (then -0.9 to -1)
 
 
 def turned_outputs(model: Model, fits: Iterable[tuple[Array, Array]]) -> list[str]:

@@ -140,9 +140,8 @@ def _lacks(session: EstimationSession) -> list[Lack]:
 
 def _to_be_added(lack: Lack, model: Model, wish: StructureWish) -> bool:
     """Whether a lack is to be added to the model."""
-    if not (
-        lack.holds and lack.possible
-    ):  # the other flights do not confirm it, or its size is impossible for its kind
+    confirmed = lack.holds and lack.possible  # by the other flights, and of a size that its kind can have
+    if not confirmed:
         return False
     if wish is StructureWish.AUTO:
         return True

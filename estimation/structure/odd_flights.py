@@ -237,7 +237,8 @@ def _explained(
     linear: LinearisedFit, result: Result, index: int, score: Array, covariance: Array
 ) -> tuple[_Hypothesis, float]:
     """The hypothesis that explains most of a flight's chi-square, simple ones preferred, and its size."""
-    gram = linear.flights[index].gram
+    gram, n = linear.flights[index].gram, linear.n
+    chi_square = float(score[:n] @ _inverse(covariance[:n, :n])[0] @ score[:n])
     ranked = []
     for h in _hypotheses(linear, result):
         columns = np.array(h.columns)
@@ -246,10 +247,8 @@ def _explained(
         power = float(mean @ weight @ mean)
         if power > 0.0:
             product = float(mean @ weight @ score[columns])
-            free = np.arange(linear.n)
-            unexplained = float(score[free] @ _inverse(covariance[np.ix_(free, free)])[0] @ score[free])
-            explained = float(score[columns] @ weight @ score[columns])
-            gain = product**2 / power - max(explained - unexplained, 0.0)
+            with_candidate = float(score[columns] @ weight @ score[columns])
+            gain = product**2 / power - max(with_candidate - chi_square, 0.0)  # a candidate's own score is no gain
             ranked.append((gain, h, product / power))
     highest = max(gain for gain, _, _ in ranked)
     simple = [f for f in ranked if f[1].kind is None and f[0] >= SIMPLE * highest]

@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 
 
 MEASURED = "#9aa3ad"
-SPARE = Look(
-    "#000000", "P"
-)  # for an estimator without a look; the others have Okabe and Ito's colours, for all readers
+SPARE = Look("#000000", "P")  # for an estimator without a look; the others have Okabe and Ito's colours
 LARGE = 40_000  # points in one figure from which pixels take fewer bytes than vectors
 DOTS = 250  # dots of one series from which pixels take fewer bytes: a dot takes a hundred as a vector
 CURVES = 2.2  # in matplotlib's drawing order: lines and dots are at 2 and below, letters and axes above

@@ -26,11 +26,7 @@ SPEED, DENSITY = 20.0, 1.2  # m/s, kg/m3 at which slopes are taken; those of a l
 SAME = 1e-9  # of the largest value of a coefficient: a linear line differs from its slopes by rounding only
 ROUNDING = 1e-12  # of the largest slope of a line: a smaller slope is rounding, and counts as zero
 DRAG_ROUNDING = 1e-12  # likewise of a drag term, by least squares
-THRUSTS, RATES, DENSITIES = (
-    (0.0, 10.0),
-    (-0.5, 0.5),
-    (0.7, 1.3),
-)  # N; rad/s and rad; kg/m3: ranges in which lines are tested
+THRUSTS, RATES, DENSITIES = (0.0, 10.0), (-0.5, 0.5), (0.7, 1.3)  # N, rad/s (and rad), kg/m3 in which lines are tested
 LATERAL, PITCH = ("CY", "Cl", "Cn"), ("CL", "CD", "Cm")
 Line = Callable[[FlightStates, Array, Array], Array]
 """Value of a line at a motion, rate of alpha [rad/s] and thrust [N]."""

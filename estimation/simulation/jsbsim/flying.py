@@ -35,12 +35,8 @@ LARGEST_SIDESLIP = 0.5  # rad, above which the motion has run away
 LIFTS = (0.4, 0.3, 0.5, 0.6, 0.8, 0.2)  # lift coefficients at which a glide is tried
 TRIMMED = 1e-4  # g and rad/s2: largest acceleration of a trimmed glide
 TRIM_START = (0.03, -0.05, 0.0, 0.0, 0.0, 0.0)  # alpha, theta, phi, surfaces [rad]
-TRIM_ROUNDS, TRIM_STEP, TRIM_MOVE, TRIM_LIMIT = (
-    30,
-    1e-3,
-    0.05,
-    0.5,
-)  # Newton: most rounds; rad: of slopes, a round, the result
+TRIM_ROUNDS, TRIM_STEP = 30, 1e-3  # of Newton's method; rad, of its slopes
+TRIM_MOVE, TRIM_LIMIT = 0.05, 0.5  # rad: largest change in a round, largest result
 GRAVITY_FT = 32.174  # ft/s2
 
 

@@ -80,10 +80,7 @@ def loaded(
     jsbsim = library()
     library_root = Path(jsbsim.get_default_root_dir())
     root = tree_of(path) if root is None else root
-    for section in [
-        *root.findall("output"),
-        *root.findall("input"),
-    ]:  # files, and sockets that would listen for commands
+    for section in [*root.findall("output"), *root.findall("input")]:  # files, and sockets for commands
         root.remove(section)
     for name in properties_read(root):
         if not _PROPERTY.fullmatch(name):
