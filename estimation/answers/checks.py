@@ -293,9 +293,11 @@ def _is_off(factor: "FactorEstimate") -> bool:
 
 def _factor_json(factor: "FactorEstimate") -> dict[str, object]:
     """A factor in JSON; numbers that are not finite, where the channel is not measured, are null."""
+    from estimation.estimators.result import finite_or_none
+
     numbers = {"estimate": factor.estimate, "std": factor.std, "std_coloured": factor.std_coloured}
     data: dict[str, object] = {
-        **{k: v if math.isfinite(v) else None for k, v in numbers.items()},
+        **{k: finite_or_none(v) for k, v in numbers.items()},
         "unit": factor.unit,
         "identifiable": factor.identifiable,
     }

@@ -53,9 +53,6 @@ class EstimationSession:
     joint_failures: method -> why it gives no joint estimate. Of the joint estimates, where there are any: verdict; structure:
     what their model lacks; odd: flights that differ from the others."""
 
-    def __repr__(self) -> str:
-        return f"<EstimationSession of {self.model.name} by {', '.join(self.methods)}: {self.text:.200}>"
-
     aircraft: Aircraft
     model: Model
     methods: tuple[str, ...]
@@ -67,6 +64,9 @@ class EstimationSession:
     verdict: Verdict | None = None
     structure: StructureTest | None = None
     odd: tuple[OddFlight, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<EstimationSession of {self.model.name} by {', '.join(self.methods)}: {self.text:.200}>"
 
     @property
     def leading(self) -> Result | None:
