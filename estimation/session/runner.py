@@ -68,13 +68,12 @@ def estimate(
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
     session = _fit_all(task, estimators, joint)
     if structure is not StructureWish.OFF:
-        base_model = task.plain or model
         session = with_structure_tests(
             session,
             task,
             structure,
             lambda other_model, names: _fit_all(
-                replace(task, model=other_model, plain=base_model),
+                replace(task, model=other_model, plain=model),
                 [e for e in estimators if names is None or e.name in names],
                 joint,
             ),
