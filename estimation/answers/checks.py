@@ -271,7 +271,7 @@ class Check(Answer):
     def headline(self) -> str:
         from groundstation.flight.findings import worst
 
-        verdict = worst([f for findings in self.quality.values() for f in findings])
+        verdict = worst(f for findings in self.quality.values() for f in findings if f.severity != "note")
         return f"Check of {', '.join(self.quality)}: {verdict}"
 
     def rows(self) -> Rows:
