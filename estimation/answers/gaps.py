@@ -244,8 +244,4 @@ def beside_simulation(model: "Model") -> str:
         for p in model.parameters
         if p.name in names and not p.fixed and p.reference is not None
     ]
-    return (
-        "estimated beside the simulation, which has what stands in brackets: " + ", ".join(estimated)
-        if estimated
-        else ""
-    )
+    return "estimated beside the simulation, whose values are in brackets: " + ", ".join(estimated) if estimated else ""

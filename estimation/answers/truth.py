@@ -11,7 +11,7 @@ from estimation.errors import EstimationError
 
 def read_truth(path: Path, flights: Sequence[str]) -> dict[str, float]:
     """Derivatives by name from a JSON file: {"Cl_p": ...}, {"derivatives": {...}}, a manifest of recordings, or an object whose
-    keys are the first letters of flights' names.
+    keys are beginnings of flights' names.
 
     Raises EstimationError for a file that cannot be read, or that has no or different derivatives for these flights.
     """
