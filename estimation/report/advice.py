@@ -25,14 +25,14 @@ MOTION_ADVICE = {
 @dataclass(frozen=True, slots=True)
 class Unidentified:
     """A parameter that is not identifiable by a method. where: flights, or "joint"; manoeuvre: what would determine it;
-    joint_methods: methods whose joint estimate determines it."""
+    determined_jointly: by the joint estimate of the method."""
 
     parameter: str
     method: str
     where: tuple[str, ...]
     why: str
     manoeuvre: str
-    joint_methods: tuple[str, ...]
+    determined_jointly: bool
 
 
 def unidentified_parameters(session: "EstimationSession") -> list[Unidentified]:
@@ -49,7 +49,7 @@ def unidentified_parameters(session: "EstimationSession") -> list[Unidentified]:
         joint = session.joint.get(method)
         determined = joint is not None and name in joint.parameters and joint.parameters[name].identifiable
         fly = manoeuvre(session.model, name, reason)
-        entries.append(Unidentified(name, method, tuple(where), reason, fly, (method,) if determined else ()))
+        entries.append(Unidentified(name, method, tuple(where), reason, fly, determined))
     order = list(session.model.parameter_names)
     return sorted(entries, key=lambda u: (order.index(u.parameter), session.methods.index(u.method)))
 
@@ -79,7 +79,7 @@ def grouped(entries: Sequence[Unidentified]) -> list[AdviceGroup]:
             _distinct(w for u in manoeuvre_entries for w in u.where),
             _distinct(reason_without_numbers(u.why) for u in manoeuvre_entries),
             fly,
-            _distinct(u.parameter for u in manoeuvre_entries if u.joint_methods),
+            _distinct(u.parameter for u in manoeuvre_entries if u.determined_jointly),
         )
         for fly, manoeuvre_entries in entries_by_manoeuvre.items()
     ]

@@ -332,7 +332,7 @@ def _unidentified_table(session: "EstimationSession") -> ReportTable:
     """Every parameter, method and reason, for the file beside the page."""
     head = ("parameter", "method", "flights", "why", "fly next", "joint")
     rows = tuple(
-        (u.parameter, u.method, ", ".join(u.where), u.why, u.manoeuvre, "determined" if u.joint_methods else "")
+        (u.parameter, u.method, ", ".join(u.where), u.why, u.manoeuvre, "determined" if u.determined_jointly else "")
         for u in unidentified_parameters(session)
     )
     return ReportTable("untold", "What these flights cannot determine", head, rows, texts=(2, 3, 4))

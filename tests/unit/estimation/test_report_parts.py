@@ -85,15 +85,15 @@ def test_pair_of_nothing_is_empty() -> None:
 def test_what_one_manoeuvre_would_tell_is_one_row() -> None:
     entries = [
         Unidentified(
-            "CY_dr", "ml", ("f1",), "delta_r moved only 0.18 deg rms: this data cannot tell; move it", "rudder", ()
+            "CY_dr", "ml", ("f1",), "delta_r moved only 0.18 deg rms: this data cannot tell; move it", "rudder", False
         ),
         Unidentified(
-            "CY_dr", "ml", ("f2",), "delta_r moved only 0.16 deg rms: this data cannot tell; move it", "rudder", ("ml",)
+            "CY_dr", "ml", ("f2",), "delta_r moved only 0.16 deg rms: this data cannot tell; move it", "rudder", True
         ),
         Unidentified(
-            "Cn_dr", "ngn", ("f1",), "delta_r moved only 0.18 deg rms: this data cannot tell; move it", "rudder", ()
+            "Cn_dr", "ngn", ("f1",), "delta_r moved only 0.18 deg rms: this data cannot tell; move it", "rudder", False
         ),
-        Unidentified("CY_p", "ml", ("f1",), "bound 0.02 is wider than 0.015: this data cannot tell", "aileron", ()),
+        Unidentified("CY_p", "ml", ("f1",), "bound 0.02 is wider than 0.015: this data cannot tell", "aileron", False),
     ]
     rudder, aileron = grouped(entries)
     assert (rudder.parameters, rudder.methods, rudder.where) == (("CY_dr", "Cn_dr"), ("ml", "ngn"), ("f1", "f2"))
