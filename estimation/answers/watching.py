@@ -63,8 +63,7 @@ def watch(
 
 @dataclass(frozen=True, repr=False)
 class Watching(Answer):
-    """The answer of `watch`. result: the monitor's history and alarms; command: the command to run after an alarm; notes: which
-    mass was used."""
+    """The answer of `watch`. result: history and alarms; command: for after an alarm; notes: which mass was used."""
 
     result: "Watched"
     command: str

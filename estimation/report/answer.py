@@ -30,8 +30,7 @@ FULL_KINEMATICS = (
 
 @dataclass(frozen=True, slots=True)
 class AnswerRow:
-    """One derivative. bound: one standard deviation, corrected; why: it is not identifiable; prior, published, truth: None where
-    there is none."""
+    """One derivative. bound: corrected standard deviation; why: it is not identifiable; prior, published, truth: or None."""
 
     name: str
     value: float
@@ -45,8 +44,7 @@ class AnswerRow:
 
 @dataclass(frozen=True, slots=True)
 class LeadingAnswer:
-    """The answer of a session. source: flights and method of the numbers; verdict: a sentence; rows: derivatives, in the model's
-    order."""
+    """The answer of a session. source: flights and method of the numbers; verdict: a sentence; rows: derivatives in order."""
 
     source: str
     verdict: str
@@ -64,8 +62,7 @@ def shown_verdict(session: "EstimationSession") -> "Verdict | None":
 
 
 def leading_answer(session: "EstimationSession") -> LeadingAnswer:
-    """The joint estimate where there is one, else the mean over flights, else the only flight's; by the recommended method, or
-    the first."""
+    """The joint estimate, else the mean over flights, else the only flight's; by the recommended method, or the first."""
     verdict = shown_verdict(session)
     if session.leading is not None:
         source = f"{len(session.flights)} flights together, {session.leading.method}"

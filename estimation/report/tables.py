@@ -18,8 +18,7 @@ _SENTENCES = r"p{0.6\linewidth}"  # LaTeX column whose cells break into lines
 class ReportTable:
     """A table. name: of its files. groups: (label, columns spanned) over `head`, or empty. symbols: the first cell of each row is
     a name of a parameter or signal, shown as a symbol. note: explains the columns. texts: columns of sentences, which may break
-    into lines. failed: (row, column) of the cells beyond their limit, marked on the page only. filed: write files beside the
-    page."""
+    into lines. failed: (row, column) of the cells beyond their limit, marked on the page only. filed: write files too."""
 
     name: str
     caption: str
@@ -147,8 +146,7 @@ SHORT = 16  # rows up to which print does not break a table
 
 @dataclass(frozen=True, slots=True)
 class TableSlice:
-    """Columns of a table that are shown together. groups: (label, columns spanned); wide: use the small font; short: print does
-    not break it."""
+    """Columns of a table that are shown together. groups: (label, columns spanned); wide: in small font; short: not broken."""
 
     columns: tuple[int, ...]
     groups: tuple[tuple[str, int], ...]

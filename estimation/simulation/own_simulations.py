@@ -4,8 +4,7 @@ The function is `base(V, alpha, beta, p, q, r, surfaces, thrust, rho) -> (CX, CY
 rad/s, thrust N, rho kg/m3, surfaces a mapping with delta_e, delta_a, delta_r [rad]; body axes, moments about the centre of
 gravity. It may take arrays (N,) and return six arrays, or take numbers and return six numbers: it is tried with arrays and,
 where that fails, called state by state. None stands for a coefficient that it does not have. A parameter alpha_dot receives the
-rate of alpha [rad/s]. The module may define AIRCRAFT: an `estimation.aircraft.Aircraft`, or the path of an aircraft file beside
-it."""
+rate of alpha [rad/s]. The module may define AIRCRAFT: an `estimation.aircraft.Aircraft`, or the path of an aircraft file."""
 
 import inspect
 import math

@@ -134,8 +134,7 @@ class SteppedMotion:
 
 
 def move_model(simulation: Simulation, model: Model, flight: Flight, filters: tuple[str, ...] = ()) -> SteppedMotion:
-    """A model on a simulation, flown through a flight without noise from its first state. filters: its states that are lag
-    filters in JSBSim."""
+    """A model on a simulation, flown through a flight without noise from its first state. filters: as in `step_model`."""
     along_flight = simulate_along(
         simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model)
     )

@@ -71,8 +71,7 @@ class FlightProducts:
 @dataclass(frozen=True)
 class LinearisedFit:
     """All flights of a fit. shared: names of the parameters, values: their estimates, prior: (n, n) information of their priors;
-    tested: candidates. edges: size of the errors in the steps' times; common: (errors, errors) covariance of input errors that
-    the flights share."""
+    tested: candidates. edges: size of errors in the steps' times; common: (errors, errors) covariance of common input errors."""
 
     shared: tuple[str, ...]
     values: Array

@@ -117,8 +117,7 @@ class Lack:
 @dataclass(frozen=True)
 class StructureTest:
     """The structure test of a fit. added: names of candidates that were added to the model; ambiguous: lacks among these that a
-    rival explains as well with other estimates. why_not: why no test was made. follows: filter method -> why its process noise is
-    not gusts."""
+    rival explains as well with other estimates. why_not: why no test was made. follows: filter method -> why it is no gusts."""
 
     tested: tuple[Tested, ...]
     lacks: tuple[Lack, ...]

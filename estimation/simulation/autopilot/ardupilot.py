@@ -41,8 +41,7 @@ NO_POLAR = 1e12  # oswald without induced drag
 
 
 def sitl_values(linear: LinearAircraft, stall: float | None) -> dict[str, float]:
-    """Key -> value of a file. stall: angle of attack [rad] or None. Raises SimulationError for throws that differ in the two
-    directions."""
+    """Key -> value of a file. stall: angle of attack [rad] or None. Raises SimulationError for throws that are not symmetric."""
     a, throw = linear.aircraft, symmetric_throws(linear, "ArduPilot's SITL")
     share = MASS / a.mass
     inertia = a.Ixx * a.Izz - a.Ixz**2

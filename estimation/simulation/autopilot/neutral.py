@@ -195,8 +195,7 @@ def _notes(zero: list[str], without_form: list[str]) -> list[str]:
 
 
 def _completed(body: Aircraft, model: Model | None, base: Model, missing_coefficients: list[str]) -> BuildUp:
-    """The model's own lines, and the base's for the coefficients that it lacks. Raises SimulationError where a name would mean
-    two things."""
+    """The model's own lines, and the base's for the coefficients that it lacks. Raises SimulationError where names clash."""
     body_lines = BODY_AXES if {"CL", "CD"} & set(missing_coefficients) else ()
     model_lines = model.definitions if model is not None else {}
     added_lines = {

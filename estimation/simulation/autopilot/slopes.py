@@ -33,8 +33,7 @@ Line = Callable[[FlightStates, Array, Array], Array]
 
 
 def lines_of(model: Model) -> dict[str, Line]:
-    """Coefficient -> line, for each of CL CD CY Cl Cm Cn that a model has; lift and drag from CX and CZ where it has those
-    instead."""
+    """Coefficient -> line, for each of CL CD CY Cl Cm Cn that a model has; lift and drag may come from CX and CZ."""
     oracle = TextOracle(model)
 
     def line_of(name: str) -> Line:
@@ -71,8 +70,7 @@ def derivatives_of(model: Model, frame: LinearAircraft) -> dict[str, float]:
 
 
 def _points(frame: LinearAircraft, regressors: Mapping[str, Array], count: int) -> tuple[FlightStates, Array]:
-    """Motion and rate of alpha [rad/s] at which the regressors (ending of SLOPES -> (count,), rates non-dimensional) have these
-    values."""
+    """Motion and rate of alpha [rad/s] with these regressors (ending of SLOPES -> (count,), rates non-dimensional)."""
     a, zeros = frame.aircraft, np.zeros(count)
     V = np.full(count, SPEED)
     lengths = {"p": a.span, "q": a.chord, "r": a.span, "alphadot": a.chord}

@@ -1,5 +1,4 @@
-"""From a model or aircraft file to a simulator's files with a proof: what `sideslip export --to ardupilot|gazebo|neutral`
-does."""
+"""From a model or aircraft file to a simulator's files with a proof: `sideslip export --to ardupilot|gazebo|neutral`."""
 
 import math
 import shlex

@@ -26,8 +26,7 @@ SAME_MASS = 1e-3  # relative: by which the model's mass may differ from the airc
 
 @dataclass(frozen=True)
 class JsbsimExport:
-    """file: the aircraft's XML. terms: names of the added functions and components. left_out: sentences on what does not belong
-    to an aircraft."""
+    """file: the aircraft's XML. terms: names of the added functions and components. left_out: phrases on the rest."""
 
     file: Path
     terms: tuple[str, ...]
@@ -36,8 +35,7 @@ class JsbsimExport:
 
 @dataclass(frozen=True)
 class WrittenAircraft:
-    """An aircraft's XML with the increments. chains: property that the aerodynamics now reads -> the position before our
-    components."""
+    """An aircraft's XML with the increments. chains: property that the aerodynamics now reads -> original position."""
 
     root: ET.Element
     terms: tuple[str, ...]

@@ -38,8 +38,7 @@ class Increments:
 
 
 def increments_of(model: Model) -> Increments:
-    """The sorted terms of a model. Raises SimulationError for a model without a simulation, or one that changes a line that no
-    aircraft has."""
+    """The sorted terms of a model. Raises SimulationError without a simulation, or for a changed line that no aircraft has."""
     if not any(s.computed for s in model.inputs):
         raise SimulationError(
             f"model {model.name}: stands on no simulation; export one that 'sideslip gap --simulation jsbsim:...' wrote"
