@@ -102,7 +102,7 @@ def with_unknown_thrust(result: Result) -> Result:
     """The result with zero-lift drag and thrust marked not identifiable where thrust is an unknown."""
     if THRUST not in result.model.parameter_names or DRAG not in result.parameters:
         return result
-    why = f"{NO_THRUST}: the record determines only thrust minus drag"
+    why = f"{NO_THRUST}: the record determines only thrust less drag"
     names = [n for n in (DRAG, THRUST) if n in result.parameters]
     blind = {n: replace(result.parameters[n], identifiable=False, why=why) for n in names}
     return replace(result, parameters={**result.parameters, **blind})

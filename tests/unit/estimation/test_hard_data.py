@@ -135,7 +135,7 @@ def test_options_are_looked_at_before_any_work(
     options: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_flights: list[Flight]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(runner, "_each", lambda *_, **__: pytest.fail("the fit had begun"))
+    monkeypatch.setattr(runner, "_fit_each", lambda *_, **__: pytest.fail("the fit had begun"))
     write_flight(made_flights[0], "flight.csv")
     result = run("flight.csv", "--aircraft", "cdfp", *options)
     assert isinstance(result.exception, UserError)
