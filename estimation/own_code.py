@@ -1,4 +1,4 @@
-"""Somebody's own Python, named as `module:NAME`: imported from the working directory or the path, its mistakes told."""
+"""The user's own Python, named as `module:NAME`: imported from the working directory or the path, its mistakes reported."""
 
 import importlib
 import sys
@@ -9,12 +9,14 @@ from estimation.errors import EstimationError
 MISTAKES = (
     ImportError, SyntaxError, NameError, AttributeError, TypeError, ValueError, KeyError, IndexError, ZeroDivisionError,
 )  # fmt: skip
-"""What a mistake in somebody's own module or class raises."""
+"""What a mistake in the user's module or class raises."""
 
 
 def import_named(text: str, what: str, example: str, error: type[EstimationError] = EstimationError) -> object:
-    """What `module:NAME` names. what: begins the sentence of the error that is raised where there is no such thing;
-    example: as it is written.
+    """The object that `module:NAME` names.
+
+    what: first words of the error's sentence; example: how such a name is written. Raises `error` where there is no such object
+    or its module cannot be imported.
     """
     module_name, _, name = text.partition(":")
     if not all(part.isidentifier() for part in (*module_name.split("."), name)):
@@ -36,7 +38,7 @@ def import_named(text: str, what: str, example: str, error: type[EstimationError
 
 
 def mistake_text(error: Exception) -> str:
-    """An error of somebody's Python text, with its place where that is known."""
+    """An error of the user's Python text, with its line where that is known."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

@@ -1,6 +1,7 @@
 """The front door: which flights, stretches, model, aircraft, methods and simulation a call is about.
 
-Every verb, function of Python and worker of a campaign decides them here, so that the same words give the same numbers.
+Every verb, every Python function and every worker of a campaign resolves its arguments here, so that the same arguments give the
+same numbers.
 """
 
 import math
@@ -26,12 +27,12 @@ Flights = Flight | str | Path | Sequence[Flight | str | Path]
 AnyModel = str | Path | Model | type
 AnyAircraft = str | Path | Aircraft | None
 Names = str | Iterable[str]
-"""Comma-separated, or one by one."""
+"""Comma-separated names, or an iterable of them."""
 
 
 @dataclass(frozen=True)
 class ResolvedCall:
-    """What a call works on. notes: what of a simulation is held, or not measured; whose mass is taken."""
+    """What a call works on. notes: sentences on what a simulation holds or was not measured, and whose mass is used."""
 
     model: Model
     aircraft: Aircraft
@@ -55,35 +56,35 @@ def resolve(
     hold_initial: Names = "",
     free_initial: Names = "",
 ) -> ResolvedCall:
-    """The flights with names of their own, the model, and the aircraft it is of.
+    """The flights under unique names, the model, and its aircraft.
 
-    segments: stretches as of `select_segments`; each_segment: every one as a flight. free: what of a simulation is estimated;
-    controls: a model that says how its control surfaces move, where not as recorded. needs_aircraft: the call takes geometry and
-    mass itself, whatever the model. hold_initial, free_initial: as of `with_initial_states`. Raises a UserError of one sentence
-    for what cannot be found or does not fit; what is mistyped in methods or model, before a flight is read.
+    segments: stretches, as in `select_segments`; each_segment: every stretch becomes a flight. free: what of a simulation is
+    estimated; controls: a model of how its control surfaces move, where not as recorded. needs_aircraft: the call itself uses
+    geometry and mass, whatever the model. hold_initial, free_initial: as in `with_initial_states`. Raises a UserError of one
+    sentence for what cannot be found or does not fit; mistyped methods and models are refused before a flight is read.
     """
     method_names = tuple(dict.fromkeys(comma_separated(methods)))
     estimators = [find_estimator(name) for name in method_names]
     if isinstance(model, str | Path):
         check_model(str(model))
-    read = read_flights(flights, segments, each_segment=each_segment)
+    selected = read_flights(flights, segments, each_segment=each_segment)
     if simulation is not None:
-        attached = _on_simulation(simulation, model, read, aircraft, free, controls)
-        loaded, craft, read, notes = attached.model, attached.aircraft, list(attached.flights), attached.notes
+        attached = _on_simulation(simulation, model, selected, aircraft, free, controls)
+        loaded, airframe, selected, notes = attached.model, attached.aircraft, list(attached.flights), attached.notes
     else:
-        craft = which_aircraft(read, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
-        loaded, notes = load_model(model, craft), ()
-    loaded, flown, mass_notes = with_mass_history(loaded, read, craft)
-    loaded, flown, cg_notes = with_cg_history(loaded, flown)
+        airframe = which_aircraft(selected, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
+        loaded, notes = load_model(model, airframe), ()
+    loaded, with_mass, mass_notes = with_mass_history(loaded, selected, airframe)
+    loaded, with_cg, cg_notes = with_cg_history(loaded, with_mass)
     notes = (*(f"simulation: {note}" for note in notes), *mass_notes, *cg_notes)
-    return ResolvedCall(with_initial_states(loaded, hold_initial, free_initial), craft, flown, method_names, notes)
+    return ResolvedCall(with_initial_states(loaded, hold_initial, free_initial), airframe, with_cg, method_names, notes)
 
 
 def read_flights(flights: Flights, segments: str | None = None, *, each_segment: bool = False) -> list[Flight]:
-    """Flights that are given as such or as files, the stretches `segments` of each, with names of their own."""
+    """The stretches `segments` of flights, which are given as such or as files, under unique names."""
     listed = as_listed(flights)
-    read = [select_segments(f if isinstance(f, Flight) else read_flight(f), segments) for f in listed]
-    return unique_names([part for f in read for part in flights_of_segments(f)] if each_segment else read)
+    selected = [select_segments(f if isinstance(f, Flight) else read_flight(f), segments) for f in listed]
+    return unique_names([part for f in selected for part in flights_of_segments(f)] if each_segment else selected)
 
 
 def as_listed(flights: Flights) -> list[Flight | str | Path]:
@@ -110,8 +111,8 @@ def _on_simulation(
     free: Free,
     controls: Model | None,
 ) -> Attached:
-    """The simulation under the model along the flights: at the motion of the fit where derivatives are free, at the motion
-    predicted where nothing is."""
+    """The model with its simulation evaluated along the flights: about the fitted motion where derivatives are free, about the
+    predicted motion where nothing is."""
     if not isinstance(model, str | Path):
         raise EstimationError("a simulation takes its model by name or as a MODEL.toml; give one of these")
     attached = attach(spec, str(model), flights, aircraft, free, controls)
@@ -121,7 +122,7 @@ def _on_simulation(
 
 
 def with_initial_states(model: Model, hold: Names, free: Names) -> Model:
-    """The model with initial values of states held and freed; EstimationError for nonsense.
+    """The model with initial values of states held or freed. Raises EstimationError for values and names that contradict.
 
     hold: names of states, held as measured, or NAME=VALUE; free: names. `all` is every state.
     """

@@ -1,4 +1,4 @@
-"""One thread of linear algebra: matrices of a fit are small, so that threads only wait for one another and for other runs."""
+"""Linear algebra in one thread: the matrices of a fit are so small that several threads mostly wait for one another."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -9,16 +9,16 @@ from typing import ParamSpec, TypeVar
 P = ParamSpec("P")
 R = TypeVar("R")
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What libraries that are loaded later, and processes that are started, read when they begin."""
+"""Read at start by libraries that are loaded later and by child processes."""
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Inside, libraries of linear algebra use one thread, those loaded already and those to come; afterwards as before.
+    """Limit libraries of linear algebra, loaded already or later, to one thread; restore the former state at the end.
 
-    A number that the environment states for libraries to come stands.
+    A number that the environment states for libraries loaded later is kept.
     """
-    import numpy.linalg  # noqa: F401  a library that is loaded can be limited
+    import numpy.linalg  # noqa: F401  threadpool_limits reaches only libraries that are loaded
     import scipy.linalg  # noqa: F401
     from threadpoolctl import threadpool_limits
 
@@ -33,7 +33,7 @@ def one_thread() -> Iterator[None]:
 
 
 def single_threaded(function: Callable[P, R]) -> Callable[P, R]:
-    """Every call of the function inside `one_thread`."""
+    """Decorator: every call of the function runs inside `one_thread`."""
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -200,7 +200,7 @@ def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from:
             for name, rms in proof.rms.items()
         ),
         proved.sentence(),
-        proved.of_the_steps(),
+        proved.step_error_sentence(),
     ]
     return _written(file, "jsbsim", [exported.file], lines, sound=not proof.failed)
 

@@ -1,1 +1,1 @@
-"""The public functions behind the verbs and the Python API: each gives one kind of answer, which is printed, drawn and saved."""
+"""The public functions behind the verbs and the Python API. Each returns one kind of answer, to be printed, drawn or saved."""

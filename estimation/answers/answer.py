@@ -1,5 +1,5 @@
-"""What every public function gives: an answer that prints shortly, shows a table and figures in a notebook, and gives JSON,
-pages and files when asked.
+"""The answer that every public function returns: printed as one line, a table and figures in a notebook, on request JSON, pages
+and files.
 """
 
 import html
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from estimation.session.proof_of_match import ProofOfMatch
     from estimation.watch.over_file import Watched
 
-LEADING = 12  # hypotheses of a gap that a plot shows: the page has them all
+LEADING = 12  # hypotheses of a gap in the plot: the page has them all
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -35,27 +35,27 @@ def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -
 
 
 class Figures(Mapping[str, "Picture"]):
-    """The figures of a report page by name, each drawn when it is looked at; in a notebook they show themselves."""
+    """The figures of a report page by name, each drawn at its first use; a notebook shows them all."""
 
     def __init__(self, pictures: "Mapping[str, Callable[[], Picture | None]]") -> None:
-        self._drawn = dict(pictures)
+        self._draw = dict(pictures)
         self._pictures: dict[str, Picture] = {}
 
     def __getitem__(self, name: str) -> "Picture":
         if name not in self._pictures:
-            picture = self._drawn[name]()
-            assert picture is not None  # only figures that have something to show are listed
+            picture = self._draw[name]()
+            assert picture is not None  # only figures with something to show are listed
             self._pictures[name] = picture
         return self._pictures[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._drawn)
+        return iter(self._draw)
 
     def __len__(self) -> int:
-        return len(self._drawn)
+        return len(self._draw)
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write each to folder/NAME.svg; gives the paths."""
+        """Write each to folder/NAME.svg; returns the paths."""
         Path(folder).mkdir(parents=True, exist_ok=True)
         return [p.save(Path(folder) / f"{name}.svg") for name, p in self.items()]
 
@@ -67,19 +67,19 @@ class Figures(Mapping[str, "Picture"]):
 
 
 def plot_reconstructed(flight: "ReconstructedFlight", ax: Any) -> Any:
-    """Measured and reconstructed motion, one axes a channel; angles in degrees."""
+    """Draw measured and reconstructed motion, one axes a channel; angles in degrees."""
     units = {n: "m/s" if n == "V" else "rad" for n in flight.outputs}
     return _histories(units, flight.time, flight.measured, {"reconstructed": flight.reconstructed}, ax)
 
 
 def plot_proof(proof: "ProofOfMatch", ax: Any) -> Any:
-    """Measured and predicted outputs, one axes a channel; angles in degrees."""
+    """Draw measured and predicted outputs, one axes a channel; angles in degrees."""
     units = {s.name: s.unit for s in proof.result.model.outputs}
     return _histories(units, proof.time, proof.measured, {"predicted": proof.predicted}, ax)
 
 
 def plot_scores(result: "GapResult", ax: Any) -> Any:
-    """The leading hypotheses with their scores, and the threshold that simulated nulls set."""
+    """Draw the leading hypotheses with their scores, and the threshold from simulated nulls."""
     (ax,) = panels(ax, 1, (7.0, 3.2))
     leading = sorted(result.scores, key=lambda n: -result.scores[n])[:LEADING]
     named_effects = {s.effect for s in result.steps}
@@ -93,7 +93,7 @@ def plot_scores(result: "GapResult", ax: Any) -> Any:
 
 
 def plot_watched(watched: "Watched", ax: Any) -> Any:
-    """Score of the gap monitor over its threshold, where controls moved; lines where an alarm was told."""
+    """Draw the score of the gap monitor over its threshold, where controls moved; lines mark alarms."""
     from estimation.watch.answer import draw_history
 
     (ax,) = panels(ax, 1, (7.0, 2.6))
@@ -102,7 +102,8 @@ def plot_watched(watched: "Watched", ax: Any) -> Any:
 
 
 def _histories(units: Mapping[str, str], time: Any, measured: Any, curves: Mapping[str, Any], ax: Any) -> Any:
-    """units: of each output, in the order of the columns of measured (N, outputs) and of each curve."""
+    """Draw measured points and curves, (N, outputs) each, one axes an output. units: output -> its SI unit, in order of columns;
+    curves: label -> values."""
     from estimation.report.drawing.figures import broken_at_gaps
     from estimation.report.names import face
 
@@ -119,9 +120,7 @@ def _histories(units: Mapping[str, str], time: Any, measured: Any, curves: Mappi
 
 
 def panels(ax: Any, count: int, size: tuple[float, float] | None = None) -> Any:
-    """(count,) axes one above the other: those given, or new ones. UserError where another number is given. size: [inches]."""
-    from daq.utilities.errors import UserError
-
+    """(count,) axes one above the other: the given ones, or new ones of `size` [inches]. UserError for another number."""
     if ax is None:
         from matplotlib import pyplot as plt
 
@@ -139,19 +138,19 @@ Rows = tuple[Sequence[str], Iterable[Sequence[str]]]
 
 
 class Answer(ABC):
-    """The protocol of answers. What a subclass does not have, such as a picture, raises a UserError where it is asked for."""
+    """The protocol of answers. File formats that a subclass does not have raise a UserError in `save`."""
 
     @abstractmethod
     def to_json(self) -> dict[str, Any]:
-        """What the verb writes with --json, key by key."""
+        """The content of the verb's --json."""
 
     @abstractmethod
     def lines(self) -> Iterable[str]:
-        """What the verb prints."""
+        """The lines that the verb prints."""
 
     @abstractmethod
     def headline(self) -> str:
-        """The answer in a line."""
+        """The answer in one line."""
 
     @abstractmethod
     def rows(self) -> Rows:
@@ -159,23 +158,23 @@ class Answer(ABC):
 
     @abstractmethod
     def plot(self, ax: Any = None) -> Any:
-        """Draw on the axes that are given, or on new ones; gives the axes."""
+        """Draw on the given axes, or on new ones; returns the axes."""
 
     @property
     def passed(self) -> bool:
-        """False where the answer is a failed check, which the verb ends with status 1 for."""
+        """False for a failed check: the verb then ends with status 1."""
         return True
 
     def summary(self) -> str:
-        """What the verb prints."""
+        """The text that the verb prints."""
         return "\n".join(self.lines())
 
     def figures(self) -> Figures:
-        """The figures of the page by name, each drawn when it is looked at."""
+        """The figures of the page by name, each drawn at its first use."""
         return Figures({})
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML page; gives its path."""
+        """Write the HTML page; returns its path."""
         from markupsafe import Markup
 
         from estimation.report.page import Page, Section
@@ -190,11 +189,11 @@ class Answer(ABC):
         return page.write(Path(folder) / "index.html")
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
-        """Ending of a file's name -> what writes it."""
+        """Ending of a file's name -> function that writes such a file."""
         return {".json": lambda path: write_json(self.to_json(), path)}
 
     def save(self, path: str | Path) -> Path:
-        """Write the file whose kind the ending of its name chooses; gives the path. UserError for an unknown ending."""
+        """Write a file in the format of its name's ending; returns the path. Raises UserError for an unknown ending."""
         path, writers = Path(path), self.writers()
         if path.suffix.lower() not in writers:
             endings = ", ".join(n for n in writers if n not in PICTURES or n == ".svg")
@@ -221,13 +220,13 @@ def table_writers(answer: Any) -> dict[str, Callable[[Path], Any]]:
 
 
 def picture_writers(write: Callable[[Path], Any]) -> dict[str, Callable[[Path], Any]]:
-    """The same function for every kind of picture."""
+    """The function under the ending of every picture format."""
     return dict.fromkeys(PICTURES, write)
 
 
 def rounded_texts(estimate: Any) -> tuple[str, str]:
-    """Estimate and corrected bound to the second figure of the bound."""
-    from estimation.report.tables import rounded as to_figures
+    """Estimate and corrected bound as texts, both rounded to the second figure of the bound."""
+    from estimation.report.tables import rounded
 
-    value, bound = to_figures(estimate.estimate, estimate.std_coloured)
+    value, bound = rounded(estimate.estimate, estimate.std_coloured)
     return value, bound

@@ -1,4 +1,4 @@
-"""`check`: do the instruments of a flight agree, and is its record sound."""
+"""`check`: whether the instruments of a flight agree, and whether its record is sound."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -40,17 +40,17 @@ def check(
     align: str | None = None,
     progress: Callable[..., None] | None = None,
 ) -> "Check":
-    """Whether the instruments agree, and whether the record is sound.
+    """Check whether the instruments agree, and whether the record is sound.
 
     Args:
         flights: a Flight, a file, or a list of them; raw recordings are calibrated.
-        factors: names, or text as of `--factors`; the standard ones where none is given.
+        factors: names, or text as for `--factors`; by default the standard ones.
         joint: also one set of factors that the flights share.
-        aircraft: whose derivatives predict what each flight can tell; by default what it carries.
+        aircraft: its derivatives predict the bounds of an estimate from each flight; by default what the flight carries.
         keep_held: take repeated values of slow and stuck sensors for measurements.
         segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
-        align: the report lays further flights on the first in time: auto, correlation, input, event or start.
-        progress: called with what is being done, and the share done.
+        align: how the report aligns further flights with the first in time: auto, correlation, input, event or start.
+        progress: called with a sentence on the present step, and the share done.
 
     Raises:
         UserError: one sentence, for what cannot be found or compared.
@@ -69,16 +69,16 @@ def check(
 
     text = factors if isinstance(factors, str) or factors is None else ",".join(factors) or None
     free_factors, fixed_factors = wanted_factors(text)
-    tell = progress or (lambda *_: None)
-    read = read_flights(flights, segments)
-    if align is not None and len(read) < 2:
+    report_progress = progress or (lambda *_: None)
+    selected = read_flights(flights, segments)
+    if align is not None and len(selected) < 2:
         raise EstimationError("--align lays flights on one another in time: give two or more")
-    contradicted = {f.name: contradictions(f) for f in read}
+    contradicted = {f.name: contradictions(f) for f in selected}
     results = {}
-    several = len(read) > 1  # one flight takes a second or two
-    for i, f in enumerate(read):
+    several = len(selected) > 1  # one flight takes only a second or two
+    for i, f in enumerate(selected):
         if several:
-            tell(f"checking {f.name}", i / len(read))
+            report_progress(f"checking {f.name}", i / len(selected))
         results[f.name] = compatibility(f, free_factors, known=fixed_factors, keep_held=keep_held)
     quality = {
         f.name: (
@@ -86,17 +86,17 @@ def check(
             *left_out_findings(results[f.name].flights[0].left_out),
             *_excitation(f, aircraft),
         )
-        for f in read
+        for f in selected
     }
     shared = None
     if joint and several:
-        tell("checking all together")
-        shared = compatibility(read, free_factors, known=fixed_factors, keep_held=keep_held)
-    return Check(results, quality, contradicted, tuple(read), shared, align)
+        report_progress("checking all together")
+        shared = compatibility(selected, free_factors, known=fixed_factors, keep_held=keep_held)
+    return Check(results, quality, contradicted, tuple(selected), shared, align)
 
 
 def _excitation(flight: "Flight", aircraft: "AnyAircraft") -> "tuple[Finding, ...]":
-    """What the flight can tell of its aircraft's derivatives; one finding that says why not where it names none."""
+    """Findings on how well the flight determines the derivatives of its aircraft; where it names none, one that says so."""
     from estimation.aircraft.library import aircraft_of
     from estimation.compatibility.excitation import CHECK, excitation_findings, predicted_bounds
     from groundstation.flight.findings import Finding
@@ -108,7 +108,10 @@ def _excitation(flight: "Flight", aircraft: "AnyAircraft") -> "tuple[Finding, ..
 
 
 def wanted_factors(text: str | None) -> tuple[tuple[str, ...], dict[str, float]]:
-    """The factors that --factors asks for, the standard ones where it is not given; and those it gives a value."""
+    """(names of the factors to estimate, fixed factors with their values) for the text of --factors; None: the standard ones.
+
+    Raises EstimationError for a text without names, a value that is no finite number, or nothing left to estimate.
+    """
     from estimation.errors import EstimationError
     from estimation.models.kinematic import STANDARD_FACTORS
 
@@ -137,8 +140,8 @@ def wanted_factors(text: str | None) -> tuple[tuple[str, ...], dict[str, float]]
 
 @dataclass(frozen=True, repr=False)
 class Check(Answer):
-    """What `check` found. results, quality, contradicted: factors, findings and contradictions by flight; joint: factors that all
-    flights share; align: how the report lays further flights on the first in time."""
+    """The answer of `check`. results, quality, contradicted: factors, findings and contradictions by flight; joint: factors that
+    all flights share; align: how the report aligns further flights with the first in time."""
 
     results: "Mapping[str, Compatibility]"
     quality: "Mapping[str, tuple[Finding, ...]]"
@@ -149,7 +152,7 @@ class Check(Answer):
 
     @property
     def named(self) -> "list[tuple[str, Compatibility]]":
-        """Results with the names that tables have: of each flight, then "joint"."""
+        """(name, result) for the rows of tables: each flight, then "joint"."""
         return [*self.results.items(), *([] if self.joint is None else [("joint", self.joint)])]
 
     @property
@@ -161,7 +164,7 @@ class Check(Answer):
         return not failed and all(r.converged for _, r in self.named)
 
     def to_json(self) -> dict[str, Any]:
-        """As `check --json` has it: one entry a flight, and the joint factors where there are any."""
+        """The content of `check --json`: one entry a flight, and the joint factors where there are any."""
         from estimation.report.check_page import fit_of
 
         entries, contradicted = [], []
@@ -198,7 +201,7 @@ class Check(Answer):
         return pd.DataFrame(rows)
 
     def corrected(self) -> "list[Flight]":
-        """The flights with the instrument factors taken out."""
+        """The flights corrected by the estimated instrument factors."""
         from estimation.compatibility.correct import correct_flight
 
         return [correct_flight(flight, self.results[flight.name]) for flight in self.flights]
@@ -225,15 +228,19 @@ class Check(Answer):
         result, findings = self.results[flight], self.quality[flight]
         if not result.converged:
             return f"{flight}: no motion was found that the instruments agree on: {result.text}"
-        off = [n for n, f in result.factors.items() if f.identifiable and _is_off(f)]
-        text = f"agree once {', '.join(off)} {'is' if len(off) == 1 else 'are'} corrected" if off else "agree"
+        miscalibrated = [n for n, f in result.factors.items() if f.identifiable and _is_off(f)]
+        text = (
+            f"agree once {', '.join(miscalibrated)} {'is' if len(miscalibrated) == 1 else 'are'} corrected"
+            if miscalibrated
+            else "agree"
+        )
         if worst(findings) != "fail":
             return f"{flight}: the instruments {text}"
         failed = ", ".join(dict.fromkeys(f.kind for f in findings if f.severity == "fail"))
         return f"{flight}: the instruments {text}, but the record fails a check: {failed}"
 
     def plot(self, ax: Any = None) -> Any:
-        """Measured and reconstructed motion of the first flight, one axes a channel; gives the axes."""
+        """Draw measured and reconstructed motion of the first flight, one axes a channel; returns the axes."""
         return plot_reconstructed(next(iter(self.results.values())).flights[0], ax)
 
     def figures(self) -> Figures:
@@ -262,8 +269,9 @@ class Check(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        verdicts = {v for findings in self.quality.values() for v in (f.severity for f in findings)}
-        verdict = next((v for v in ("fail", "warn", "ok") if v in verdicts), "ok")
+        from groundstation.flight.findings import worst
+
+        verdict = worst(f for findings in self.quality.values() for f in findings if f.severity != "note")
         return f"Check of {', '.join(self.quality)}: {verdict}"
 
     def rows(self) -> Rows:
@@ -274,7 +282,7 @@ class Check(Answer):
         return ("flight", "factor", "estimate", "corrected bound", "unit"), rows
 
 
-OFF_BOUNDS = 3.0  # corrected bounds from a perfect instrument: noise alone passes that once in 370 factors
+OFF_BOUNDS = 3.0  # corrected bounds from a perfect instrument: noise alone exceeds that for one in 370 factors
 
 
 def _is_off(factor: "FactorEstimate") -> bool:
@@ -284,10 +292,12 @@ def _is_off(factor: "FactorEstimate") -> bool:
 
 
 def _factor_json(factor: "FactorEstimate") -> dict[str, object]:
-    """NaN, where the channel is not measured, is null."""
+    """A factor in JSON; numbers that are not finite, where the channel is not measured, are null."""
+    from estimation.estimators.result import finite_or_none
+
     numbers = {"estimate": factor.estimate, "std": factor.std, "std_coloured": factor.std_coloured}
     data: dict[str, object] = {
-        **{k: v if math.isfinite(v) else None for k, v in numbers.items()},
+        **{k: finite_or_none(v) for k, v in numbers.items()},
         "unit": factor.unit,
         "identifiable": factor.identifiable,
     }

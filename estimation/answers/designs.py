@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from daq.utilities.input_files import read_json
 from daq.utilities.outputs import write_text
 from daq.utilities.plain_words import comma_separated
-from estimation.answers.answer import Answer, Rows, picture_writers
+from estimation.answers.answer import Answer, Rows, panels, picture_writers
 from estimation.answers.estimates import Estimates
 from estimation.threads import single_threaded
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from estimation.models import Model
     from estimation.resolve import AnyAircraft, AnyModel, Names
 
-CRUISE_LIFT = 0.3  # lift coefficient of the speed, where none is given
-HIGHEST_BAND_HZ = 25.0  # above it no actuator of a small aircraft follows
+CRUISE_LIFT = 0.3  # lift coefficient that sets the speed where none is given
+HIGHEST_BAND_HZ = 25.0  # no actuator of a small aircraft follows faster inputs
 
 
 @single_threaded
@@ -44,7 +44,7 @@ def design(
     values: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
 ) -> "DesignAnswer":
-    """The input of a given length that gives the smallest bounds.
+    """Design the input of a given length that gives the smallest bounds.
 
     Args:
         model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
@@ -57,13 +57,13 @@ def design(
         criterion: of kind optimal: worst, D, A, or the name of a parameter.
         controls: controls that move; by default all of the model.
         band: of chirps and multisines [Hz].
-        speed: true airspeed [m/s]; by default that of a lift coefficient of 0.3.
+        speed: true airspeed [m/s]; by default the one for a lift coefficient of 0.3.
         density: of the air [kg/m3].
         rate_hz: samples a second.
         held: a pilot gently holds bank and pitch during the input.
         seed: of the search for phases.
-        values: of parameters, in place of the aircraft file's.
-        noise: of outputs, one sigma, in place of usual instruments'.
+        values: of parameters, instead of those of the aircraft file.
+        noise: of outputs, one sigma, instead of that of usual instruments.
 
     Raises:
         EstimationError: one sentence, for an input that cannot be designed.
@@ -75,11 +75,11 @@ def design(
     """
     from daq.utilities.constants import GRAVITY
     from estimation.design.design import DesignTask
-    from estimation.design.design import design as designed
+    from estimation.design.design import design as design_input
     from estimation.design.limits import load_limits
     from estimation.resolve import resolve
 
-    from_estimate = {} if estimate is None else _known(estimate)
+    from_estimate = {} if estimate is None else _from_estimate(estimate)
     aircraft_name = aircraft or from_estimate.get("aircraft")
     _check(aircraft_name, band)
     problem = resolve([], from_estimate.get("model", model), aircraft_name)
@@ -100,7 +100,7 @@ def design(
         seed=seed,
     )
     loaded, task = _separating(problem.model, task, comma_separated(separate))
-    return DesignAnswer(designed(loaded, airframe, task, load_limits(Path(limits)) if limits else None))
+    return DesignAnswer(design_input(loaded, airframe, task, load_limits(Path(limits)) if limits else None))
 
 
 def _check(aircraft: "AnyAircraft", band: tuple[float, float]) -> None:
@@ -132,17 +132,17 @@ def _separating(model: "Model", task: "DesignTask", effects: tuple[str, ...]) ->
 
 @dataclass(frozen=True, repr=False)
 class DesignAnswer(Answer):
-    """The designed input. design: the whole of it."""
+    """The answer of `design`. design: commands, predicted motion and bounds."""
 
     design: "InputDesign"
 
     @property
     def relative(self) -> dict[str, float]:
-        """Predicted standard deviation over size of each derivative that has one."""
+        """Parameter -> predicted standard deviation over its size, for those with a size."""
         return self.design.relative
 
     def manoeuvre(self) -> "Manoeuvre":
-        """As it is flown."""
+        """The manoeuvre that flies this input."""
         return self.design.manoeuvre()
 
     def to_json(self) -> dict[str, Any]:
@@ -152,9 +152,7 @@ class DesignAnswer(Answer):
         return _lines(self.design)
 
     def plot(self, ax: Any = None) -> Any:
-        """Commands over time, one axes a control [deg]; gives the axes."""
-        from estimation.answers.answer import panels
-
+        """Draw commands over time, one axes a control [deg]; returns the axes."""
         time, commands = self.design.best.motion.time, self.design.best.commands
         axes = panels(ax, commands.shape[1])
         for panel, name, column in zip(axes, self.design.setting.controls, commands.T, strict=True):
@@ -164,7 +162,7 @@ class DesignAnswer(Answer):
         return axes
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
-        """The manoeuvre that is flown as .toml, everything as .json, inputs, spectra, motion and bounds as a picture."""
+        """The manoeuvre as .toml, everything as .json, inputs, spectra, motion and bounds as a picture."""
         from estimation.design.figure import write_figure
 
         return {
@@ -183,7 +181,7 @@ class DesignAnswer(Answer):
 
 
 def _lines(answer: "InputDesign") -> list[str]:
-    """What a person reads on the terminal."""
+    """The printed lines."""
     task = answer.task
     lines = [
         f"{answer.best.kind} of {task.duration:g} s at {task.speed:.1f} m/s on {', '.join(answer.setting.controls)}: "
@@ -215,15 +213,15 @@ def _against_doublets(gain: float) -> str:
 
 
 def write_manoeuvre(answer: "InputDesign", path: Path) -> None:
-    """The file that `fly --manoeuvre` and the sequencer on board read."""
+    """Write the file that `fly --manoeuvre` and the sequencer on board read."""
     import tomli_w
 
     write_text(tomli_w.dumps(answer.manoeuvre().to_dict()), path)
 
 
 def with_effects(model: "Model", names: tuple[str, ...]) -> tuple["Model", dict[str, float]]:
-    """The model with effects of the catalogue added, and the size of each of their parameters; a name that is already a
-    parameter stays as it is. Raises EstimationError for fewer than two names, or one that the model cannot take."""
+    """The model with effects of the catalogue added, and the size of each of their parameters. A name may also be a parameter of
+    the model. Raises EstimationError for fewer than two names, or one that the model cannot have."""
     from estimation.errors import EstimationError
     from estimation.gap.effects import catalogue
 
@@ -243,15 +241,15 @@ def with_effects(model: "Model", names: tuple[str, ...]) -> tuple["Model", dict[
         form = next((f for f in effects[name].forms if f.obstacle(model) is None), None)
         if form is None:
             raise EstimationError(f"--separate {name}: {effects[name].forms[0].obstacle(model)}")
-        # a delay or a play of zero has no slope: such effects are looked at where they have their usual size
+        # a delay or a play of zero has no slope: such effects are linearised at their typical size
         typical = {p.name: p.typical for p in form.parameters} if form.nonlinear else None
         model = form.added_to(model, typical)
         sizes |= {p.name: p.typical for p in form.parameters}
     return model, sizes
 
 
-def _known(estimate: "Estimates | str | Path") -> dict[str, Any]:
-    """Model, aircraft, values and noise of an estimate: joint where there is one, else the first flight."""
+def _from_estimate(estimate: "Estimates | str | Path") -> dict[str, Any]:
+    """Model, aircraft, values and noise of an estimate: the joint one where there is one, else of the first flight."""
     from estimation.aircraft.schema import aircraft_from_text
     from estimation.errors import EstimationError
 
@@ -264,7 +262,7 @@ def _known(estimate: "Estimates | str | Path") -> dict[str, Any]:
         )
         methods = content["joint"] or content["flights"][0]["methods"]
         result = next(m for m in methods.values() if m["parameters"])
-        # what the flights could not tell stays as it was believed, where anything was
+        # parameters that were not identifiable keep their beliefs where there are any
         values = {
             n: float(p["estimate"])
             for n, p in result["parameters"].items()

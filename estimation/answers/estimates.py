@@ -1,4 +1,4 @@
-"""`estimate`: aerodynamic parameters of flights, with bounds, and what a person reads of them."""
+"""`estimate`: aerodynamic parameters of flights with bounds, and their printed tables."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 def session_lines(session: "EstimationSession", *, brief: bool = False) -> Iterator[str]:
-    """The printed answer: verdict, derivatives and what to do next; then a table for each flight and method, mean and scatter,
-    joint, and conventions. brief: a line for each flight, without the first."""
+    """The printed answer: verdict, derivatives and advice; then a table for each flight and method, mean and scatter, joint
+    estimates, and conventions. brief: one line for each flight, without the first part and the conventions."""
     from estimation.report.answer import answer_lines
     from estimation.report.conventions import conventions_lines
 
@@ -61,7 +61,7 @@ def session_lines(session: "EstimationSession", *, brief: bool = False) -> Itera
 
 
 def _verdict_lines(verdict: "Verdict | None", *, brief: bool) -> Iterator[str]:
-    """Doubts, and which method to believe."""
+    """Doubts, and the recommended method."""
     if verdict is None:
         return
     for doubt in () if brief else verdict.doubts:
@@ -70,7 +70,7 @@ def _verdict_lines(verdict: "Verdict | None", *, brief: bool) -> Iterator[str]:
 
 
 def brief_numbers(result: "Result") -> str:
-    """Every estimate that the data could tell with its corrected bound, both to the second figure of the bound, in one line."""
+    """All identifiable estimates with their corrected bounds in one line, rounded to the second figure of the bound."""
     from estimation.report.tables import rounded
 
     identifiable = [(n, rounded(e.estimate, e.std_coloured)) for n, e in result.parameters.items() if e.identifiable]
@@ -153,7 +153,7 @@ def estimate(
         method: "ml", "fem", "fem-noise", "ml-frequency", "ngn", "ngn-improved", "ls", "live"; several with commas or as
             a list.
         aircraft: a built-in name or a file; by default what the flights carry.
-        simulation: one of your own as base; then the model is a built-in name or a model file found on a simulation.
+        simulation: your own simulation as base; the model is then a built-in name or a model file found on a simulation.
         joint: also one estimate over all flights.
         device: of the networks: cpu or cuda.
         segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
@@ -162,7 +162,7 @@ def estimate(
         keep_held: take repeated values of slow and stuck sensors for measurements.
         hold_initial: states whose initial values are held.
         free_initial: states whose initial values are estimated.
-        stepwise: `ls` keeps significant terms alone.
+        stepwise: `ls` keeps only significant terms.
         truth: true derivatives by name, or the JSON file of them.
         profile: parameters with an interval by profile likelihood.
         bootstrap: number of refits.
@@ -173,7 +173,7 @@ def estimate(
     Raises:
         UserError: one sentence, for what cannot be found, or flights that cannot feed the model.
 
-    Gives Estimates: `answer["Cl_p"].estimate` [1/rad] with `.std_coloured`, its bound of one standard deviation.
+    Returns Estimates: `answer["Cl_p"].estimate` [1/rad] with `.std_coloured`, its bound of one standard deviation.
 
     Example::
 
@@ -203,7 +203,7 @@ def estimate(
 
 @dataclass(frozen=True, repr=False)
 class Estimates(Answer):
-    """What `estimate` found. session: the whole of it; notes: what of a simulation is held, whose mass was taken."""
+    """The answer of `estimate`. session: all results; notes: what a simulation holds constant, which mass was used."""
 
     session: "EstimationSession"
     notes: tuple[str, ...] = ()
@@ -230,7 +230,7 @@ class Estimates(Answer):
         return self.session.converged
 
     def __getitem__(self, parameter: str) -> Any:
-        """Estimate, bounds and verdict of one parameter of `best`. Raises UnknownNameError, a KeyError, with the name meant."""
+        """The Estimate of one parameter of `best`. Raises UnknownNameError, a KeyError, which suggests a similar name."""
         parameters = self.best.parameters
         if parameter not in parameters:
             near = did_you_mean(parameter, parameters) or f"; it has {', '.join(parameters)}"
@@ -238,7 +238,7 @@ class Estimates(Answer):
         return parameters[parameter]
 
     def to_json(self) -> dict[str, Any]:
-        """What `estimate --json` writes: the session, the conventions of its numbers, and the priors that entered the fit."""
+        """The content of `estimate --json`: the session, the conventions of its numbers, and the priors that entered the fit."""
         from estimation.report.conventions import conventions, priors
 
         more = {"conventions": dict(conventions(self.session)), "priors": priors(self.session)}
@@ -270,12 +270,12 @@ class Estimates(Answer):
         return pd.DataFrame(rows)
 
     def lines(self, *, brief: bool = False) -> Iterator[str]:
-        """What `sideslip estimate` prints; brief: a line for each flight."""
+        """The lines that `sideslip estimate` prints; brief: one line for each flight."""
         yield from self.notes
         yield from session_lines(self.session, brief=brief)
 
     def plot(self, ax: Any = None) -> Any:
-        """Every derivative with its 95 % interval, and how far from it what was believed lies [% of it]; gives the axes."""
+        """Draw every derivative with its 95 % interval and its belief, relative to the estimate [%]; returns the axes."""
         from estimation.report.answer import leading_answer
         from estimation.report.drawing.forest import ROW, draw_forest
 
@@ -290,13 +290,13 @@ class Estimates(Answer):
         return Figures(estimate_figures(self.session))
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML report; gives its page."""
+        """Write the HTML report; returns its page."""
         from estimation.report.estimate_page import write_estimate_report
 
         return write_estimate_report(self.session, Path(folder))
 
     def write_histories(self, folder: Path) -> list[Path]:
-        """Write each flight with what the model shows beside it; gives the files."""
+        """Write each flight with the model's outputs beside the measured ones; returns the files."""
         from estimation.report.drawing.histories import write_flights
 
         return write_flights(self.session, folder)

@@ -1,4 +1,4 @@
-"""What there is to say of files: of recordings, exports, benches and files of aircraft."""
+"""Answers about files: recordings, exports, bench measurements and aircraft files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from estimation.answers.answer import Answer, Rows, panels
 
 @dataclass(frozen=True, repr=False)
 class FileAnswer(Answer):
-    """What there is to say of files. content: as the verb's --json has it; sentences: as it prints them; sound: its status 0."""
+    """The answer of a verb about files. content: its --json; sentences: the printed lines; sound: False where a check failed."""
 
     content: Any
     sentences: tuple[str, ...]
@@ -17,7 +17,7 @@ class FileAnswer(Answer):
 
     @property
     def passed(self) -> bool:
-        """Whether the file is sound, where that was asked."""
+        """Whether the file is sound, where the verb checks that."""
         return self.sound
 
     def to_json(self) -> Any:
@@ -30,7 +30,7 @@ class FileAnswer(Answer):
         return self.sentences[0]
 
     def numbers(self) -> dict[str, int]:
-        """Samples of each channel; of a check, its counts; of a list, how many it holds."""
+        """Number of samples of each channel; for a check, its counts; for a list, its length."""
         if not isinstance(self.content, Mapping):
             return {"count": len(self.content)}
         if "channels" in self.content:
@@ -45,7 +45,7 @@ class FileAnswer(Answer):
 
 
 def bars(numbers: Mapping[str, int], ax: Any) -> Any:
-    """A bar for each number, on the axes given or on new ones."""
+    """Draw a bar for each number on the given axes, or on new ones; returns the axes."""
     (axes,) = panels(ax, 1, (7.0, 0.6 + 0.22 * len(numbers)))
     axes.barh(list(numbers), list(numbers.values()))
     axes.invert_yaxis()

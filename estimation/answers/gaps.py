@@ -1,4 +1,4 @@
-"""`gap`: where model and flights disagree, the effect behind it, and the model that has it."""
+"""`gap`: where model and flights disagree, the effects that explain it, and the model with these effects."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.utilities.packages import optional
-from estimation.answers.answer import Answer, Figures, Rows, plot_scores, table_writers
+from estimation.answers.answer import Answer, Figures, Rows, html_table, plot_scores, table_writers
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -39,11 +39,11 @@ def gap(
         flights: a Flight, a file, or a list of them; raw recordings are calibrated.
         holdout: flights kept out of every fit, to confirm what is found.
         aircraft: a built-in name or a file; by default what the flights carry.
-        simulation: one of your own as base, such as jsbsim:c172p.
+        simulation: your own simulation as base, such as jsbsim:c172p.
         effects: files with effects of your own.
         seed: of every random draw.
-        nulls: simulated baselines from which thresholds come.
-        progress: called with what is being done, and the share done.
+        nulls: simulated flights of the base model, from which thresholds come.
+        progress: called with a sentence on the present step, and the share done.
 
     Raises:
         UserError: one sentence, for what cannot be found, or flights that cannot feed the model.
@@ -63,50 +63,54 @@ def gap(
     from estimation.simulation.base_model import Free
 
     files = tuple(Path(f) for f in effects)
-    own = {path: [e.name for e in load_effects(path)] for path in files}  # mistakes are said before a flight is read
+    # loaded here so that mistakes in them are refused before a flight is read
+    own_effects = {path: [e.name for e in load_effects(path)] for path in files}
     training = as_listed(flights)
     every_flight = [*training, *as_listed(holdout)]
     options = Options(seed=seed, nulls=nulls)
+    report_progress = progress or (lambda what, share: None)
 
-    def searched(controls: "Model | None" = None) -> "tuple[ResolvedCall, tuple[Effect, ...], GapResult]":
+    def search(controls: "Model | None" = None) -> "tuple[ResolvedCall, tuple[Effect, ...], GapResult]":
         problem = resolve(every_flight, model, aircraft, simulation=simulation, free=Free.FACTORS, controls=controls)
         effect_list = catalogue(files, problem.model)
-        first, rest = problem.flights[: len(training)], problem.flights[len(training) :]
-        look = progress or (lambda what, share: None)
-        return problem, effect_list, run_gap(problem.model, first, rest, effect_list, options, look)
+        fitted, held_out = problem.flights[: len(training)], problem.flights[len(training) :]
+        return problem, effect_list, run_gap(problem.model, fitted, held_out, effect_list, options, report_progress)
 
     try:
-        problem, effect_list, result = searched()
+        problem, effect_list, result = search()
         if simulation is not None and more_beside_moved_controls(result):
-            problem, effect_list, result = searched(result.model_after)
+            problem, effect_list, result = search(result.model_after)
     except GapError as error:
         if not files:
             raise
-        hint = "where it goes without --effects, an effect of your own is no number along these flights"
+        hint = "if it works without --effects, an effect of your own is not finite along these flights"
         raise GapError(f"{error}; {hint}") from error
-    before, after = (at_stated_cg(at_mean_mass(m)) for m in (result.model_before, result.model_after))
-    result = replace(result, model_before=before, model_after=after)
-    notes = (*problem.notes, *never_asked(own, result))
+    model_before, model_after = (at_stated_cg(at_mean_mass(m)) for m in (result.model_before, result.model_after))
+    result = replace(result, model_before=model_before, model_after=model_after)
+    notes = (*problem.notes, *untested_effects(own_effects, result))
     return GapAnswer(result, problem.flights, effect_list, seed, notes)
 
 
-def never_asked(own: "Mapping[Path, Sequence[str]]", result: "GapResult") -> list[str]:
-    """A sentence on each file of a person's own effects, path -> names, of which some were not asked: silence is no answer."""
-    untold = {c["effect"] for c in result.details["cannot_tell"]}
-    asked = {*result.scores, *untold, *(s.effect for s in result.steps)}
-    missing = {path: [n for n in names if n not in asked] for path, names in own.items()}
+def untested_effects(own_effects: "Mapping[Path, Sequence[str]]", result: "GapResult") -> list[str]:
+    """A sentence on each file with effects that were not tested, so that their absence is not taken for an answer.
+
+    own_effects: file of the user's own effects -> their names.
+    """
+    not_separated = {c["effect"] for c in result.details["cannot_tell"]}
+    tested = {*result.scores, *not_separated, *(s.effect for s in result.steps)}
+    untested = {path: [n for n in names if n not in tested] for path, names in own_effects.items()}
     return [
-        f"effects {path}: {', '.join(names)} not asked: a term needs a signal, coefficient or instrument that this model or "
+        f"effects {path}: {', '.join(names)} not tested: a term needs a signal, coefficient or instrument that this model or "
         "these flights do not have, or it changes nothing"
-        for path, names in missing.items()
+        for path, names in untested.items()
         if names
     ]
 
 
 @dataclass(frozen=True, repr=False)
 class GapAnswer(Answer):
-    """What the gap workflow answers. result: the whole of it; flights: with those held out; catalogue: effects looked for;
-    notes: what of a simulation is held, whose mass is taken."""
+    """The answer of `gap`. result: of the workflow; flights: training, then held out; catalogue: effects that were looked for;
+    notes: what a simulation holds constant, which mass was used, which of the user's effects were not tested."""
 
     result: "GapResult"
     flights: "tuple[Flight, ...]"
@@ -126,11 +130,11 @@ class GapAnswer(Answer):
 
     @property
     def model(self) -> "Model":
-        """The model with what was found."""
+        """The model with the effects found."""
         return self.result.model_after
 
     def with_models(self, folder: str | Path) -> "GapAnswer":
-        """Write the models before and after, with their lineage, to a folder; the answer that names these files."""
+        """Write the models before and after, with their lineage, to a folder; returns the answer that names these files."""
         from estimation.gap.decision.lineage import with_models
 
         return replace(self, result=with_models(self.result, self.flights, self.seed, Path(folder)))
@@ -160,7 +164,7 @@ class GapAnswer(Answer):
         return [*self.notes, *_lines(self.result)]
 
     def plot(self, ax: Any = None) -> Any:
-        """The leading hypotheses with their scores and the threshold; gives the axes."""
+        """Draw the leading hypotheses with their scores and the threshold; returns the axes."""
         return plot_scores(self.result, ax)
 
     def figures(self) -> Figures:
@@ -170,7 +174,7 @@ class GapAnswer(Answer):
         return Figures(gap_figures(self.result))
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
-        """The model with what was found as .toml, everything as .json, the table as .csv."""
+        """The model with the effects found as .toml, everything as .json, the table as .csv."""
         from estimation.models import write_model
 
         return {**super().writers(), ".toml": lambda path: write_model(self.model, path), **table_writers(self)}
@@ -190,13 +194,11 @@ class GapAnswer(Answer):
         return ("effect", "", "score", "threshold", "closed"), rows
 
     def _repr_html_(self) -> str:
-        from estimation.answers.answer import html_table
-
         return html_table(f"{self.headline()}. {self.result.text}", *self.rows())
 
 
 def _lines(result: "GapResult") -> list[str]:
-    """What a person reads on the terminal."""
+    """The printed lines."""
     lines = [f"verdict: {result.verdict.value}", result.text]
     if result.steps:
         lines.append("")
@@ -231,15 +233,15 @@ def _lines(result: "GapResult") -> list[str]:
 
 
 def beside_simulation(model: "Model") -> str:
-    """What of a simulation is estimated whatever else is found: none of it is a gap, and a drag at rest that is off shows nowhere
-    else. Empty for a model that stands on none."""
+    """A sentence on the parameters that are estimated beside a simulation in any case: they are no gap, and an error of its
+    zero-lift drag shows nowhere else. Empty for a model without a simulation."""
     from estimation.simulation.base_model import SHARE
 
     coefficients = [n.removesuffix("_sim") for n in model.definitions if n.endswith("_sim")]
     names = {SHARE, *(name for c in coefficients for name in (f"{c}_0", f"k_{c}"))} if coefficients else {}
-    found = [
+    estimated = [
         f"{p.name} {p.start:.3g} ({p.reference:g})"
         for p in model.parameters
         if p.name in names and not p.fixed and p.reference is not None
     ]
-    return "estimated beside the simulation, which has what stands in brackets: " + ", ".join(found) if found else ""
+    return "estimated beside the simulation, whose values are in brackets: " + ", ".join(estimated) if estimated else ""

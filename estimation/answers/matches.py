@@ -1,4 +1,4 @@
-"""`match`: proof of match, the prediction of flights by a model that was not estimated from them."""
+"""`match`: proof of match, the prediction of flights that the model was not estimated from."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -35,11 +35,11 @@ def match(
     Args:
         model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
         flights: a Flight, a file, or a list of them; raw recordings are calibrated.
-        free: parameters that are nevertheless fitted to each flight, such as CY_0.
+        free: parameters that are still fitted to each flight, such as CY_0.
         aircraft: a built-in name or a file; by default what the flights carry.
-        simulation: of your own, on which the model stands, such as "jsbsim:AIRCRAFT" or "module:function".
+        simulation: your own simulation as the base of the model, such as "jsbsim:AIRCRAFT" or "module:function".
         segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
-        limit: largest Theil's coefficient of a channel that matches, after the part that the channel's noise alone makes.
+        limit: largest Theil's coefficient of a channel that matches, in excess of what the channel's noise alone causes.
 
     Raises:
         UserError: one sentence, for what cannot be found, or flights that cannot feed the model.
@@ -96,7 +96,7 @@ class Match(Answer):
             yield from _proof_lines(proof, self.limit)
 
     def plot(self, ax: Any = None) -> Any:
-        """Measured and predicted outputs of the first flight, one axes a channel; returns the axes."""
+        """Draw measured and predicted outputs of the first flight, one axes a channel; returns the axes."""
         return plot_proof(self.proofs[0], ax)
 
     def figures(self) -> Figures:
@@ -121,8 +121,8 @@ class Match(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        judged = [(p.name, n, f.matches(self.limit)) for p in self.proofs for n, f in p.fit.items()]
-        failed = [n if len(self.proofs) == 1 else f"{n} of {name}" for name, n, matches in judged if not matches]
+        channels = [(p.name, n, f.matches(self.limit)) for p in self.proofs for n, f in p.fit.items()]
+        failed = [n if len(self.proofs) == 1 else f"{n} of {name}" for name, n, matches in channels if not matches]
         verdict = f"{', '.join(failed)} beyond the limit" if failed else "every channel within its limit"
         return f"Match of {', '.join(p.name for p in self.proofs)}: {verdict}"
 
@@ -135,14 +135,14 @@ class Match(Answer):
 
 
 def _proof_lines(proof: "ProofOfMatch", limit: float) -> list[str]:
-    """The lines on the terminal for one predicted flight."""
+    """The printed lines for one predicted flight."""
     head = f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}{'limit':>7}  match"
     lines = [f"{proof.name}: {proof.text}", head]
     for name, f in proof.fit.items():
-        judged = "pass" if f.matches(limit) else "FAIL"
+        verdict = "pass" if f.matches(limit) else "FAIL"
         lines.append(
             f"  {name:<10}{f.r2:8.3f}{f.theil:8.3f}{f.theil_bias:7.2f}{f.theil_variance:7.2f}"
-            f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}{f.limit(limit):7.2f}  {judged}"
+            f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}{f.limit(limit):7.2f}  {verdict}"
         )
     if proof.estimated_from:
         lines.append(

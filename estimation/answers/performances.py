@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def performance(
     flights: "Flights", *, aircraft: "AnyAircraft" = None, segments: str | None = None, throttle_off: bool = False
 ) -> "Performance":
-    """The drag polar of an aircraft over all flights together, with glide, sink and power required.
+    """Fit the drag polar of an aircraft to all flights together, with glide, sink and power required.
 
     Args:
         flights: a Flight, a file, or a list of them; raw recordings are calibrated.
@@ -43,16 +43,16 @@ def performance(
     from estimation.performance.samples import all_stretches, usable
     from estimation.resolve import read_flights, which_aircraft
 
-    read = read_flights(flights, segments)
-    airframe = which_aircraft(read, aircraft, needed=True)
+    selected = read_flights(flights, segments)
+    airframe = which_aircraft(selected, aircraft, needed=True)
     airframe.need(("m", "S"), "performance")
-    used = tuple(usable(flight, airframe, throttle_off=throttle_off) for flight in read)
+    used = tuple(usable(flight, airframe, throttle_off=throttle_off) for flight in selected)
     return Performance(airframe, used, fitted(all_stretches(used)))
 
 
 @dataclass(frozen=True, repr=False)
 class Performance(Answer):
-    """A drag polar with the aircraft and the flights that it was fitted to."""
+    """The answer of `performance`: a drag polar with the aircraft and the flights that it was fitted to."""
 
     aircraft: "Aircraft"
     flights: "tuple[Usable, ...]"
@@ -85,7 +85,7 @@ class Performance(Answer):
 
     @property
     def best_glide(self) -> "dict[str, Bounded]":
-        """ratio, speed [m/s], CL; only where the polar is known."""
+        """Ratio, speed [m/s] and CL of the best glide; only where the polar is known."""
         from estimation.performance.polar import best_glide
 
         return best_glide(self.polar, self.aircraft)
@@ -98,7 +98,7 @@ class Performance(Answer):
 
     @property
     def least_sink(self) -> "dict[str, Bounded]":
-        """sink [m/s], power [W], speed [m/s], CL; only where the polar is known."""
+        """Sink [m/s], power [W], speed [m/s] and CL of the least sink; only where the polar is known."""
         from estimation.performance.polar import least_sink
 
         return least_sink(self.polar, self.aircraft)
@@ -153,7 +153,7 @@ class Performance(Answer):
                 yield f"  {p.V:>8.2f}{p.CL:>8.3f}{drag:>16}{sink:>18}{power:>18}"
 
     def _numbers(self) -> "list[tuple[str, Bounded, str]]":
-        """Name, number and unit of everything that is one number."""
+        """Name, value and unit of each single number of the answer."""
         from estimation.performance.polar import Bounded
 
         offset = self.polar["alpha_offset"]
@@ -167,7 +167,7 @@ class Performance(Answer):
         return rows
 
     def plot(self, ax: Any = None) -> Any:
-        """Polar, sink and power required over speed with 95 % bands; returns the three axes."""
+        """Draw polar, sink and power required over speed with 95 % bands; returns the three axes."""
         from estimation.performance.polar import draw_performance
 
         axes = panels(ax, 3, (6.0, 7.5))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimation.answers.answer import Answer, Rows
+from estimation.answers.answer import Answer, Rows, panels
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -22,13 +22,13 @@ def reconstruct(
     trim_sideslip: float = 1.7,
     attitude_error: float = 0.17,
 ) -> "Reconstruction":
-    """Airspeed, angle of attack, sideslip and wind of a flight without vanes, from GNSS velocity, IMU and pitot.
+    """Reconstruct airspeed, angle of attack, sideslip and wind of a flight without vanes, from GNSS velocity, IMU and pitot.
 
     Args:
         flight: a Flight or a file.
-        output: the flight to write: .mcap, .csv or .parquet.
-        trim_sideslip: how far from zero the mean sideslip may be [deg, 1 sigma].
-        attitude_error: least slow error of the attitude, mounting included [deg, 1 sigma].
+        output: file for the flight with its air data: .mcap, .csv or .parquet.
+        trim_sideslip: uncertainty of the mean sideslip about zero [deg, 1 sigma].
+        attitude_error: smallest slow error of the attitude, mounting included [deg, 1 sigma].
 
     Raises:
         UserError: one sentence, for a column that is missing.
@@ -43,19 +43,19 @@ def reconstruct(
     from groundstation.flight import write_flight
 
     assumed = Assumptions(trim_sideslip=math.radians(trim_sideslip), attitude=math.radians(attitude_error))
-    (read,) = read_flights(flight)
-    air = reconstruct_air(read, assumed)
-    with_air_data = with_air(read, air)
+    (given,) = read_flights(flight)
+    air = reconstruct_air(given, assumed)
+    with_air_data = with_air(given, air)
     if output is not None:
         write_flight(with_air_data, Path(output))
-    measured = tuple(n for n in ("alpha", "beta") if read.measured(n))
-    return Reconstruction(air, with_air_data, str(output or read.name), measured)
+    measured = tuple(n for n in ("alpha", "beta") if given.measured(n))
+    return Reconstruction(air, with_air_data, str(output or given.name), measured)
 
 
 @dataclass(frozen=True, repr=False)
 class Reconstruction(Answer):
-    """Air data that were reconstructed. flight: with them as columns; name: of its file where one was written, else of the
-    flight; measured: angles that a vane measured, which stay."""
+    """The answer of `reconstruct`. flight: with the air data as columns; name: of the written file, else of the flight; measured:
+    angles that a vane measured, which stay as measured."""
 
     air: "AirData"
     flight: "Flight"
@@ -63,7 +63,7 @@ class Reconstruction(Answer):
     measured: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """As `reconstruct --json` has it: what was reconstructed and how sure, SI and radians."""
+        """The content of `reconstruct --json`: the reconstructed columns, their uncertainty and the wind, in SI and radians."""
         from groundstation.flight import RECONSTRUCTED
 
         air = self.air
@@ -94,8 +94,7 @@ class Reconstruction(Answer):
             yield f"  note: {' and '.join(self.measured)} measured by a vane: kept as measured"
 
     def plot(self, ax: Any = None) -> Any:
-        """Air data over time, one axes a quantity; angles in degrees; gives the axes."""
-        from estimation.answers.answer import panels
+        """Draw air data over time, one axes a quantity; angles in degrees; returns the axes."""
         from estimation.report.names import face
 
         axes = panels(ax, len(self.air.values))

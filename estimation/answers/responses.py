@@ -1,4 +1,4 @@
-"""`frequency`: the response of an output to an input over frequency, with its error, a fit, and what that says."""
+"""`frequency`: the response of an output to an input over frequency, with its error, a fitted transfer function and levels."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from estimation.threads import single_threaded
 if TYPE_CHECKING:
     import pandas as pd
 
-    from estimation.frequency.answer import FrequencyResult as Responded
+    from estimation.frequency.answer import FrequencyResult
     from estimation.frequency.handling import RatedAircraft
     from estimation.resolve import AnyAircraft, Flights, Names
     from groundstation.flight import Flight
@@ -41,17 +41,17 @@ def frequency(
     Args:
         flights: a Flight, a file, or a list of them; raw recordings are calibrated.
         input: the column that was moved: delta_a, cmd_a.
-        output: the column that answers: p, r, beta, ay.
-        with_: other inputs whose share is taken off, by default all other surfaces that moved; () for none.
-        fit: also a transfer function.
+        output: the column that responds: p, r, beta, ay.
+        with_: other inputs whose share is removed, by default all other surfaces that moved; () for none.
+        fit: also fit a transfer function.
         form: of the fit: roll, dutch-roll, short-period, or orders like 1/2.
         band: frequencies from, to [Hz].
         points: number of frequencies.
         windows: their lengths [s].
         segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
-        kind: class of a piloted aircraft for levels: I to IV.
-        category: of the flight phase for levels: A, B or C.
-        aircraft: whose mass decides whether levels apply.
+        kind: class of a piloted aircraft for handling-quality levels: I to IV.
+        category: of the flight phase for handling-quality levels: A, B or C.
+        aircraft: its mass decides whether levels apply.
 
     Raises:
         UserError: the input did not move, a column is missing or the flights are too short.
@@ -64,53 +64,52 @@ def frequency(
     from estimation.frequency.answer import frequency_answer
     from estimation.frequency.forms import form_for
     from estimation.frequency.handling import RatedAircraft
-    from estimation.frequency.response import ResponseOptions
-    from estimation.frequency.response import frequency_response as responded
+    from estimation.frequency.response import ResponseOptions, frequency_response
     from estimation.resolve import read_flights
 
     form_name = form or ("auto" if fit else None)
     if form_name is not None:
-        form_for(input, output, form_name)  # what is mistyped is said before a flight is read
-    craft_asked = RatedAircraft(kind, category)
+        form_for(input, output, form_name)  # refuses a mistyped form before a flight is read
+    rated = RatedAircraft(kind, category)  # refuses a mistyped class likewise
     other_inputs = None if with_ is None else tuple(n for n in comma_separated(with_) if n != "none")
     options = ResponseOptions(other_inputs, band, points, tuple(windows))
-    read = read_flights(flights, segments)
-    craft = _with_mass(craft_asked, read, aircraft)
-    return Response(frequency_answer(responded(read, input, output, options), form_name, craft), tuple(read))
+    selected = read_flights(flights, segments)
+    rated = _with_mass(rated, selected, aircraft)
+    response = frequency_response(selected, input, output, options)
+    return Response(frequency_answer(response, form_name, rated), tuple(selected))
 
 
-def _with_mass(craft: "RatedAircraft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "RatedAircraft":
-    """What is asked for, with the mass of the aircraft where it is known."""
+def _with_mass(rated: "RatedAircraft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "RatedAircraft":
+    """The rated aircraft with its mass where that is known. Raises AircraftError where a given aircraft is not found."""
     from estimation.aircraft.library import aircraft_of
     from estimation.errors import AircraftError
 
     try:
-        return replace(craft, mass=aircraft_of(flights, aircraft).mass)
+        return replace(rated, mass=aircraft_of(flights, aircraft).mass)
     except AircraftError:
         if aircraft is not None:
             raise
-        return craft  # the response needs no aircraft
+        return rated  # the response itself needs no aircraft
 
 
 @dataclass(frozen=True, repr=False)
 class Response(Answer):
-    """What `frequency` found. `answer.response` has the arrays: omega, H, magnitude, phase, std, std_phase,
-    coherence."""
+    """The answer of `frequency`. `answer.response` has the arrays: omega, H, magnitude, phase, std, std_phase, coherence."""
 
-    answer: "Responded"
+    answer: "FrequencyResult"
     flights: "tuple[Flight, ...]"
 
     def fit(self, form: str = "auto", kind: str = "", category: str = "B", mass: float | None = None) -> "Response":
-        """The same with a transfer function of `form` (roll, dutch-roll, short-period, orders like 1/2) and what it says.
+        """The answer with a transfer function of `form` (roll, dutch-roll, short-period, orders like 1/2) and its levels.
 
-        kind: class I to IV of a piloted aircraft, for levels; category: of the flight phase; mass: kg, by default that of the
+        kind: class I to IV of a piloted aircraft, for levels; category: of the flight phase; mass [kg]: by default that of the
         aircraft where it is known.
         """
         from estimation.frequency.answer import frequency_answer
         from estimation.frequency.handling import RatedAircraft
 
-        craft = RatedAircraft(kind, category, self.answer.aircraft.mass if mass is None else mass)
-        return replace(self, answer=frequency_answer(self.answer.response, form, craft))
+        rated = RatedAircraft(kind, category, self.answer.aircraft.mass if mass is None else mass)
+        return replace(self, answer=frequency_answer(self.answer.response, form, rated))
 
     def to_json(self) -> dict[str, Any]:
         return self.answer.to_json()
@@ -132,13 +131,13 @@ class Response(Answer):
         )
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip frequency` prints."""
+        """The lines that `sideslip frequency` prints."""
         from estimation.frequency.answer import response_lines
 
         return response_lines(self.answer)
 
     def plot(self, ax: Any = None) -> Any:
-        """Magnitude [dB], phase [deg] and coherence over frequency; gives the three axes."""
+        """Draw magnitude [dB], phase [deg] and coherence over frequency; returns the three axes."""
         from matplotlib import pyplot as plt
 
         from estimation.frequency.figure import draw_on
@@ -149,7 +148,7 @@ class Response(Answer):
         return ax
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML page; gives its path."""
+        """Write the HTML page; returns its path."""
         from estimation.frequency.answer import write_frequency_report
 
         return write_frequency_report(self.answer, self.flights, Path(folder))

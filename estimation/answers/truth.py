@@ -1,4 +1,4 @@
-"""True derivatives from a file, which answers are shown beside."""
+"""True derivatives from a file, to be shown beside estimates."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -10,10 +10,10 @@ from estimation.errors import EstimationError
 
 
 def read_truth(path: Path, flights: Sequence[str]) -> dict[str, float]:
-    """Derivatives by name from a JSON file: {"Cl_p": ...}, {"derivatives": {...}}, a manifest of recordings, or a key of
-    sets of flights, where each flight is found by its name.
+    """Derivatives by name from a JSON file: {"Cl_p": ...}, {"derivatives": {...}}, a manifest of recordings, or an object whose
+    keys are beginnings of flights' names.
 
-    Raises EstimationError for a file that cannot be read, or that has no truth or different ones for these flights.
+    Raises EstimationError for a file that cannot be read, or that has no or different derivatives for these flights.
     """
     try:
         data = json.loads(read_text(path, error=EstimationError))
@@ -29,7 +29,7 @@ def read_truth(path: Path, flights: Sequence[str]) -> dict[str, float]:
 
 
 def _of_flight(data: Any, flight: str) -> dict[str, float]:
-    """Numbers by derivative name, empty where the file tells nothing of this flight."""
+    """Derivatives of one flight by name; empty where the file has none."""
     if not isinstance(data, Mapping):
         return {}
     entry: Any = data

@@ -1,4 +1,4 @@
-"""`watch`: the gap monitor over a flight, when did a model stop describing the aircraft."""
+"""`watch`: the gap monitor over a flight: when a model stopped describing the aircraft."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -30,15 +30,15 @@ def watch(
     hours: float = 2.5,
     seed: int = 1,
 ) -> "Watching":
-    """When a linear model of rolling and yawing, of pitching, or of both stopped describing the aircraft.
+    """Find when a linear model of rolling and yawing, of pitching, or of both stopped describing the aircraft.
 
     Args:
         flight: a Flight or a file.
         model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
-        aircraft: a built-in name or a file; by default what the flights carry.
+        aircraft: a built-in name or a file; by default what the flight carries.
         segments: use only these stretches: "1:9,12:20" [s], "mode:FBWA", "V > 12".
         rate: false alarms allowed in an hour of manoeuvring.
-        hours: of simulated manoeuvring that thresholds come from.
+        hours: length of the simulated manoeuvring that sets the thresholds [h].
         seed: of every random draw.
 
     Raises:
@@ -53,18 +53,17 @@ def watch(
     from estimation.watch import answer, over_file
 
     problem = resolve(flight, model, aircraft, segments=segments, needs_aircraft=True)
-    (read,) = problem.flights
-    watched = over_file.watch(problem.model, read, problem.aircraft, seed=seed, hours=hours, rate=rate)
-    craft = None if aircraft is None else str(getattr(aircraft, "name", aircraft))
-    words = str(model) if isinstance(model, str | Path) else problem.model.name
-    command = answer.gap_command(Path(read.provenance.path or read.name), words, craft)
+    (selected,) = problem.flights
+    watched = over_file.watch(problem.model, selected, problem.aircraft, seed=seed, hours=hours, rate=rate)
+    aircraft_name = None if aircraft is None else str(getattr(aircraft, "name", aircraft))
+    model_name = str(model) if isinstance(model, str | Path) else problem.model.name
+    command = answer.gap_command(Path(selected.provenance.path or selected.name), model_name, aircraft_name)
     return Watching(watched, command, problem.notes)
 
 
 @dataclass(frozen=True, repr=False)
 class Watching(Answer):
-    """What the monitor said of a flight. result: the whole of it; command: what to type where there was an alarm; notes: whose
-    mass is taken."""
+    """The answer of `watch`. result: history and alarms; command: for after an alarm; notes: which mass was used."""
 
     result: "Watched"
     command: str
@@ -72,7 +71,7 @@ class Watching(Answer):
 
     @property
     def alarms(self) -> "tuple[Alarm, ...]":
-        """Alarms in the order in which they were told; none where the model held."""
+        """Alarms in their order of time; none where the model held."""
         return self.result.alarms
 
     @property
@@ -90,7 +89,7 @@ class Watching(Answer):
         return stretch(self.result) if self.alarms else None
 
     def to_pandas(self) -> "pd.DataFrame":
-        """A row for each half second of manoeuvring: time [s], and the score in units of its threshold."""
+        """A row for each half second of manoeuvring: time [s], and the score over its threshold."""
         pd = optional("pandas", "a table of pandas")
 
         history = self.result.history
@@ -105,18 +104,18 @@ class Watching(Answer):
             yield f"next: {self.command}"
 
     def cut(self, path: Path) -> "Watching":
-        """Write the stretch about the first alarm, where there is one; the answer whose next command reads that file."""
+        """Write the stretch about the first alarm, if any; returns the answer whose command reads that file."""
         from groundstation.flight import write_flight
 
         stretch = self.stretch()
         if stretch is None:
             return self
         write_flight(stretch, path)
-        _, _, words = self.command.partition(" --model ")
-        return replace(self, command=f"sideslip gap {path} --model {words}")
+        _, _, model_and_options = self.command.partition(" --model ")
+        return replace(self, command=f"sideslip gap {path} --model {model_and_options}")
 
     def plot(self, ax: Any = None) -> Any:
-        """The score over the flight, its threshold and the alarms; gives the axes."""
+        """Draw the score over the flight, its threshold and the alarms; returns the axes."""
         return plot_watched(self.result, ax)
 
     def figures(self) -> Figures:

@@ -1,4 +1,4 @@
-"""What the flights could not tell, why, and which manoeuvre would tell it."""
+"""Parameters that flights do not determine, why, and which manoeuvre would determine them."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -23,19 +23,20 @@ MOTION_ADVICE = {
 
 
 @dataclass(frozen=True, slots=True)
-class Untold:
-    """A parameter that the data could not tell. where: flights; manoeuvre: what would tell it; told: joint methods that can."""
+class Unidentified:
+    """A parameter that is not identifiable by a method. where: flights, or "joint"; manoeuvre: what would determine it;
+    determined_jointly: by the joint estimate of the method."""
 
     parameter: str
     method: str
     where: tuple[str, ...]
     why: str
     manoeuvre: str
-    told: tuple[str, ...]
+    determined_jointly: bool
 
 
-def untold_parameters(session: "EstimationSession") -> list[Untold]:
-    """One entry a parameter, method and reason."""
+def unidentified_parameters(session: "EstimationSession") -> list[Unidentified]:
+    """One entry for each parameter, method and reason, in the model's order."""
     flights_by_reason: dict[tuple[str, str, str], list[str]] = {}
     sources = [(f.flight.name, m, r) for f in session.flights for m, r in f.results.items()]
     sources += [("joint", m, r) for m, r in session.joint.items()]
@@ -44,35 +45,31 @@ def untold_parameters(session: "EstimationSession") -> list[Untold]:
             if not e.identifiable:
                 flights_by_reason.setdefault((name, method, e.why), []).append(source)
     entries = []
-    for (name, method, reason), sources_named in flights_by_reason.items():
-        joint_methods = tuple(
-            m
-            for m, r in session.joint.items()
-            if m == method and name in r.parameters and r.parameters[name].identifiable
-        )
-        entries.append(
-            Untold(name, method, tuple(sources_named), reason, manoeuvre(session.model, name, reason), joint_methods)
-        )
+    for (name, method, reason), where in flights_by_reason.items():
+        joint = session.joint.get(method)
+        determined = joint is not None and name in joint.parameters and joint.parameters[name].identifiable
+        fly = manoeuvre(session.model, name, reason)
+        entries.append(Unidentified(name, method, tuple(where), reason, fly, determined))
     order = list(session.model.parameter_names)
     return sorted(entries, key=lambda u: (order.index(u.parameter), session.methods.index(u.method)))
 
 
 @dataclass(frozen=True, slots=True)
 class AdviceGroup:
-    """Parameters that one manoeuvre would tell. methods, where: estimates and flights that could not; whys: the different
-    reasons; told: those that all flights together could tell."""
+    """Parameters that one manoeuvre would determine. methods, where: methods and flights that do not; whys: the different
+    reasons; determined_jointly: parameters that all flights together determine."""
 
     parameters: tuple[str, ...]
     methods: tuple[str, ...]
     where: tuple[str, ...]
     whys: tuple[str, ...]
     manoeuvre: str
-    told: tuple[str, ...]
+    determined_jointly: tuple[str, ...]
 
 
-def grouped(entries: Sequence[Untold]) -> list[AdviceGroup]:
-    """One entry a manoeuvre: what to fly next, and all that it would tell."""
-    entries_by_manoeuvre: dict[str, list[Untold]] = {}
+def grouped(entries: Sequence[Unidentified]) -> list[AdviceGroup]:
+    """One group for each manoeuvre: what to fly next, and all that it would determine."""
+    entries_by_manoeuvre: dict[str, list[Unidentified]] = {}
     for entry in entries:
         entries_by_manoeuvre.setdefault(entry.manoeuvre, []).append(entry)
     return [
@@ -82,14 +79,14 @@ def grouped(entries: Sequence[Untold]) -> list[AdviceGroup]:
             _distinct(w for u in manoeuvre_entries for w in u.where),
             _distinct(reason_without_numbers(u.why) for u in manoeuvre_entries),
             fly,
-            _distinct(u.parameter for u in manoeuvre_entries if u.told),
+            _distinct(u.parameter for u in manoeuvre_entries if u.determined_jointly),
         )
         for fly, manoeuvre_entries in entries_by_manoeuvre.items()
     ]
 
 
 def reason_without_numbers(why: str) -> str:
-    """A reason without its numbers, which differ from flight to flight, and without what the other columns say."""
+    """A reason without its numbers, which differ from flight to flight, and without its advice, which has its own column."""
     return re.sub(r": this data cannot tell.*", "", re.sub(r"(?<![\w])[+-]?\d+(\.\d+)?(e[+-]?\d+)?", "…", why))
 
 
@@ -98,7 +95,7 @@ def _distinct(items: Iterable[str]) -> tuple[str, ...]:
 
 
 def manoeuvre(model: "Model", parameter: str, why: str) -> str:
-    """What to fly, behind the word "fly", so that a parameter can be told."""
+    """What to fly, to follow the word "fly", so that a parameter becomes identifiable."""
     if why.startswith(NO_THRUST):
         return "with a record of thrust, by a load cell or a map of motor and propeller"
     for control in sorted(inputs_beside(model, parameter)):

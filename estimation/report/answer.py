@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from daq.utilities.constants import NORMAL_95
 from estimation.models.base import ParameterRole
 from estimation.report import published
-from estimation.report.advice import grouped, untold_parameters
+from estimation.report.advice import grouped, unidentified_parameters
 from estimation.report.estimate_tables import is_published
 from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from estimation.session.verdict import Verdict
 
 WIDTH = 78  # columns of the printed answer: a terminal of 80
-FLY_NEXT = 3  # manoeuvres named on the first screen: the table of all is below it
+FLY_NEXT = 3  # manoeuvres named on the first screen: the table below has them all
+SMALLEST_SHARE = 0.01  # printed as a whole percentage; a smaller one with one figure
 SIMPLIFIED = "lateral-simple"
-WHOLE_KINEMATICS = (
+FULL_KINEMATICS = (
     "Take the whole kinematics first: estimate --model lateral; lateral-simple leaves out p sin(alpha) and pitch."
 )
 
 
 @dataclass(frozen=True, slots=True)
 class AnswerRow:
-    """One derivative. bound: one standard deviation, corrected; told: whether the data could tell it, else why; prior, published,
-    truth: None where there is none."""
+    """One derivative. bound: corrected standard deviation; why: it is not identifiable; prior, published, truth: or None."""
 
     name: str
     value: float
     bound: float
-    told: bool
+    identifiable: bool
     why: str = ""
     prior: float | None = None
     published: float | None = None
@@ -44,38 +44,36 @@ class AnswerRow:
 
 @dataclass(frozen=True, slots=True)
 class LeadingAnswer:
-    """whose: flights and method of the numbers; verdict: the sentence; rows: derivatives, in the model's order."""
+    """The answer of a session. source: flights and method of the numbers; verdict: a sentence; rows: derivatives in order."""
 
-    whose: str
+    source: str
     verdict: str
     rows: tuple[AnswerRow, ...]
 
     @property
     def undetermined(self) -> list[str]:
-        """Derivatives that could not be told."""
-        return [row.name for row in self.rows if not row.told]
+        """Derivatives that are not identifiable."""
+        return [row.name for row in self.rows if not row.identifiable]
 
 
 def shown_verdict(session: "EstimationSession") -> "Verdict | None":
-    """On all flights together where there is one, else on the first flight."""
+    """The verdict on all flights together where there is one, else on the first flight."""
     return session.verdict or next((f.verdict for f in session.flights if f.verdict is not None), None)
 
 
 def leading_answer(session: "EstimationSession") -> LeadingAnswer:
-    """The joint estimate where there is one; else the mean over the flights that can tell; else the only flight's. By the method
-    that is recommended, or the first."""
+    """The joint estimate, else the mean over flights, else the only flight's; by the recommended method, or the first."""
     verdict = shown_verdict(session)
-    names = [f.flight.name for f in session.flights]
     if session.leading is not None:
-        whose = f"{len(names)} flights together, {session.leading.method}"
+        source = f"{len(session.flights)} flights together, {session.leading.method}"
         rows = _result_rows(session, session.leading)
     else:
-        rows, whose = _flight_rows(session, "" if verdict is None else verdict.recommended.method)
-    return LeadingAnswer(whose, _sentence(session, verdict, rows), tuple(rows))
+        rows, source = _flight_rows(session, "" if verdict is None else verdict.recommended.method)
+    return LeadingAnswer(source, _sentence(session, verdict, rows), tuple(rows))
 
 
 def _flight_rows(session: "EstimationSession", method: str) -> tuple[list[AnswerRow], str]:
-    """Means over flights, or the estimates of the only one that has any; and whose they are."""
+    """Means over flights, or the estimates of the only flight that has any; and their source in words."""
     results = [f for f in session.flights if f.results]
     if not results:
         return [], "no estimate"
@@ -94,7 +92,7 @@ def _flight_rows(session: "EstimationSession", method: str) -> tuple[list[Answer
 
 
 def _derivatives(session: "EstimationSession") -> list[str]:
-    """What is estimated but constants, which take up trims and offsets of a day; those where there is nothing else."""
+    """Free parameters without constants, which absorb trims and offsets of a day; constants where there is nothing else."""
     names = list(session.model.free_names)
     constants = session.model.free_of(ParameterRole.CONSTANT)
     return [n for n in names if n not in constants] or names
@@ -105,19 +103,20 @@ def _result_rows(session: "EstimationSession", result: "Result") -> list[AnswerR
     return [_row(session, n, e.estimate, e.std_coloured, e.identifiable, e.why) for n, e in estimates if e is not None]
 
 
-def _row(session: "EstimationSession", name: str, value: float, bound: float, told: bool, why: str) -> AnswerRow:
+def _row(
+    session: "EstimationSession", name: str, value: float, bound: float, identifiable: bool, why: str
+) -> AnswerRow:
     mean = published.mean("ml", name) if is_published(session) else None
-    prior = session.model.parameter(name).reference
-    return AnswerRow(name, value, bound, told, why, prior, None if mean is None else mean[0], session.truth.get(name))
+    prior, truth = session.model.parameter(name).reference, session.truth.get(name)
+    return AnswerRow(name, value, bound, identifiable, why, prior, None if mean is None else mean[0], truth)
 
 
 def _sentence(session: "EstimationSession", verdict: "Verdict | None", rows: list[AnswerRow]) -> str:
-    """What to believe, in a sentence or two."""
+    """Which method to use, and how many derivatives the data determine, in a sentence or two."""
     if not rows:
         return session.text
-    told = sum(row.told for row in rows)
-    counts = f"the data determine {told if told < len(rows) else 'all'} of {len(rows)} derivatives"
-    blind = [row.name for row in rows if not row.told]
+    blind = [row.name for row in rows if not row.identifiable]
+    counts = f"the data determine {len(rows) - len(blind) if blind else 'all'} of {len(rows)} derivatives"
     counts += f", not {', '.join(blind)}" if blind else ""
     if verdict is None:
         return f"{counts}; {session.text}"
@@ -127,7 +126,7 @@ def _sentence(session: "EstimationSession", verdict: "Verdict | None", rows: lis
 
 
 def answer_table(session: "EstimationSession", answer: LeadingAnswer) -> ReportTable:
-    """The derivatives with bounds; what was believed, published and true beside them, where there is any of it."""
+    """The derivatives with bounds; beliefs, published and true values beside them, where there are any."""
     columns = [
         (head, [getattr(row, key) for row in answer.rows])
         for head, key in (("before", "prior"), ("published", "published"), ("truth", "truth"))
@@ -138,7 +137,7 @@ def answer_table(session: "EstimationSession", answer: LeadingAnswer) -> ReportT
     )
     return ReportTable(
         "answer",
-        f"{answer.whose}; corrected: one standard deviation, corrected for coloured residuals",
+        f"{answer.source}; corrected: one standard deviation, corrected for coloured residuals",
         ("", "estimate", "± corrected", "relative", *(head for head, _ in columns)),
         rows,
         note=next((f"Published: {published.SOURCE}." for head, _ in columns if head == "published"), ""),
@@ -147,24 +146,26 @@ def answer_table(session: "EstimationSession", answer: LeadingAnswer) -> ReportT
 
 def _cells(row: AnswerRow) -> tuple[str, str, str]:
     """Estimate, bound, and the bound as a share of the estimate."""
-    if not row.told:
+    if not row.identifiable:
         return ("", CANNOT_TELL, "")
     value, bound = rounded(row.value, row.bound)
     share = abs(row.bound / row.value) if row.value else 0.0
-    return value, bound, (f"{share:.0%}" if share >= 0.01 else f"{100.0 * share:.1g}%") if share else ""
+    if not share:
+        return value, bound, ""
+    return value, bound, f"{share:.0%}" if share >= SMALLEST_SHARE else f"{100.0 * share:.1g}%"
 
 
 def next_steps(session: "EstimationSession", answer: LeadingAnswer) -> list[str]:
-    """What to do next: manoeuvres that would tell what the data could not, else to hold the model against other flights."""
+    """What to do next: manoeuvres that would determine the missing derivatives, a better model, a test on other flights."""
     steps = [
         f"Fly {group.manoeuvre}: it would tell {', '.join(n for n in group.parameters if n in answer.undetermined)}."
-        for group in grouped(untold_parameters(session))
+        for group in grouped(unidentified_parameters(session))
         if any(n in answer.undetermined for n in group.parameters)
     ][:FLY_NEXT]
     verdict = shown_verdict(session)
     refused = verdict is not None and verdict.recommended.method == "none"
     if refused and session.model.name == SIMPLIFIED:
-        steps.append(WHOLE_KINEMATICS)
+        steps.append(FULL_KINEMATICS)
     elif verdict is not None and verdict.recommended.lacks:
         steps.append(
             f"Let the model have what it lacks ({', '.join(verdict.recommended.lacks[:FLY_NEXT])}): estimate --structure auto."
@@ -176,9 +177,9 @@ def next_steps(session: "EstimationSession", answer: LeadingAnswer) -> list[str]
 
 
 def answer_lines(session: "EstimationSession") -> Iterator[str]:
-    """The first screen of the console: verdict, table, fit, what to do next."""
+    """The first screen of the console: verdict, table, what to do next."""
     answer = leading_answer(session)
-    yield f"{session.model.name} of {session.aircraft.name}: {answer.whose}".center(WIDTH).rstrip()
+    yield f"{session.model.name} of {session.aircraft.name}: {answer.source}".center(WIDTH).rstrip()
     yield "=" * WIDTH
     yield answer.verdict
     yield "-" * WIDTH
@@ -187,7 +188,7 @@ def answer_lines(session: "EstimationSession") -> Iterator[str]:
     yield f"{'':<12}{'estimate':>11}{'corrected':>11}{'[95 %':>11}{'interval]':>11}{heads}".rstrip()
     for row in answer.rows:
         others = "".join(f"{number(getattr(row, key)):>11}" for key in beside)
-        if not row.told:
+        if not row.identifiable:
             yield f"{row.name:<12}{CANNOT_TELL:>22}{'':22}{others}".rstrip()
             continue
         value, bound = rounded(row.value, row.bound)

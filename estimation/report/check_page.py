@@ -1,4 +1,4 @@
-"""What `sideslip check` shows: page, lines and figure; Table 2 beside the paper's, Figure 7, what is wrong with the data."""
+"""The output of `sideslip check`: page, printed lines and figure; instrument factors (Table 2), motion (Figure 7), findings."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from groundstation.flight import Flight
     from groundstation.flight.findings import Finding
 
-_SHOWN = {"rad": ("deg", np.degrees(1.0)), "V": ("m/s", 1.0)}
 _TITLES = {
     "V": "V [m/s]",
     "alpha": "α [deg]",
@@ -40,6 +39,11 @@ _TITLES = {
     "theta": "θ [deg]",
     "psi": "ψ [deg]",
 }
+
+
+UNITS = {"V": "m/s"}  # of outputs that are no angles
+RECONSTRUCTED = "#0072B2"
+GAP = 1.0  # s between samples, across which no line is drawn
 
 
 def factor_lines(results: Sequence[tuple[str, Compatibility]]) -> Iterator[str]:
@@ -60,6 +64,7 @@ def factor_lines(results: Sequence[tuple[str, Compatibility]]) -> Iterator[str]:
 
 
 def published_lines() -> Iterator[str]:
+    """The published factors, one column a flight."""
     flights = published.published_flights()
     yield "published (bounds of output error, without the noise of the inertial sensors)"
     yield f"{'factor':<17}" + "".join(f"{name:>21}" for name in flights)
@@ -81,7 +86,7 @@ def _cell(factor: FactorEstimate) -> str:
 
 
 def fit_of(flight: ReconstructedFlight) -> Mapping[str, Mapping[str, float]]:
-    """Per output: rms of measured less reconstructed, coefficient of determination, whiteness."""
+    """Output -> rms of measured minus reconstructed, coefficient of determination, noise, whiteness."""
     table = {}
     for j, name in enumerate(flight.outputs):
         both_known = np.isfinite(flight.measured[:, j]) & np.isfinite(flight.reconstructed[:, j])
@@ -96,7 +101,7 @@ def fit_of(flight: ReconstructedFlight) -> Mapping[str, Mapping[str, float]]:
 
 
 def write_figure(flights: Sequence[ReconstructedFlight], path: Path) -> None:
-    """Measured and reconstructed motion, one column a flight (Figure 7 of the paper)."""
+    """Draw measured and reconstructed motion into a file, one column a flight (Figure 7 of the paper)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -105,16 +110,17 @@ def write_figure(flights: Sequence[ReconstructedFlight], path: Path) -> None:
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(names), len(flights), squeeze=False, sharex="col")
     for column, flight in enumerate(flights):
-        gaps = np.concatenate([[False], np.diff(flight.time) > 1.0])
+        gaps = np.concatenate([[False], np.diff(flight.time) > GAP])
         for row, name in enumerate(names):
             axis = axes[row][column]
-            scale = 1.0 if name == "V" else float(np.degrees(1.0))
+            factor, _ = face(name, UNITS.get(name, "rad"))
             for values, colour, width, label in (
                 (flight.measured[:, row], "0.45", 0.7, "measured"),
-                (flight.reconstructed[:, row], "#0072B2", 1.2, "reconstructed"),
+                (flight.reconstructed[:, row], RECONSTRUCTED, 1.2, "reconstructed"),
             ):
-                unbroken_values = np.where(gaps, np.nan, scale * values)
-                axis.plot(flight.time, unbroken_values, color=colour, linewidth=width, label=label)
+                axis.plot(
+                    flight.time, np.where(gaps, np.nan, factor * values), color=colour, linewidth=width, label=label
+                )
             axis.set_ylabel(_TITLES[name])
             axis.grid(alpha=0.25)
         axes[0][column].set_title(literal(flight.name))
@@ -123,13 +129,11 @@ def write_figure(flights: Sequence[ReconstructedFlight], path: Path) -> None:
     save_figure(figure, path, dpi=110)
 
 
-UNITS = {"V": "m/s"}
-RECONSTRUCTED = "#0072B2"
 NEXT = (
     "Take the errors out: check FLIGHT --write FOLDER, then estimate FOLDER/FLIGHT.",
     "Where a check fails: view FLIGHT.",
 )
-COLUMNS = 2  # flights beside each other in a figure
+COLUMNS = 2  # adjacent flights in a figure
 
 
 def write_check_report(
@@ -142,8 +146,8 @@ def write_check_report(
 ) -> Path:
     """Write folder/index.html, with its tables as CSV and LaTeX beside it; returns the page.
 
-    results: one a flight, in the order of `flights`, then the joint one where there is one. align: how further flights are laid
-    on the first in time; None: they are not. agreement: whether the instruments agree, a sentence a flight.
+    quality: findings of each flight. results: one for each flight, in the order of `flights`, then the joint one if any. align:
+    how further flights are aligned with the first in time; None: they are not. agreement: a sentence for each flight.
     """
     reconstructed = [r.flights[0] for _, r in results[: len(flights)]]
     counts = [finding.severity for findings in quality for finding in findings]
@@ -173,7 +177,7 @@ def write_check_report(
 
 
 def _status_box(results: Sequence[tuple[str, Compatibility]], fails: int, warns: int) -> Markup:
-    """How the data is, and how each reconstruction ended."""
+    """How many checks failed, and how each reconstruction ended."""
     if fails:
         verdict = coloured(f"{fails} checks failed", "fail") + (f", {warns} warned" if warns else "")
     elif warns:
@@ -187,7 +191,7 @@ def _status_box(results: Sequence[tuple[str, Compatibility]], fails: int, warns:
 
 
 def _findings(flights: Sequence["Flight"], quality: Sequence[Sequence["Finding"]]) -> Iterator[Markup]:
-    """Under the name of each flight a row for each check of its data."""
+    """The name of each flight and a table with a row for each of its findings."""
     for flight, findings in zip(flights, quality, strict=True):
         yield Markup("<h3>{}</h3>").format(flight.name)
         head = [("", "verdict"), ("text", "check"), ("text", "finding")]
@@ -196,7 +200,7 @@ def _findings(flights: Sequence["Flight"], quality: Sequence[Sequence["Finding"]
 
 
 def _unclear(results: Sequence[tuple[str, Compatibility]]) -> ReportTable | None:
-    """What these flights cannot tell of the factors, each reason once."""
+    """Factors that are not identifiable, each reason once; None without any."""
     flights_by_reason = collected(
         (f"{f.name}: {f.why}", flight) for flight, r in results for f in r.factors.values() if not f.identifiable
     )
@@ -209,7 +213,7 @@ def _unclear(results: Sequence[tuple[str, Compatibility]]) -> ReportTable | None
 
 
 def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence["Flight"]) -> ReportTable:
-    """Table 2: factor, estimate and bound a flight; the published columns where all flights are of the CDFP."""
+    """Table 2: factors with the estimate and bound of each flight; published columns where all flights are of the CDFP."""
     ours = all(published.is_of(f.provenance.aircraft) for f in flights)
     published_flights = published.published_flights() if ours else ()
     rows = []
@@ -265,7 +269,7 @@ def _fit_table(flights: Sequence[ReconstructedFlight]) -> ReportTable:
 
 
 def motion_figures(flights: Sequence[ReconstructedFlight], marked: Sequence["Flight"] = ()) -> list[Picture]:
-    """Figure 7: measured and reconstructed motion, two flights beside each other. marked: the flights whose marks are drawn."""
+    """Figure 7: measured and reconstructed motion, two flights a figure. marked: the flights whose marks are drawn."""
     return [motion_figure(pair, i, marked) for i, pair in enumerate(motion_pairs(flights))]
 
 
@@ -275,7 +279,7 @@ def motion_pairs(flights: Sequence[ReconstructedFlight]) -> list[Sequence[Recons
 
 
 def motion_figure(flights: Sequence[ReconstructedFlight], number: int, marked: Sequence["Flight"] = ()) -> Picture:
-    """One part of Figure 7, the number-th from 0; flights: the flights beside each other; marked: whose marks are drawn."""
+    """One part of Figure 7. number: of the part, from 0; flights: of this part; marked: flights whose marks are drawn."""
     by_name = {flight.name: flight for flight in marked}
     names = flights[0].outputs
     with styled():

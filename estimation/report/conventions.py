@@ -1,4 +1,4 @@
-"""What the numbers of an estimate mean: signs, units, axes, and the constants of the aircraft that they rest on."""
+"""Conventions of an estimate: signs, units, axes, and the constants of the aircraft that it uses."""
 
 import math
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ SIGNS = (
     " +beta wind from the right, +ay specific force to the right"
 )
 DAMPERS = {"delta_r": ("r", "yaw", "Cn_r and CY_r"), "delta_e": ("q", "pitch", "Cm_q")}
-"""Control -> the state that a damper of it follows, what that is called, and the derivatives that it passes for."""
+"""Control -> the rate that its damper feeds back, the axis, and the derivatives that such a damper changes."""
 OWN = "as the equations of the model have them (a model of one's own)"
 CONSTANTS = {
     "S": "m2",
@@ -37,7 +37,7 @@ CONSTANTS = {
 
 
 def conventions(session: "EstimationSession") -> Iterator[tuple[str, str]]:
-    """(what, how) of everything one has to know to use the numbers elsewhere."""
+    """(subject, convention) of everything one has to know to use the numbers elsewhere."""
     built_in = session.model.name in BUILDERS
     yield "axes", AXES if built_in else OWN
     yield "units", UNITS if built_in else OWN
@@ -59,7 +59,7 @@ def conventions(session: "EstimationSession") -> Iterator[tuple[str, str]]:
 
 
 def _stated(session: "EstimationSession") -> str:
-    """What the corrected bounds hold of uncertainties that somebody has stated."""
+    """The stated uncertainties that the corrected bounds include, in words; empty without any."""
     of_airspeed = max((airspeed_share(f.flight) for f in session.flights), default=0.0)
     counted = [f"the airspeed's calibration ({of_airspeed:.1%} of each derivative)"] if of_airspeed else []
     if session.aircraft.uncertainty:
@@ -68,7 +68,7 @@ def _stated(session: "EstimationSession") -> str:
 
 
 def _dampers(session: "EstimationSession") -> str:
-    """What no record of a control can tell (docs/validation.md has what it can)."""
+    """A warning of dampers that the records of the controls do not show (docs/validation.md has the limits)."""
     known = {*session.model.input_names, *session.model.state_names}
     return "; ".join(
         f"a {axis} damper behind the record passes for {names} unless it is strong and washed out"
@@ -85,7 +85,7 @@ def _centre(session: "EstimationSession") -> str:
 
 
 def _sources(session: "EstimationSession") -> str:
-    """Whose values stand in the column before flying, and which of them enter the fit."""
+    """Sources of the beliefs before flying, and which of them enter the fit."""
     parameters = session.model.parameters
     shown = [p for p in parameters if p.reference is not None and p.prior_std is None]
     sources = dict.fromkeys(p.reference_source for p in shown if p.reference_source)
@@ -95,7 +95,7 @@ def _sources(session: "EstimationSession") -> str:
 
 
 def priors(session: "EstimationSession") -> dict[str, dict[str, float]]:
-    """Parameter -> mean and standard deviation of what is believed of it and enters the fit, in its own unit."""
+    """Parameter -> mean and standard deviation of the prior that enters the fit, in its own unit."""
     return {
         p.name: {"mean": p.prior_mean or 0.0, "std": p.prior_std}
         for p in session.model.parameters
@@ -104,7 +104,7 @@ def priors(session: "EstimationSession") -> dict[str, dict[str, float]]:
 
 
 def conventions_table(session: "EstimationSession") -> ReportTable:
-    """The same as a table of the page, and for a thesis."""
+    """The conventions as a table."""
     return ReportTable(
         "conventions",
         "Conventions and constants of the estimates",
@@ -116,7 +116,7 @@ def conventions_table(session: "EstimationSession") -> ReportTable:
 
 
 def conventions_lines(session: "EstimationSession") -> Iterator[str]:
-    """The same in print."""
+    """The conventions as printed lines."""
     for subject, meaning in conventions(session):
         if meaning != OWN or subject == "units":
             yield f"  {subject}: {meaning}"

@@ -1,4 +1,4 @@
-"""The page of `sideslip estimate`: tables, figures, modes, and what could not be told."""
+"""The page of `sideslip estimate`: tables, figures, modes, and parameters that are not identifiable."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from estimation.models.base import ParameterRole
 from estimation.report import published
-from estimation.report.advice import grouped, untold_parameters
+from estimation.report.advice import grouped, unidentified_parameters
 from estimation.report.answer import answer_table, leading_answer, next_steps
 from estimation.report.conventions import conventions_table
 from estimation.report.drawing.estimate_figures import (
@@ -48,9 +48,10 @@ if TYPE_CHECKING:
     from estimation.session.session import EstimationSession, FlightEstimates
     from estimation.session.verdict import Verdict
 
-SHOWN = 8  # flights with figures of their own; tables hold all
-SEED = 1
-UNNAMED = "not stated"  # aircraft of a model of one's own on a flight that does not name one
+SHOWN = 8  # flights with their own figures; tables contain all
+SHORT = 8  # rows up to which print does not break the table of manoeuvres
+SEED = 1  # of the draws that give modes their spread
+UNNAMED = "not stated"  # name of the aircraft where neither model nor flight names one
 
 
 def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
@@ -63,13 +64,13 @@ def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
         for section, section_figures in _figures(session, proofs).items()
     }
     flight_tables = [estimate_table(session, f) for f in estimated_flights]
-    # one note on what the columns mean is enough
+    # one note on the meaning of the columns is enough
     flight_tables = [*(replace(t, note="") for t in flight_tables[:-1]), *flight_tables[-1:]]
     rerun = [path.relative_to(folder).as_posix() for path in write_flights(session, folder / "flights", SHOWN)]
     named_aircraft = session.aircraft if session.aircraft.name != UNNAMED else None
     joint, mean, proof = joint_table(session), mean_table(session), _proof_table(session, proofs())
     modes = _modes(session) or paragraph("No usable estimate to linearise about.")
-    mapped_result, _ = _shown_as_map(session)
+    leading, _ = _leading_result(session)
     comparison = paragraph(published.COMPARISON, "note") if is_published(session) else None
     notes = notes_table((f.flight.name, note) for f in estimated_flights for note in f.notes)
     detail, unprinted = partial(Section, folded=True), partial(Section, folded=True, printed=False)
@@ -81,31 +82,36 @@ def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
         if estimated_flights
         else None,
         detail("joint", "All flights together", [joint], "Joint") if joint else None,
-        # on paper the joint estimate speaks for the flights
+        # on paper the joint estimate stands for the flights
         (unprinted if joint else detail)("mean", "Mean and scatter", [mean], "Means") if mean else None,
         unprinted("flights", "Flight by flight", flight_tables, "Flights"),
-        detail("untold", "Not identifiable, and what would identify it", _untold_parts(session), "Not identifiable"),
+        detail("untold", "Not identifiable, and what would identify it", _advice_parts(session), "Not identifiable"),
         unprinted(
             "histories",
             "Measured and estimated motion",
-            [_rerun_note(rerun), *figures["histories"], _left_out(len(estimated_flights) - SHOWN), fit_table(session)],
+            [
+                _rerun_note(rerun),
+                *figures["histories"],
+                _tables_only(len(estimated_flights) - SHOWN),
+                fit_table(session),
+            ],
             "Histories",
         ),
         unprinted("residuals", "Residuals", figures["residuals"], "Residuals"),
         detail("proof", "Proof of match", [*figures["proof"], proof], "Proof of match") if proof else None,
         unprinted("modes", "Modes", [modes], "Modes"),
-        unprinted("correlation", "Correlations", [*figures["correlation"], _collinear(mapped_result)], "Correlations"),
+        unprinted("correlation", "Correlations", [*figures["correlation"], _collinear(leading)], "Correlations"),
         unprinted("runs", "How each fit ended", [_runs(session), notes]),
         detail("conventions", "Conventions", [conventions_table(session)], "Conventions"),
         detail("provenance", "Provenance", [provenance_table(flights), _equations(session.model)], "Provenance"),
     ]
     title = "Derivatives" if named_aircraft is None else f"Aerodynamic derivatives of {named_aircraft.name}"
-    page = Page(title, _lead(session), sections, beside=[_untold_table(session)])
+    page = Page(title, _lead(session), sections, beside=[_unidentified_table(session)])
     return page.write(folder / "index.html", folder / "tables")
 
 
 def estimate_figures(session: "EstimationSession") -> dict[str, Callable[[], Picture | None]]:
-    """What draws each figure of the page, by the figure's name, in the order of the page."""
+    """Name of a figure -> function that draws it, in the order of the page."""
     figures_by_section = _figures(session, cache(partial(_proofs, session)))
     return {name: draw for section in figures_by_section.values() for name, draw in section.items()}
 
@@ -113,31 +119,31 @@ def estimate_figures(session: "EstimationSession") -> dict[str, Callable[[], Pic
 def _figures(
     session: "EstimationSession", proofs: "Callable[[], list[tuple[str, ProofOfMatch]]]"
 ) -> dict[str, dict[str, Callable[[], Picture | None]]]:
-    """Section of the page -> name of a figure -> what draws it: a figure more is a line here and what draws it."""
+    """Section of the page -> name of a figure -> function that draws it. A new figure needs a line here and its function."""
     sections: dict[str, dict[str, Callable[[], Picture | None]]]
     sections = {n: {} for n in ("answer", "scatter", "histories", "residuals", "proof", "correlation")}
     estimated_flights = [f for f in session.flights if f.results][:SHOWN]
-    mapped_result, mapped_label = _shown_as_map(session)
-    if mapped_result is None:
+    leading, source = _leading_result(session)
+    if leading is None:
         return sections
-    published_too = is_published(session)
+    of_paper = is_published(session)
     sections["answer"] = {
         "forest": lambda: forest_figure(leading_answer(session).rows),
-        "strips": partial(strips_figure, mapped_result),
+        "strips": partial(strips_figure, leading),
     }
     sections["scatter"]["figure8"] = partial(scatter_figure, session)
     for f in estimated_flights:
         first, name = next(iter(f.results.values())), f.flight.name
-        sections["histories"][f"figure9_{name}"] = partial(history_figure, f, published_too)
+        sections["histories"][f"figure9_{name}"] = partial(history_figure, f, of_paper)
         sections["residuals"][f"residuals_{name}"] = partial(residual_figure, first.model, first)
         if moved_quantities(first, f.flight):
             sections["residuals"][f"against_{name}"] = partial(against_figure, first.model, first, f.flight)
     if _can_be_proved(session):
-        sections["proof"]["figure10"] = lambda: proof_figure(proofs()[:2], refitted(session), published_too)
-    if mapped_result.names:
-        sections["correlation"]["correlations"] = partial(correlation_figure, mapped_result, mapped_label)
-    if most_correlated(mapped_result):
-        sections["correlation"]["ellipses"] = partial(_ellipses, session, estimated_flights[:1], mapped_label)
+        sections["proof"]["figure10"] = lambda: proof_figure(proofs()[:2], refitted(session), of_paper)
+    if leading.names:
+        sections["correlation"]["correlations"] = partial(correlation_figure, leading, source)
+    if most_correlated(leading):
+        sections["correlation"]["ellipses"] = partial(_ellipses, session, estimated_flights[:1], source)
     return sections
 
 
@@ -152,18 +158,18 @@ def _first_screen(session: "EstimationSession") -> list[Section]:
     answer = leading_answer(session)
     verdict = paragraph(sentence(answer.verdict), "verdict-line")
     pictures = estimate_figures(session)
-    drawn = {name: pictures[name]() for name in ("forest", "strips") if name in pictures}
+    drawings = {name: pictures[name]() for name in ("forest", "strips") if name in pictures}
     steps = [Markup("<p><b>Next</b></p>"), bullets(next_steps(session, answer))]
     table = answer_table(session, answer) if answer.rows else None
     return [
         Section("", "", [verdict, _status_box(session)]),
-        Section("answer", "", [table, drawn.get("forest")], kind="answer"),
-        Section("", "", [drawn.get("strips"), *steps]),
+        Section("answer", "", [table, drawings.get("forest")], kind="answer"),
+        Section("", "", [drawings.get("strips"), *steps]),
     ]
 
 
 def _status_box(session: "EstimationSession") -> Markup | None:
-    """What did not converge, and which means are doubtful; None where there is nothing to say."""
+    """What did not converge, and which means are doubtful; None where there is no such thing."""
     lines = [] if session.converged else [paragraph(sentence(session.text))]
     doubts = [(m, html(n), s.text) for m, t in session.mean.items() for n, s in t.items() if s.text]
     lines += [Markup("<p>{}, {}: {}.</p>").format(*doubt) for doubt in doubts]
@@ -175,12 +181,12 @@ def _rerun_note(paths: Sequence[str]) -> Markup:
     return paragraph(Markup("The same in rerun: {}{}").format(commands, "." if paths else ""), "note")
 
 
-def _left_out(count: int) -> Markup | None:
+def _tables_only(count: int) -> Markup | None:
     return paragraph(f"{count} more flights are in the tables only.", "note") if count > 0 else None
 
 
 def _collinear(result: "Result | None") -> Markup | None:
-    """Pairs of estimates that the data hardly tells apart."""
+    """Pairs of estimates that the data hardly separate."""
     if result is None or not result.collinear:
         return None
     pairs = [Markup("{} and {} ({})").format(html(a), html(b), f"{rho:+.3f}") for a, b, rho in result.collinear]
@@ -192,9 +198,9 @@ def _equations(model: "Model") -> Markup:
     return Markup("<details>{}<pre>{}</pre></details>").format(summary, "\n".join(model.equations))
 
 
-def _untold_parts(session: "EstimationSession") -> list[Markup]:
-    """A row for each manoeuvre that would tell more."""
-    groups = grouped(untold_parameters(session))
+def _advice_parts(session: "EstimationSession") -> list[Markup]:
+    """A table with a row for each manoeuvre that would determine more parameters."""
+    groups = grouped(unidentified_parameters(session))
     if not groups:
         return [paragraph("Every flight determines every parameter.")]
     words = (
@@ -213,22 +219,22 @@ def _untold_parts(session: "EstimationSession") -> list[Markup]:
             ", ".join(group.where),
             "; ".join(group.whys),
             ", ".join(group.methods),
-            comma.join(html(n) for n in group.told) or "none",
+            comma.join(html(n) for n in group.determined_jointly) or "none",
         )
         for group in groups
     ]
     table = free_table(
         [("text", word) for word in words],
         [[("text", cell) for cell in row] for row in rows],
-        "short" if len(groups) <= 8 else "",
+        "short" if len(groups) <= SHORT else "",
         "One row for each manoeuvre that would tell more",
     )
     note = "Each flight, method and parameter with its numbers: <code>tables/untold.csv</code> beside this page."
     return [table, paragraph(Markup(note), "note")]
 
 
-def _shown_as_map(session: "EstimationSession") -> "tuple[Result | None, str]":
-    """Whose correlations are drawn: the joint estimate's, else the first flight's; and whose that is in words."""
+def _leading_result(session: "EstimationSession") -> "tuple[Result | None, str]":
+    """The result whose fit and correlations are drawn, the joint one, else the first flight's; and its source in words."""
     leading = session.leading
     if leading is not None:
         return leading, f"joint, {leading.method}"
@@ -239,7 +245,7 @@ def _shown_as_map(session: "EstimationSession") -> "tuple[Result | None, str]":
 
 
 def _verdicts(session: "EstimationSession") -> list[tuple[str, "Verdict"]]:
-    """Whose verdict, and the verdict: joint first."""
+    """(subject, verdict), the joint one first."""
     verdicts = [("all together", session.verdict), *((f.flight.name, f.verdict) for f in session.flights)]
     return [(subject, v) for subject, v in verdicts if v is not None]
 
@@ -255,9 +261,10 @@ def _lead(session: "EstimationSession") -> str:
 
 
 def _proofs(session: "EstimationSession") -> list[tuple[str, "ProofOfMatch"]]:
-    """Each flight predicted by each method's estimates of the flight before it, the first by the last.
+    """(source of the parameters, proof) for each method: each flight predicted by the estimates of the flight before it, the
+    first by the last.
 
-    Constant coefficients are refitted: trim and sensor offsets of a day say nothing of the derivatives.
+    Constant coefficients are refitted, because trim and sensor offsets of a day tell nothing about the derivatives.
     """
     from estimation.session.proof_of_match import predict_flight
 
@@ -278,7 +285,7 @@ def _proofs(session: "EstimationSession") -> list[tuple[str, "ProofOfMatch"]]:
 
 
 def refitted(session: "EstimationSession") -> str:
-    """What the proof of match does not freeze."""
+    """The parameters that the proof of match refits, in words."""
     return (
         "initial states and constant coefficients (trim)"
         if session.model.free_of(ParameterRole.CONSTANT)
@@ -321,23 +328,23 @@ def _runs(session: "EstimationSession") -> ReportTable:
     return ReportTable("runs", caption, head, rows, symbols=False, texts=(1, 2), failed=failed)
 
 
-def _untold_table(session: "EstimationSession") -> ReportTable:
+def _unidentified_table(session: "EstimationSession") -> ReportTable:
     """Every parameter, method and reason, for the file beside the page."""
     head = ("parameter", "method", "flights", "why", "fly next", "joint")
     rows = tuple(
-        (u.parameter, u.method, ", ".join(u.where), u.why, u.manoeuvre, "determined" if u.told else "")
-        for u in untold_parameters(session)
+        (u.parameter, u.method, ", ".join(u.where), u.why, u.manoeuvre, "determined" if u.determined_jointly else "")
+        for u in unidentified_parameters(session)
     )
     return ReportTable("untold", "What these flights cannot determine", head, rows, texts=(2, 3, 4))
 
 
-def _ellipses(session: "EstimationSession", first: "Sequence[FlightEstimates]", label: str) -> Picture | None:
+def _ellipses(session: "EstimationSession", first: "Sequence[FlightEstimates]", source: str) -> Picture | None:
     """Ellipses of the joint estimates of all methods, the leading one first; without these, of the first flight's."""
     leading = session.leading
     if leading is not None:
         rest = [r for r in session.joint.values() if r is not leading]
         return ellipse_figure([leading, *rest], "all flights together", session.truth)
-    return ellipse_figure([r for f in first for r in f.results.values()], label.partition(",")[0], session.truth)
+    return ellipse_figure([r for f in first for r in f.results.values()], source.partition(",")[0], session.truth)
 
 
 def _proof_table(session: "EstimationSession", proofs: list[tuple[str, "ProofOfMatch"]]) -> ReportTable | None:

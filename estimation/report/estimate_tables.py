@@ -1,4 +1,4 @@
-"""Tables 3 to 5 of the paper for one's own flights, beside the published columns."""
+"""Tables 3 to 5 of the paper for any flights, beside the published columns."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from estimation.session.verdict import Verdict
 
 BOUNDS = (
-    "bound: Cramér–Rao; corrected: for coloured residuals, the one to be believed. What the flight cannot tell "
-    "is printed and said so; the reason is given below. Before flying: from the wind tunnel, or an engineering estimate (guess)."
+    "bound: Cramér–Rao; corrected: for coloured residuals, the one to use. Values that the flight does not determine "
+    "are marked; the reason is given below. Before flying: from the wind tunnel, or an engineering estimate (guess)."
 )
 
 
@@ -25,7 +25,7 @@ def is_published(session: "EstimationSession") -> bool:
 
 
 ColumnGroup = tuple[str, tuple[str, ...], Callable[[str], list[str]]]
-"""Label of columns beside each other, their heads, and what fills them for a parameter."""
+"""Label of adjacent columns, their heads, and a function: name of a parameter -> their cells."""
 
 
 def grouped_table(
@@ -39,7 +39,7 @@ def grouped_table(
 
 
 def _beliefs(session: "EstimationSession") -> list[ColumnGroup]:
-    """What is believed of the parameters before flying, where anything is."""
+    """The beliefs before flying, where there are any."""
     if all(p.reference is None for p in session.model.parameters):
         return []
     return [("before flying", ("value", "source"), partial(_belief_cells, session))]
@@ -52,7 +52,7 @@ def _estimates(results: "Mapping[str, Result]") -> list[ColumnGroup]:
 
 
 def published_cells(numbers: Callable[[str], tuple[float, float] | None]) -> Callable[[str], list[str]]:
-    """A published number and its bound or scatter."""
+    """A function: name -> cells of a published number and its bound or scatter. numbers: name -> these two."""
 
     def cells(name: str) -> list[str]:
         pair = numbers(name)
@@ -62,7 +62,7 @@ def published_cells(numbers: Callable[[str], tuple[float, float] | None]) -> Cal
 
 
 def _truth(session: "EstimationSession") -> list[ColumnGroup]:
-    """What simulated flights were flown with, where that is known."""
+    """The true values of simulated flights, where they are known."""
     return [("simulated", ("truth",), lambda name: [number(session.truth.get(name))])] if session.truth else []
 
 
@@ -81,6 +81,7 @@ def estimate_table(session: "EstimationSession", flight: "FlightEstimates") -> R
 
 
 def joint_table(session: "EstimationSession") -> ReportTable | None:
+    """The joint estimates of all methods; None without any."""
     if not session.joint:
         return None
     caption = f"Joint estimate over {len(session.flights)} flights{_recommended_method(session.verdict)}"
@@ -91,17 +92,17 @@ def joint_table(session: "EstimationSession") -> ReportTable | None:
 
 
 def _recommended_method(verdict: "Verdict | None") -> str:
-    """The recommended method, for a caption: heads are names of columns in CSV, which stay as they are."""
+    """The recommended method, for a caption: heads are the column names of CSV files and must not change."""
     return "" if verdict is None else f" (recommended: {verdict.recommended.method})"
 
 
 def _recommended(verdict: "Verdict | None") -> str:
-    """Whom to believe, as the first sentence of a note."""
+    """The recommendation, as the first sentence of a note."""
     return "" if verdict is None else f"Recommended: {verdict.recommended.text}. "
 
 
 def mean_table(session: "EstimationSession") -> ReportTable | None:
-    """Table 5: mean and scatter over the flights that can tell, against their bounds."""
+    """Table 5: mean and scatter over the flights in which a parameter is identifiable, and their bounds."""
     if len(session.flights) < 2:
         return None
 
@@ -134,8 +135,8 @@ def match_table(
     limit: float,
     more: str = "",
 ) -> ReportTable:
-    """Proofs of match. head: of the first columns; proofs: (first cells, (r2, Theil, limit of it) of each output, None
-    where there is none); limit: of Theil's coefficient beyond noise; more: of the note."""
+    """Proofs of match. head: of the first columns; proofs: (first cells, (r2, Theil, its limit) of each output, None where there
+    is none); limit: of Theil's coefficient beyond noise; more: end of the note."""
     rows: list[tuple[str, ...]] = []
     failed: set[tuple[int, int]] = set()
     for first, fits in proofs:
@@ -211,6 +212,6 @@ def _estimate_cells(result: "Result", name: str) -> list[str]:
 
 
 def _bound_cells(value: float, other: float, bound: float) -> list[str]:
-    """Value, another spread and the bound to be believed: the value to the second figure of that bound."""
+    """Value, another spread and the corrected bound; the value rounded to the second figure of that bound."""
     text, bound_text = rounded(value, bound)
     return [text, rounded(other, other)[1], bound_text]

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from groundstation.flight import Flight
 
 UTC_KEY = "utc_offset_s"  # in a flight's provenance: UTC less the flight's time [s]
-LATEST = 1e11  # seconds since 1970 that a calendar still has a year for
+LATEST = 1e11  # seconds since 1970: later times exceed the calendar
+DIGEST_LENGTH = 16  # digits of a SHA-256 that are shown
 SURFACES = {"delta_e": "e", "delta_a": "a", "delta_r": "r"}
 HEAD = (
     "flight",
@@ -40,7 +41,7 @@ HEAD = (
 
 
 def flight_card(flights: Sequence["Flight"], aircraft: "Aircraft | None" = None) -> ReportTable:
-    """One row a flight. aircraft: of all of them; None takes the one each flight carries or names, where there is one."""
+    """One row a flight. aircraft: of all flights; by default the one that each flight carries or names, if any."""
     return ReportTable(
         "flight_card",
         "Aircraft, speeds, height, weather and configuration",
@@ -60,12 +61,12 @@ def _aircraft_of_flight(flight: "Flight") -> "Aircraft | None":
         return None
 
 
-def _row(flight: "Flight", craft: "Aircraft | None") -> tuple[str, ...]:
+def _row(flight: "Flight", aircraft: "Aircraft | None") -> tuple[str, ...]:
     return (
         flight.name,
         _date(flight),
-        "" if craft is None or not math.isfinite(craft.mass) else f"{craft.mass:.4g}",
-        "" if craft is None or craft.cg_from_nose is None else f"{craft.cg_from_nose:.4g}",
+        "" if aircraft is None or not math.isfinite(aircraft.mass) else f"{aircraft.mass:.4g}",
+        "" if aircraft is None or aircraft.cg_from_nose is None else f"{aircraft.cg_from_nose:.4g}",
         _range(flight, "V", 1.0, 1),
         _range(flight, "altitude", 1.0, 0),
         _range(flight, "alpha", float(np.degrees(1.0)), 1),
@@ -79,7 +80,7 @@ def _row(flight: "Flight", craft: "Aircraft | None") -> tuple[str, ...]:
 
 
 def _date(flight: "Flight") -> str:
-    """When the first sample was taken, where the recording knew UTC."""
+    """UTC of the first sample; empty where the recording does not know it."""
     offset = flight.provenance.detail.get(UTC_KEY)
     if not isinstance(offset, int | float) or not 0.0 < offset + float(flight.time[0]) < LATEST:
         return ""
@@ -104,26 +105,24 @@ def _range(flight: "Flight", column: str, factor: float, digits: int) -> str:
 
 
 def _surfaces(flight: "Flight") -> str:
+    """Standard deviations of the surfaces [deg], a dash for one that is not measured; empty without any."""
     deflections = [float(np.degrees(_finite_values(flight, s).std())) if flight.measured(s) else None for s in SURFACES]
-    return (
-        " / ".join("–" if m is None else f"{m:.1f}" for m in deflections)
-        if any(m is not None for m in deflections)
-        else ""
-    )
+    if all(m is None for m in deflections):
+        return ""
+    return " / ".join("–" if m is None else f"{m:.1f}" for m in deflections)
 
 
 def _wind_text(flight: "Flight") -> str:
     wind = mean_wind(flight)
     if wind is None:
         return ""
-    speed, whence = wind
-    return f"{speed:.1f} from {math.degrees(whence) % 360.0:.0f}°"
+    speed, direction = wind
+    return f"{speed:.1f} from {math.degrees(direction) % 360.0:.0f}°"
 
 
 def mean_wind(flight: "Flight") -> tuple[float, float] | None:
-    """(speed [m/s], direction it blows from [rad, clockwise from north]) as the mean of ground velocity less the air
-    velocity that V, alpha, beta and the attitude give; None where these or vn, ve are not measured together.
-    """
+    """(speed [m/s], direction it blows from [rad, clockwise from north]): mean ground velocity minus the air velocity from V,
+    alpha, beta and attitude; None where these and vn, ve are never measured together."""
     columns = ("V", "alpha", "beta", "phi", "theta", "psi", "vn", "ve")
     if not all(flight.measured(c) for c in columns):
         return None
@@ -139,7 +138,7 @@ def mean_wind(flight: "Flight") -> tuple[float, float] | None:
 
 
 def _air_velocity(c: Mapping[str, Array]) -> tuple[Array, Array]:
-    """North and east components of the velocity through the air: body components turned by yaw, pitch and roll."""
+    """North and east components of the velocity through the air: body components rotated by yaw, pitch and roll."""
     u = c["V"] * np.cos(c["alpha"]) * np.cos(c["beta"])
     v = c["V"] * np.sin(c["beta"])
     w = c["V"] * np.sin(c["alpha"]) * np.cos(c["beta"])
@@ -152,14 +151,15 @@ def _air_velocity(c: Mapping[str, Array]) -> tuple[Array, Array]:
 
 
 def provenance_table(flights: Sequence["Flight"]) -> ReportTable:
-    """One row a flight: file and its hash, the raw recording it was calibrated from, the calibration, the program."""
+    """One row a flight: file and its hash, hashes of the raw recording and of the calibration, the program."""
     rows = []
     for flight in flights:
         p = flight.provenance
         raw = p.detail.get("derived_from")
         raw_hash = str(raw.get("sha256", "")) if isinstance(raw, dict) else ""
-        rows.append((flight.name, p.source, p.path or "in memory", p.sha256[:16], raw_hash[:16], calibration_digest(flight),
-                     p.software, str(len(flight)), f"{flight.time[-1] - flight.time[0]:.1f}"))  # fmt: skip
+        digests = (p.sha256[:DIGEST_LENGTH], raw_hash[:DIGEST_LENGTH], calibration_digest(flight))
+        duration = f"{flight.time[-1] - flight.time[0]:.1f}"
+        rows.append((flight.name, p.source, p.path or "in memory", *digests, p.software, str(len(flight)), duration))
     return ReportTable(
         "provenance", "Where the flights come from",
         ("flight", "source", "file", "sha-256 of file", "of raw recording", "of calibration", "calibrated by", "samples",
@@ -173,7 +173,7 @@ def calibration_digest(flight: "Flight") -> str:
     files = dict(flight.provenance.calibration)
     if not files:
         return ""
-    return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()[:DIGEST_LENGTH]
 
 
 def simulated(flights: Sequence["Flight"]) -> bool:
@@ -182,7 +182,7 @@ def simulated(flights: Sequence["Flight"]) -> bool:
 
 
 def notes_table(notes: Iterable[tuple[str, str]], *, filed: bool = False) -> ReportTable | None:
-    """Notes as (flight, sentence) as a table of sentences; None where there are none. filed: whether it is written as a file."""
+    """A table of notes, given as (flight, sentence); None where there are none. filed: whether it is also written as a file."""
     flights_by_note = collected((text, flight) for flight, text in notes)
     if not flights_by_note:
         return None
@@ -193,7 +193,7 @@ def notes_table(notes: Iterable[tuple[str, str]], *, filed: bool = False) -> Rep
 
 
 def collected(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
-    """Second members by the first, each once, in their order."""
+    """First members of pairs -> their second members, each once, in order."""
     values_by_key: dict[str, dict[str, None]] = {}
     for key, value in pairs:
         values_by_key.setdefault(key, {})[value] = None

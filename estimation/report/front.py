@@ -1,4 +1,4 @@
-"""The front page of a folder of reports: key numbers and figures, what was hidden where that is known, links to each page."""
+"""The front page of a folder of reports: key numbers and figures, hidden effects of simulated flights, links to each page."""
 
 import json
 import math
@@ -35,6 +35,7 @@ WORDS = {
 }
 
 
+MOST_STEPS = 2  # effects of the gap workflow among the key numbers
 HEAD = ("before [σ]", "after [σ]", "floor [σ]")
 ERROR = (
     "Error: estimate of {} less truth, in its corrected bounds; constants take up the sensors' offsets and have none."
@@ -42,14 +43,14 @@ ERROR = (
 
 
 def write_front_page(folder: Path) -> Path:
-    """Write folder/index.html from what lies in it: check/, estimate/, gap/, campaign/ (each with index.html), match.svg or
-    match.png, and the JSON files check.json, estimate.json, match.json, gap.json, truth.json beside them. Missing ones are left
-    out. The pages get a link back to it.
+    """Write folder/index.html from the folder's content: check/, estimate/, gap/, campaign/ (each with index.html), match.svg or
+    match.png, and check.json, estimate.json, match.json, gap.json, truth.json. Missing ones are left out. The pages get a link
+    back to it. Returns its path.
 
     truth.json, of simulated flights: {"derivatives": {name: value},
     "hidden": {"name": effect, "parameters": {name: [value, unit]}}}.
     """
-    contents = {name: _read(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap", "truth")}
+    contents = {name: _read_json(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap", "truth")}
     links = [(n, title, description) for n, title, description in PAGES if (folder / n / "index.html").is_file()]
     files = [f"{name}.json" for name, data in contents.items() if data is not None]
     sections = [
@@ -74,7 +75,7 @@ def write_front_page(folder: Path) -> Path:
 
 
 def _key_numbers(contents: dict[str, dict[str, Any] | None]) -> Markup | None:
-    """Numbers in large letters, red where they are beyond their limit."""
+    """Key numbers in large letters, red where they are beyond their limit."""
     keys = [
         Markup('<div class="key"><b{}>{}</b><span>{}</span></div>').format(
             Markup(' class="fail"') if failed else "", value, label
@@ -90,7 +91,7 @@ def _contents(links: Sequence[tuple[str, str, str]]) -> Markup | None:
 
 
 def _gap_section(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> list[Section]:
-    """The answer of the gap workflow, and what was hidden where that is known."""
+    """The answer of the gap workflow, and the hidden effect where it is known."""
     if not gap:
         return []
     text = box([paragraph(gap["text"])]) if gap["text"] else None
@@ -103,7 +104,7 @@ def _file_links(files: Sequence[str]) -> Markup:
     return paragraph(Markup("The same results for a program: {}.").format(links))
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+def _read_json(path: Path) -> dict[str, Any] | None:
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
 
@@ -112,22 +113,22 @@ def _lead(estimate: dict[str, Any] | None, check: dict[str, Any] | None) -> str:
     if source is None:
         return "No results in this folder yet."
     names = ", ".join(f["name"] for f in source["flights"])
-    craft = f"Aircraft {estimate['aircraft']}, model {estimate['model']}. " if estimate else ""
-    return f"{craft}Flights: {names}."
+    aircraft_text = f"Aircraft {estimate['aircraft']}, model {estimate['model']}. " if estimate else ""
+    return f"{aircraft_text}Flights: {names}."
 
 
 def _limit(match: dict[str, Any]) -> float:
-    """Limit of Theil's coefficient that a proof of match was judged by."""
+    """Limit of Theil's coefficient in a proof of match."""
     return float(match.get("limit", THEIL_LIMIT))
 
 
-def _highest(match: dict[str, Any], channel: dict[str, Any]) -> float:
-    """What Theil's coefficient of a channel may be: the limit beyond what its noise alone leaves."""
+def _channel_limit(match: dict[str, Any], channel: dict[str, Any]) -> float:
+    """Largest Theil's coefficient of a channel that matches: the limit, in excess of what its noise alone causes."""
     return math.hypot(_limit(match), channel.get("noise") or 0.0)
 
 
 def _keys(contents: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]]:
-    """(value, what it is, whether it is beyond its limit)."""
+    """(value, description, whether it is beyond its limit)."""
     keys = []
     if (check := contents["check"]) is not None:
         verdicts = [q["verdict"] for f in check["flights"] for q in f["quality"]]
@@ -142,15 +143,13 @@ def _keys(contents: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bo
     if (match := contents["match"]) is not None:
         channels = [c for f in match["flights"] for c in f["fit"].values() if c["theil"] is not None]
         if channels:
-            worst = max(channels, key=lambda c: c["theil"] / _highest(match, c))
-            highest = _highest(match, worst)
-            words = (
-                f"Theil's coefficient of the worst channel in the proof of match (limit {highest:.2g} with its noise)"
-            )
-            keys.append((f"{worst['theil']:.2f}", words, worst["theil"] > highest))
+            worst = max(channels, key=lambda c: c["theil"] / _channel_limit(match, c))
+            limit = _channel_limit(match, worst)
+            words = f"Theil's coefficient of the worst channel in the proof of match (limit {limit:.2g} with its noise)"
+            keys.append((f"{worst['theil']:.2f}", words, worst["theil"] > limit))
     if (gap := contents["gap"]) is not None:
         keys.append((WORDS.get(gap["verdict"], gap["verdict"]), "answer of the gap workflow", False))
-        for step in gap["steps"][:2]:
+        for step in gap["steps"][:MOST_STEPS]:
             closed = (step["holdout"] or step["gap"])["closed"]
             flights_text = "on the held-out flight" if step["holdout"] else "on the training flights"
             if closed is not None:
@@ -188,7 +187,7 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Report
 
 
 def _truth_cells(joint: dict[str, Any], methods: list[str], truth: dict[str, float], name: str) -> list[str]:
-    """The true value, and how far the first method's joint estimate is from it, in its bounds."""
+    """The true value, and the error of the first method's joint estimate in its bounds."""
     entry = joint[methods[0]]["parameters"].get(name) if joint else None
     true = truth.get(name)
     if true is None or entry is None or name.endswith("_0") or not entry["identifiable"] or not entry["std_coloured"]:
@@ -212,7 +211,7 @@ def _match(data: dict[str, Any] | None) -> ReportTable | None:
         return None
     channels = list(data["flights"][0]["fit"])
     fits = [[flight["fit"].get(channel, {}) for channel in channels] for flight in data["flights"]]
-    pairs = [[(fit.get("r2"), fit.get("theil"), _highest(data, fit)) for fit in flight] for flight in fits]
+    pairs = [[(fit.get("r2"), fit.get("theil"), _channel_limit(data, fit)) for fit in flight] for flight in fits]
     proofs = zip([(flight["name"],) for flight in data["flights"]], pairs, strict=True)
     caption = "Proof of match: flights predicted with parameters frozen"
     return match_table("match", caption, ("flight",), channels, proofs, _limit(data))
@@ -248,7 +247,7 @@ def _size(name: str, entry: dict[str, Any]) -> str:
 
 
 def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> ReportTable | None:
-    """What was hidden in the simulated aircraft beside what the workflow says of it; None where it is not known."""
+    """The effect hidden in the simulated aircraft beside the workflow's answer; None where it is not known."""
     if not gap or not hidden:
         return None
     step = next((s for s in gap["steps"] if hidden["name"] in (s["effect"], *(m["effect"] for m in s["set"]))), None)

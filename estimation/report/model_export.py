@@ -12,15 +12,15 @@ from daq.utilities.outputs import write_json, write_text
 from estimation.errors import EstimationError
 from estimation.models import Model, read_model
 from estimation.report.names import tex
-from estimation.report.tables import latex_text, rounded
+from estimation.report.tables import CANNOT_TELL, latex_text, rounded
 
 FORMATS = (".json", ".tex", ".csv")
 
 
 @dataclass(frozen=True)
 class ModelRow:
-    """One parameter: value, bound where an estimate gave one, and what was believed before. told: whether the data could tell
-    it; prior: whether the belief entered the fit."""
+    """One parameter: value, bound where there is an estimate, and belief. prior: whether the belief entered the fit. The fields
+    are the columns of the CSV file."""
 
     name: str
     value: float
@@ -29,11 +29,12 @@ class ModelRow:
     reference: float | None = None
     reference_std: float | None = None
     source: str = ""
-    told: bool = True
+    identifiable: bool = True
     prior: bool = False
 
 
 def model_rows(model: Model) -> list[ModelRow]:
+    """The parameters of a model with their start values, priors and beliefs."""
     return [
         ModelRow(p.name, p.start, p.unit, p.prior_std, p.reference, p.reference_std, p.reference_source)
         for p in model.parameters
@@ -41,8 +42,8 @@ def model_rows(model: Model) -> list[ModelRow]:
 
 
 def estimate_rows(content: dict[str, Any], path: Path) -> tuple[list[ModelRow], tuple[str, ...]]:
-    """The parameters of `estimate --json`, and what a reader must know of them: the joint estimate where there is one, else the
-    only flight's; by the recommended method, or where none is by the first.
+    """The parameters of `estimate --json` and notes on them: of the joint estimate where there is one, else of the only flight;
+    by the recommended method, or where none is by the first.
 
     Raises EstimationError for a file with several flights and no joint estimate, or another kind of JSON.
     """
@@ -75,10 +76,10 @@ def estimate_rows(content: dict[str, Any], path: Path) -> tuple[list[ModelRow], 
 
 
 def _notes(content: dict[str, Any], method: str, recommended: dict[str, Any]) -> Iterator[str]:
-    """Whose estimates, by what, whether they are recommended, and the conventions of the numbers."""
+    """Sentences on the source of the estimates, the recommendation, and the conventions of the numbers."""
     names = ", ".join(str(f["name"]) for f in content.get("flights") or [] if "name" in f)
-    whose = f"Aircraft {content.get('aircraft', 'unknown')}, model {content['model']}, method {method}"
-    yield f"{whose}; flights {names}." if names else f"{whose}."
+    source = f"Aircraft {content.get('aircraft', 'unknown')}, model {content['model']}, method {method}"
+    yield f"{source}; flights {names}." if names else f"{source}."
     if recommended:
         why = recommended.get("why", "")
         yield f"Nothing is recommended: {why}." if recommended.get("method") == "none" else f"Recommended: {why}."
@@ -88,7 +89,7 @@ def _notes(content: dict[str, Any], method: str, recommended: dict[str, Any]) ->
 
 
 def read_rows(path: Path) -> tuple[str, list[ModelRow], tuple[str, ...]]:
-    """Name, rows and notes of a model TOML or of what `estimate --json` wrote. Raises EstimationError for anything else."""
+    """Name, rows and notes of a model TOML or of a file by `estimate --json`. Raises EstimationError for any other file."""
     if path.suffix == ".toml":
         model = read_model(path)
         return model.name, model_rows(model), ()
@@ -110,7 +111,7 @@ def export_model(path: Path, out: Path) -> None:
 
 
 def export_estimates(content: dict[str, Any], out: Path) -> None:
-    """Write the parameters of what `estimate --json` would hold. Raises EstimationError."""
+    """Write the parameters in the content of `estimate --json`, in the format of `out`'s ending. Raises EstimationError."""
     _check_format(out)
     _write(str(content["model"]), *estimate_rows(content, out), out)
 
@@ -143,7 +144,7 @@ def write_csv(rows: Sequence[ModelRow], out: Path) -> None:
 
 
 def latex_table(rows: Sequence[ModelRow], notes: Sequence[str] = ()) -> str:
-    """A `tabular` for booktabs: symbol, value and bound rounded to the bound, what was believed before, notes below."""
+    """A booktabs `tabular`: symbol, value and bound rounded to the bound, belief; notes below."""
     lines = [
         r"\begin{tabular}{lrrr}",
         r"\toprule",
@@ -151,8 +152,10 @@ def latex_table(rows: Sequence[ModelRow], notes: Sequence[str] = ()) -> str:
         r"\midrule",
     ]
     for row in rows:
-        value, bound = rounded(row.value, row.std) if row.told else ("", "")
-        cells = [_math(text) for text in (value, bound)] if row.told else [r"\multicolumn{2}{c}{cannot tell}"]
+        if row.identifiable:
+            cells = [_math(text) for text in rounded(row.value, row.std)]
+        else:
+            cells = [rf"\multicolumn{{2}}{{c}}{{{CANNOT_TELL}}}"]
         lines.append(rf"${tex(row.name)}$ & {' & '.join([*cells, _belief(row)])} \\")
     lines.append(r"\bottomrule")
     if notes:
@@ -161,7 +164,7 @@ def latex_table(rows: Sequence[ModelRow], notes: Sequence[str] = ()) -> str:
 
 
 def _belief(row: ModelRow) -> str:
-    """What was believed, how well where that entered the fit, and whose it is."""
+    """The belief, its standard deviation where it entered the fit, and its source."""
     if row.reference is None:
         return ""
     spread = rf" $\pm$ {_math(f'{row.reference_std:.2g}')}" if row.prior and row.reference_std is not None else ""
@@ -170,6 +173,6 @@ def _belief(row: ModelRow) -> str:
 
 
 def _math(number: str) -> str:
-    """A number in LaTeX's maths, powers of ten written out; nothing for an empty text."""
+    """A number in LaTeX's maths, with powers of ten; empty for an empty text."""
     mantissa, _, power = number.partition("e")
     return f"${mantissa}" + (rf" \times 10^{{{int(power)}}}$" if power else "$") if number else ""

@@ -1,7 +1,7 @@
-"""Natural modes of the aircraft as identified, with the spread that the bounds of the derivatives give them.
+"""Natural modes of the identified aircraft, with the spread that the bounds of the derivatives give them.
 
-The traced model is linearised about straight flight at the medians of what was measured (rates, sideslip, bank and
-derivative inputs at zero); eigenvalues of df/dx. Spread: the same for draws from the estimates' covariance.
+The model is linearised about straight flight at the medians of the measured columns (rates, sideslip, bank and lateral inputs at
+zero). The modes are the eigenvalues of df/dx; their spread comes from draws from the estimates' covariance.
 """
 
 import math
@@ -19,7 +19,8 @@ from estimation.prepare.columns import with_derived
 from estimation.report.tables import ReportTable, rounded, significant
 from groundstation.flight import Array, Flight
 
-DRAWS = 300
+DRAWS = 300  # that give percentiles to a tenth of the spread
+REAL = 1e-9  # imaginary part up to which an eigenvalue counts as real
 AT_REST = ("beta", "p", "q", "r", "phi", "delta_a", "delta_r", "V_dot", "alpha_dot", "beta_dot", "ay")
 
 
@@ -62,8 +63,8 @@ def trim(model: Model, flight: Flight) -> tuple[Array, Array]:
 def modes(A: Array, states: tuple[str, ...]) -> list[EigenMode]:
     """Modes of a state matrix by their usual names for the lateral and the longitudinal set of states."""
     roots = np.linalg.eigvals(A)
-    pairs = sorted((z for z in roots if z.imag > 1e-9), key=lambda z: -abs(z))
-    real = sorted((float(z.real) for z in roots if abs(z.imag) <= 1e-9), key=lambda x: -abs(x))
+    pairs = sorted((z for z in roots if z.imag > REAL), key=lambda z: -abs(z))
+    real = sorted((float(z.real) for z in roots if abs(z.imag) <= REAL), key=lambda x: -abs(x))
     pair_names, real_names = _names(states, len(pairs), len(real))
     oscillations = [
         EigenMode(n, float(abs(z)), float(-z.real / abs(z))) for n, z in zip(pair_names, pairs, strict=True)
@@ -90,7 +91,7 @@ class SpreadMode:
 
 
 def modes_with_spread(result: Result, flight: Flight, rng: np.random.Generator) -> list[SpreadMode]:
-    """Modes at the estimates and over draws from their corrected covariance; undetermined parameters stay put."""
+    """Modes at the estimates and over draws from their corrected covariance; undetermined parameters are not varied."""
     model = result.model
     state, inputs = trim(model, flight)
     nominal_modes = modes(state_matrix(model, result.values, state, inputs), model.state_names)
@@ -123,12 +124,14 @@ def _unstable(draws: list[EigenMode]) -> float:
 
 
 def _square_root(covariance: Array, identifiable: NDArray[np.bool_]) -> Array:
-    safe = np.where(identifiable[:, None] & identifiable[None, :] & np.isfinite(covariance), covariance, 0.0)
-    values, vectors = np.linalg.eigh(0.5 * (safe + safe.T))
+    """A root of the covariance, with zeros for parameters that are not identifiable."""
+    finite = np.where(identifiable[:, None] & identifiable[None, :] & np.isfinite(covariance), covariance, 0.0)
+    values, vectors = np.linalg.eigh(0.5 * (finite + finite.T))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _half_width(values: list[float]) -> float:
+    """Half the width of the middle 68 %; NaN where half of the draws have no such mode."""
     if len(values) < DRAWS // 2 or not np.all(np.isfinite(values)):
         return math.nan
     low, high = np.percentile(values, [15.87, 84.13])
@@ -136,7 +139,7 @@ def _half_width(values: list[float]) -> float:
 
 
 def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> ReportTable:
-    """entries: (whose estimates, method, modes)."""
+    """The table of modes. entries: (source of the estimates, method, modes)."""
     rows = []
     for source, method, spread_modes in entries:
         for m in spread_modes:

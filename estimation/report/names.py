@@ -1,4 +1,4 @@
-"""How parameter and signal names look to a person: `Cl_beta` as C with subscripts in HTML, LaTeX and figures."""
+"""Parameter and signal names as symbols: `Cl_beta` as C with subscripts in HTML, LaTeX and figures."""
 
 import re
 
@@ -25,11 +25,11 @@ def tex(name: str) -> str:
     """LaTeX (without dollars) of a parameter or signal name; unknown names are set upright."""
     if match := _DERIVATIVE.match(name):
         axis, regressor = match.groups()
-        return f"C_{{{axis[1:]}_{{{_by_tex(regressor)}}}}}"
+        return f"C_{{{axis[1:]}_{{{_subscript_tex(regressor)}}}}}"
     if match := _FACTOR.match(name):
         kind, signal = match.groups()
         letter = {"d": r"\Delta", "K_": "K", "tau_": r"\tau"}[kind]
-        return f"{letter}_{{{_by_tex(signal)}}}"
+        return f"{letter}_{{{_subscript_tex(signal)}}}"
     if name in _GREEK:
         return rf"\{name}"
     if name in ("delta_e", "delta_a", "delta_r"):
@@ -41,32 +41,32 @@ def tex(name: str) -> str:
     return rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"
 
 
-def _by_tex(by: str) -> str:
-    if by in _SURFACES:
-        return _SURFACES[by]
-    if by in _GREEK:
-        return rf"\{by}"
-    if by in ("ax", "ay", "az"):
-        return f"a_{by[1]}"
-    return by.replace("_", r"\_")
+def _subscript_tex(name: str) -> str:
+    if name in _SURFACES:
+        return _SURFACES[name]
+    if name in _GREEK:
+        return rf"\{name}"
+    if name in ("ax", "ay", "az"):
+        return f"a_{name[1]}"
+    return name.replace("_", r"\_")
 
 
 def html(name: str) -> Markup:
     """HTML of a parameter or signal name."""
     if match := _DERIVATIVE.match(name):
         axis, regressor = match.groups()
-        return Markup("<i>C</i><sub><i>{}</i>&thinsp;{}</sub>").format(axis[1:], _by_html(regressor))
+        return Markup("<i>C</i><sub><i>{}</i>&thinsp;{}</sub>").format(axis[1:], _subscript_html(regressor))
     if match := _FACTOR.match(name):
         kind, signal = match.groups()
         letter = {"d": "Δ", "K_": "K", "tau_": "τ"}[kind]
-        return Markup("<i>{}</i><sub>{}</sub>").format(letter, _by_html(signal))
+        return Markup("<i>{}</i><sub>{}</sub>").format(letter, _subscript_html(signal))
     return Markup("<i>{}</i>").format(_GREEK[name]) if name in _GREEK else escape(name)
 
 
-def _by_html(by: str) -> Markup:
-    if by in _SURFACES:
-        return Markup("<i>δ{}</i>").format(by[1])
-    return Markup("<i>{}</i>").format(_GREEK.get(by, by))
+def _subscript_html(name: str) -> Markup:
+    if name in _SURFACES:
+        return Markup("<i>δ{}</i>").format(name[1])
+    return Markup("<i>{}</i>").format(_GREEK.get(name, name))
 
 
 def axis_label(name: str, unit: str) -> str:
@@ -75,10 +75,10 @@ def axis_label(name: str, unit: str) -> str:
 
 
 def literal(text: str) -> str:
-    """Text of a figure as it stands: a dollar begins no formula."""
+    """Text of a figure with its dollars escaped, which would begin a formula."""
     return text.replace("$", r"\$")
 
 
 def face(name: str, unit: str) -> tuple[float, str]:
-    """(factor, unit) in which a person reads a signal: degrees instead of radians."""
+    """(factor, unit) in which a signal is shown: degrees instead of radians."""
     return (RADIAN, unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)

@@ -1,6 +1,6 @@
 """The one page that every report is: a head and sections of tables, figures and HTML, in one file.
 
-No script, no style sheet and no picture stands outside it.
+Style and pictures are inside the file; there are no scripts.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,21 +18,22 @@ from estimation.report.drawing.figures import Picture
 from estimation.report.names import html as symbol
 from estimation.report.tables import ReportTable, cell_label, needs_width, table_slices, word_columns
 
-HERE = Path(__file__).parent
+TEMPLATES = Path(__file__).parent
 FRONT = "index.html"
 BACK = "<!-- back to the front page -->"
-"""Stands in a page that has no front page yet; the front page puts the link there when it is written."""
+"""Place holder in a page without a front page; writing the front page replaces it by a link."""
 
 MARK = '<meta name="generator" content="sideslip front page">'
+HEAD_LENGTH = 2000  # characters of a file that are searched for MARK
 
 Part = ReportTable | Picture | Markup | None
 
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands under it. anchor: of the heading; link: its word in the navigation, empty for none. Without a
-    title it has no heading; a part that is None is left out. folded: closed until somebody opens it; printed: whether paper
-    has it all the same; kind: class of the HTML around it."""
+    """A heading and its parts. anchor: of the heading; link: its word in the navigation, empty for none. Without a title it has
+    no heading; a part that is None is left out. folded: closed until the reader opens it; printed: whether print shows it anyway;
+    kind: class of the HTML around it."""
 
     anchor: str
     title: str
@@ -43,14 +44,15 @@ class Section:
     kind: str = ""
 
     def shown(self) -> list[Part]:
+        """Parts that are not None."""
         return [part for part in self.parts if part is not None]
 
 
 @dataclass(frozen=True)
 class Page:
-    """sections: one that is None is left out; links: (address, word) in the navigation, after those of the sections; back: HTML
-    of the way to another page, None for the way to the front page in the folder above; mark: HTML for the head; beside:
-    tables that are written with those of the page and not shown."""
+    """A page of a report. sections: one that is None is left out; links: (address, word) in the navigation, after those of the
+    sections; back: HTML of a link to another page, None for one to the front page in the folder above; mark: HTML for the head;
+    beside: tables that are written as files and not shown."""
 
     title: str
     lead: str
@@ -61,6 +63,7 @@ class Page:
     beside: Sequence[ReportTable] = ()
 
     def shown(self) -> list[Section]:
+        """Sections that are not None."""
         return [section for section in self.sections if section is not None]
 
     def tables(self) -> list[ReportTable]:
@@ -68,9 +71,9 @@ class Page:
         return [*_tables(self.shown()), *self.beside]
 
     def html(self, back: str = "") -> str:
-        """The whole file. back: HTML of the way to another page."""
+        """The file's text. back: HTML of a link to another page."""
         environment = Environment(
-            loader=FileSystemLoader(HERE),
+            loader=FileSystemLoader(TEMPLATES),
             autoescape=True,
             undefined=StrictUndefined,
             finalize=printed,
@@ -85,14 +88,14 @@ class Page:
             page=self,
             links=[*((f"#{s.anchor}", s.link) for s in self.shown() if s.link), *self.links],
             landscape=needs_width(_tables(s for s in self.shown() if s.printed)),
-            style=(HERE / "style.css").read_text(encoding="utf-8"),
+            style=(TEMPLATES / "style.css").read_text(encoding="utf-8"),
             back=back,
             software=software(),
             written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         )
 
     def write(self, path: Path, tables: Path | None = None) -> Path:
-        """Write the file in one step; gives its path. tables: folder for the page's tables as CSV and LaTeX."""
+        """Write the file in one step; returns its path. tables: folder for the page's tables as CSV and LaTeX."""
         if tables is not None:
             for table in self.tables():
                 if table.filed:
@@ -121,7 +124,7 @@ def paragraph(text: str, kind: str = "") -> Markup:
 
 
 def sentence(text: str) -> str:
-    """Text with a capital letter at its beginning and a full stop at its end."""
+    """Text with a capital first letter and a full stop."""
     return f"{text[:1].upper()}{text[1:]}."
 
 
@@ -147,8 +150,8 @@ def free_table(
     caption: str = "",
     labels: Sequence[str | None] | None = None,
 ) -> Markup:
-    """A table whose cells are HTML, on the page alone. head, rows: (class, text or HTML) of each cell; kind: class of the table;
-    labels: what a cell is called where its head is not in sight, the words of the head by default, None for no label."""
+    """A table of HTML cells, for the page only. head, rows: (class, text or HTML) of each cell; kind: class of the table; labels:
+    name of a cell where its head is not in sight, by default the text of the head, None for no label."""
     names: Sequence[str | None] = [text for _, text in head] if labels is None else labels
     lines = [_row(row, "td", names) for row in rows]
     caption_html = Markup("<caption>{}</caption>").format(caption) if caption else ""
@@ -158,7 +161,7 @@ def free_table(
 
 
 def _row(cells: Sequence[tuple[str, str]], tag: str, labels: Sequence[str | None]) -> Markup:
-    """One row; a cell of an empty class has none, and so has one of no label."""
+    """One row; empty classes and missing labels give no attribute."""
     cell_htmls = []
     for (kind, text), name in zip(cells, labels, strict=True):
         attributes = Markup(' class="{}"').format(kind) if kind else Markup()
@@ -169,12 +172,12 @@ def _row(cells: Sequence[tuple[str, str]], tag: str, labels: Sequence[str | None
 
 
 def back_link() -> str:
-    """The way from a page to the front page above it."""
+    """HTML of the link from a page to the front page above it."""
     return f'<a href="../{FRONT}">&larr; Flight-test report</a>'
 
 
 def link_back(page: Path) -> None:
-    """Give a page that was written before its front page the way back to it."""
+    """Put the link to the front page into a page that was written before it."""
     text = page.read_text(encoding="utf-8")
     if BACK in text:
         write_text(page, text.replace(BACK, back_link(), 1))
@@ -185,7 +188,7 @@ def is_front_page(path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open(encoding="utf-8", errors="replace") as file:
-        return MARK in file.read(2000)
+        return MARK in file.read(HEAD_LENGTH)
 
 
 def software() -> str:

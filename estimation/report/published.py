@@ -1,4 +1,4 @@
-"""The published numbers of the CDFP, printed beside ours.
+"""The published numbers of the CDFP aircraft, shown beside ours.
 
 Source: The Aeronautical Journal (2018), pp 889-912, doi 10.1017/aer.2018.36: wind tunnel, maximum-likelihood and Neural
 Gauss-Newton estimates with Cramer-Rao bounds of UFP_LD1..4, their means, and the data-compatibility factors of Table 2.
@@ -27,7 +27,7 @@ def _data() -> Mapping[str, Any]:
 
 
 def is_of(aircraft: str) -> bool:
-    """Whether these numbers are of the named aircraft."""
+    """Whether the published numbers are of the named aircraft."""
     return bool(_data()["aircraft"] == aircraft)
 
 
@@ -38,6 +38,7 @@ def wind_tunnel(name: str) -> float | None:
 
 
 def published_flights() -> tuple[str, ...]:
+    """Names of the published flights."""
     return tuple(_data()["estimates"])
 
 

@@ -1,4 +1,4 @@
-"""A report's table as data, and its forms: CSV and LaTeX files, and the pieces in which a page shows it where it is too wide."""
+"""A report's table as data, written as CSV and LaTeX, and cut into slices where it is too wide for a page."""
 
 import csv
 import math
@@ -11,14 +11,14 @@ from daq.utilities.plain_words import visible
 from estimation.report.names import tex
 
 CANNOT_TELL = "cannot tell"
-_SENTENCES = r"p{0.6\linewidth}"  # a column whose cells break into lines
+_SENTENCES = r"p{0.6\linewidth}"  # LaTeX column whose cells break into lines
 
 
 @dataclass(frozen=True)
 class ReportTable:
-    """name: of its files. groups: (label, columns spanned) over `head`, or empty. symbols: the first cell of each row is a name
-    of a parameter or signal, set as a formula. note: explains the columns. texts: columns of sentences, which may break into
-    lines. failed: (row, column) of the cells beyond their limit, marked on the page only. filed: write files beside the page."""
+    """A table. name: of its files. groups: (label, columns spanned) over `head`, or empty. symbols: the first cell of each row is
+    a name of a parameter or signal, shown as a symbol. note: explains the columns. texts: columns of sentences, which may break
+    into lines. failed: (row, column) of the cells beyond their limit, marked on the page only. filed: write files too."""
 
     name: str
     caption: str
@@ -32,7 +32,7 @@ class ReportTable:
     filed: bool = True
 
     def write(self, folder: Path) -> None:
-        """<name>.csv and <name>.tex in `folder`."""
+        """Write <name>.csv and <name>.tex into `folder`."""
         folder.mkdir(parents=True, exist_ok=True)
         with whole_text(folder / f"{self.name}.csv") as file:
             writer = csv.writer(file)
@@ -63,8 +63,8 @@ class ReportTable:
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
     def _latex_cells(self, row: tuple[str, ...]) -> list[str]:
-        """Cells after the first. A group of columns that ends in `cannot tell` shows only these words: readers of a thesis would
-        believe the numbers beside them."""
+        """Cells after the first. A group of columns that ends in `cannot tell` shows only these words, because readers of a
+        thesis would believe the numbers beside them."""
         cells: list[str] = []
         position = 1
         for _, span in self.groups[1:] or [("", 1)] * (len(row) - 1):
@@ -78,7 +78,7 @@ class ReportTable:
 
 
 def _no_formula(cell: str) -> str:
-    """A cell that a spreadsheet reads as text or a number: one that begins like a formula is prefixed with an apostrophe."""
+    """A cell that a spreadsheet does not execute: one that begins like a formula gets an apostrophe in front."""
     signed = cell[:1] in ("+", "-") and cell[1:].replace(".", "", 1).replace("e-", "", 1).isdigit()
     return f"'{cell}" if cell[:1] in ("=", "+", "-", "@") and not signed and cell != "-" else cell
 
@@ -96,8 +96,8 @@ def latex_text(text: str) -> str:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Fixed decimals, or two figures where those would show none; empty for a value that is not there or not finite."""
-    if value is None or value - value != 0.0:
+    """Fixed decimals, or two figures where these would show only zeros; empty for None or a value that is not finite."""
+    if value is None or not math.isfinite(value):
         return ""
     if digits >= 4 and 0.0 < abs(value) < 20.0 * 10.0**-digits:
         return f"{value:.2g}"
@@ -105,8 +105,8 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Significant figures, empty for a value that is not there or not finite."""
-    return "" if value is None or value - value != 0.0 else f"{value:.{digits}g}"
+    """Significant figures; empty for None or a value that is not finite."""
+    return "" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
 
 
 def rounded(value: float, bound: float | None) -> tuple[str, str]:
@@ -123,21 +123,21 @@ def _unsigned_zero(text: str) -> str:
 
 
 def value_and_bound(value: float | None, bound: float | None) -> list[str]:
-    """Two cells: a value and its bound, both to the second figure of the bound; empty where they are not there."""
+    """Two cells: a value and its bound, both rounded to the second figure of the bound; empty where there is no value."""
     return ["", ""] if value is None or not math.isfinite(value) else list(rounded(value, bound))
 
 
-# A table that is too wide for a sheet is cut between groups of columns; each piece repeats the first column. Widths are estimated
-# from the characters of a column, for the widest font of the style sheet (DejaVu Sans).
+# A table that is too wide for a page is cut between groups of columns; each slice repeats the first column. Widths are estimated
+# from the number of characters in a column, for the widest font of the style sheet (DejaVu Sans).
 
 SHEET = 1124
-"""Width of a page's text [CSS pixels]: 1180 less its margins, as in style.css; fits a window of 1280."""
+"""Width of a page's text [CSS pixels]: 1180 minus its margins, as in style.css; fits a window of 1280."""
 
 PORTRAIT = 840
 """A table wider than this [CSS pixels of the screen] is printed in landscape: A4 in portrait has 703, and print is scaled by
 0.83."""
 
-# [CSS pixels]: a letter of DejaVu Sans at 13.2 px, the mean of digits, signs and points; both margins of a cell
+# [CSS pixels]: mean width of digits, signs and points in DejaVu Sans at 13.2 px; both margins of a cell
 LETTER, MARGIN = 7.6, 14.0
 SMALL_LETTER, SMALL_MARGIN = 6.8, 10.0  # the same at 12 px, the class `wide`
 SENTENCE = 24  # characters of a column of sentences
@@ -146,8 +146,7 @@ SHORT = 16  # rows up to which print does not break a table
 
 @dataclass(frozen=True, slots=True)
 class TableSlice:
-    """Columns of a table that are shown together. groups: (label, columns spanned); wide: use the small font; short: do not
-    break."""
+    """Columns of a table that are shown together. groups: (label, columns spanned); wide: in small font; short: not broken."""
 
     columns: tuple[int, ...]
     groups: tuple[tuple[str, int], ...]
@@ -169,11 +168,11 @@ def _letters(table: ReportTable, column: int) -> int:
 
 
 def table_slices(table: ReportTable) -> list[TableSlice]:
-    """The table in as few pieces as fit the sheet; without groups it is not cut."""
+    """The table in as few slices as fit the page; without groups it is not cut."""
     columns = tuple(range(len(table.head)))
     groups = _spans(table)
     if table_width(table, columns) <= SHEET or len(groups) < 3:
-        return [_piece(table, groups)]
+        return [_slice(table, groups)]
     first, rest = groups[0], groups[1:]
     parts: list[list[tuple[str, tuple[int, ...]]]] = [[]]
     for group in rest:
@@ -181,11 +180,11 @@ def table_slices(table: ReportTable) -> list[TableSlice]:
         if parts[-1] and table_width(table, columns_together, small=True) > SHEET:
             parts.append([])
         parts[-1].append(group)
-    return [_piece(table, [first, *part]) for part in parts]
+    return [_slice(table, [first, *part]) for part in parts]
 
 
 def _spans(table: ReportTable) -> list[tuple[str, tuple[int, ...]]]:
-    """Groups with the columns that they span; all in one without groups."""
+    """Groups with the columns that they span; one group of all columns where the table has none."""
     if not table.groups:
         return [("", tuple(range(len(table.head))))]
     spans, position = [], 0
@@ -195,14 +194,14 @@ def _spans(table: ReportTable) -> list[tuple[str, tuple[int, ...]]]:
     return spans
 
 
-def _piece(table: ReportTable, groups: Sequence[tuple[str, tuple[int, ...]]]) -> TableSlice:
+def _slice(table: ReportTable, groups: Sequence[tuple[str, tuple[int, ...]]]) -> TableSlice:
     columns = tuple(c for _, span in groups for c in span)
     named_groups = tuple((label, len(span)) for label, span in groups) if table.groups else ()
     return TableSlice(columns, named_groups, table_width(table, columns) > SHEET, len(table.rows) <= SHORT)
 
 
 def word_columns(table: ReportTable) -> frozenset[int]:
-    """Columns without numbers, which are aligned left."""
+    """Columns of words, which are aligned left: no cell begins with a number."""
     return frozenset(
         c
         for c in range(len(table.head))
@@ -216,11 +215,11 @@ def _columns_without_text(table: ReportTable) -> frozenset[int]:
 
 
 def cell_label(table: ReportTable, column: int) -> str:
-    """The label of a cell away from its column head, as on a narrow page: group and head."""
+    """The label of a cell on a narrow page, which has no column heads: group and head."""
     group_label = next((g for g, span in _spans(table) if column in span), "")
     return f"{group_label} {table.head[column]}".strip()
 
 
 def needs_width(tables: Iterable[ReportTable]) -> bool:
-    """Whether any of the tables of a page is better printed across."""
+    """Whether any table of a page needs to be printed in landscape."""
     return any(table_width(t, p.columns, small=p.wide) > PORTRAIT for t in tables for p in table_slices(t))

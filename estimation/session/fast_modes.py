@@ -1,9 +1,8 @@
-"""Modes that are over before the record of a control can say when it moved.
+"""Modes that decay within one sampling interval of the control that drives them.
 
-A rate that damps with L (`p`: Cl_p) and is driven by a control answers an edge with a time constant of T = 1/L. Where the
-control was logged at intervals longer than T, an edge that came somewhere within an interval and a damping that is another one
-make the same samples: damping and control power trade against each other, and only their ratio, the steady rate for a
-deflection, is told.
+A rate with damping L [1/s] (`p`: Cl_p) answers a step of its control with the time constant T = 1/L. Where the control was logged
+at intervals longer than T, another time of the step within its interval and another damping give the same samples. Damping and
+control power then trade against each other, and the record determines only their ratio, the steady rate per deflection.
 """
 
 import math
@@ -18,8 +17,8 @@ from estimation.prepare.columns import with_derived
 from groundstation.flight import Flight
 
 SLOWEST_RECORD = 1.0
-"""Time constants of a mode from one record of a control to the next, from which on they cannot be told apart: 63 % of the answer
-are over by then. A record of the true deflection, interpolated, is not held and does not come under this."""
+"""Sampling interval of a control over the mode's time constant from which damping and control power cannot be separated: 63 % of
+the response is over within it. Applies to held records only, not to an interpolated record of the true deflection."""
 DAMPING: Mapping[str, tuple[str, str]] = {"Cl_p": ("Ixx", "b"), "Cm_q": ("Iyy", "c"), "Cn_r": ("Izz", "b")}
 """Damping -> its inertia and its length among the constants of a model."""
 CONTROLS: Mapping[str, tuple[str, str]] = {
@@ -32,8 +31,8 @@ CONTROLS: Mapping[str, tuple[str, str]] = {
 
 @dataclass(frozen=True)
 class FastMode:
-    """A damping that the records of a control are too slow for. interval, time_constant [s]; ratio, std: of the control
-    derivative over the damping, and its corrected bound."""
+    """A damping that the record of a control is too slow for. interval, time_constant [s]; ratio: control derivative over
+    damping; std: its corrected bound."""
 
     damping: str
     control: str
@@ -46,20 +45,21 @@ class FastMode:
     def text(self) -> str:
         """For a person."""
         return (
-            f"{self.damping} cannot be told at {1.0 / self.interval:.3g} Hz: the motion that it damps is over in"
+            f"{self.damping} cannot be told at {1.0 / self.interval:.3g} Hz: the motion that it damps decays in"
             f" {self.time_constant * 1e3:.0f} ms and the surface was logged every {self.interval * 1e3:.0f} ms; {self.control}/"
             f"{self.damping} can: {self.ratio:.3g} +- {self.std:.2g}; log the servo outputs faster to tell both"
         )
 
 
 def fast_modes(result: Result, flights: Sequence[Flight]) -> list[FastMode]:
-    """Dampings of a result that these flights are too slow for."""
+    """Dampings of a result that the records of these flights are too slow for."""
     modes = []
     for damping, (inertia, length) in DAMPING.items():
         control, surface = CONTROLS[damping]
         intervals = [i for f in flights if (i := f.held(surface)) is not None]
+        measured = len(intervals) < len(flights)  # one record of the deflection itself determines the damping for all
         constants = [result.model.constants.get(n, math.nan) for n in (inertia, length, "S")]
-        if damping not in result.parameters or control not in result.parameters or not intervals:
+        if damping not in result.parameters or control not in result.parameters or measured or not intervals:
             continue
         rate = _damping_rate(abs(result.parameters[damping].estimate), constants, flights)
         if rate * min(intervals) > SLOWEST_RECORD:
@@ -68,7 +68,7 @@ def fast_modes(result: Result, flights: Sequence[Flight]) -> list[FastMode]:
 
 
 def with_fast_modes(result: Result, flights: Sequence[Flight]) -> Result:
-    """The result with such dampings, and what drives them, as not told."""
+    """The result with such dampings and their control derivatives marked not identifiable."""
     parameters = dict(result.parameters)
     for mode in fast_modes(result, flights):
         for name in (mode.damping, mode.control):
@@ -77,11 +77,11 @@ def with_fast_modes(result: Result, flights: Sequence[Flight]) -> Result:
     return replace(result, parameters=parameters)
 
 
-def _damping_rate(size: float, constants: Sequence[float], flights: Sequence[Flight]) -> float:
-    """1/s, at the median airspeed and density of the flights; NaN where one is not known. constants: inertia, length, area."""
+def _damping_rate(derivative: float, constants: Sequence[float], flights: Sequence[Flight]) -> float:
+    """L [1/s] at the median airspeed and density of the flights; NaN where one is not known. constants: inertia, length, area."""
     inertia, length, area = constants
-    powers = [_density(f) * float(np.nanmedian(f["V"])) for f in flights if f.measured("V")]
-    return 0.25 * size * float(np.median(powers)) * area * length**2 / inertia if powers else math.nan
+    mass_flows = [_density(f) * float(np.nanmedian(f["V"])) for f in flights if f.measured("V")]  # rho V
+    return 0.25 * derivative * float(np.median(mass_flows)) * area * length**2 / inertia if mass_flows else math.nan
 
 
 def _density(flight: Flight) -> float:
@@ -90,8 +90,8 @@ def _density(flight: Flight) -> float:
 
 
 def _ratio(result: Result, control: str, damping: str) -> tuple[float, float]:
-    """Control derivative over damping, and its bound with the corrected ones of both, as if independent: that edges are dated
-    wrongly one by one is not in their covariance."""
-    a, b = result.parameters[control].estimate, result.parameters[damping].estimate
-    shares = [result.parameters[n].std_coloured / abs(result.parameters[n].estimate) for n in (control, damping)]
-    return a / b, abs(a / b) * math.hypot(*shares)
+    """Control derivative over damping, and its bound from the corrected bounds of both, taken as independent: their covariance
+    does not contain the errors of the steps' times."""
+    estimates = [result.parameters[n] for n in (control, damping)]
+    ratio = estimates[0].estimate / estimates[1].estimate
+    return ratio, abs(ratio) * math.hypot(*(e.std_coloured / abs(e.estimate) for e in estimates))

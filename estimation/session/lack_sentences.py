@@ -1,4 +1,4 @@
-"""What a model lacks, and what was added though a rival explains as well, as sentences of the verdict."""
+"""Sentences of the verdict on terms that a model lacks, and on added terms that a rival explains as well."""
 
 from estimation.structure.candidates import CandidateKind
 from estimation.structure.score_test import Lack
@@ -11,7 +11,7 @@ ADD = "; add it with: --structure auto"
 
 
 def lack_text(lack: Lack) -> str:
-    """What the model lacks, how sure that is and what it moves."""
+    """What the model lacks, with its score, its size and what leaving it out moves."""
     leading = lack.leading
     name, bounds = leading.worst
     rivals = (
@@ -36,12 +36,12 @@ def lack_text(lack: Lack) -> str:
 
 
 def ambiguous_text(lack: Lack) -> str:
-    """What has been added, what would have served as well, and how to tell them apart."""
+    """What was added, what would explain the flights as well, and how to separate the two."""
     leading = lack.leading.candidate
     rivals = ", ".join(f"{r.candidate.phrase} ({r.candidate.name} = {r.value:.3g})" for r in lack.rivals)
     return (
         f"{leading.name} was added (score {abs(lack.leading.score):.1f}), but {rivals} instead explains these flights as well"
-        f" and moves estimates by up to {lack.apart:.1f} of their bounds, which the bounds now span: to tell them, state"
-        f" {leading.name} in the aircraft file, measure the other (a swing test for inertia), or fly a symmetric pull-up with"
-        " aileron 3-2-1-1"
+        f" and moves estimates by up to {lack.largest_difference:.1f} of their bounds, which the bounds now span: to tell them,"
+        f" state {leading.name} in the aircraft file, measure the other (a swing test for inertia), or fly a symmetric pull-up"
+        " with aileron 3-2-1-1"
     )

@@ -1,7 +1,8 @@
-"""Proof of match: a frozen model predicts a flight with its measured controls; where the flight leaves what was flown before.
+"""Proof of match: a model with frozen parameters predicts a flight from its measured controls.
 
-Parameters identified on one flight predict another; only the initial states (and, where asked, instrument biases) are
-refitted, and the match is judged per channel by `estimation.signals.goodness_of_fit`.
+Parameters identified on one flight predict another. Only the initial states (on request also instrument biases) are refitted, and
+`estimation.signals.goodness_of_fit` judges the match channel by channel. The answer says where the flight leaves the ranges that
+the model was estimated from.
 """
 
 import math
@@ -21,13 +22,13 @@ from estimation.signals.goodness_of_fit import ChannelFit, to_json
 from groundstation.flight import Flight
 
 MARGIN = 0.15
-"""Of the range flown, by which a flight may pass it: a linear model reaches that far, and noise passes it too."""
-LONELY = 0.005
-"""Share of samples at either end that do not count: single wild values and noise."""
+"""Share of the flown range by which a flight may leave it: a linear model holds that far, and noise alone may leave it."""
+OUTLIERS = 0.005
+"""Share of samples that is dropped at either end of a range: single wild values and noise."""
 
 
 def flown_ranges(model: Model, flights: Sequence[Flight]) -> dict[str, tuple[float, float]]:
-    """Least and greatest value of what forces depend on: driven states, controls, and the motion that is measured as an input."""
+    """Name -> least and greatest value of what forces depend on: driven states, controls, and motion measured as an input."""
     motion = ("V", "alpha", "beta", "p", "q", "r")
     names = dict.fromkeys([*force_states(model), *(s.name for s in model.inputs if s.control or s.name in motion)])
     sources = {s.name: s.source for s in (*model.states, *model.inputs)}
@@ -37,13 +38,13 @@ def flown_ranges(model: Model, flights: Sequence[Flight]) -> dict[str, tuple[flo
         parts = [f[column][np.isfinite(f[column])] for f in flights if column in f.columns]
         values = np.concatenate(parts) if parts else np.zeros(0)
         if values.size:
-            low, high = np.quantile(values, [LONELY, 1.0 - LONELY])
+            low, high = np.quantile(values, [OUTLIERS, 1.0 - OUTLIERS])
             ranges[name] = (float(low), float(high))
     return ranges
 
 
 def stretches_of_recordings(flights: Sequence[Flight]) -> tuple[EstimatedStretch, ...]:
-    """The stretches of flights whose recording is known by its digest."""
+    """The stretches (begin, end [s]) of flights whose recording has a digest."""
     return tuple(
         EstimatedStretch(f.provenance.sha256, float(f.time[s.start]), float(f.time[s.stop - 1]))
         for f in flights
@@ -53,7 +54,7 @@ def stretches_of_recordings(flights: Sequence[Flight]) -> tuple[EstimatedStretch
 
 
 def was_estimated_from(model: Model, flight: Flight) -> bool:
-    """Whether some of a flight is in what a model was estimated from, so that to predict it proves nothing."""
+    """Whether the model was estimated from part of this flight, so that its prediction proves nothing."""
     return any(
         part.sha256 == used.sha256 and part.begin < used.end and used.begin < part.end
         for part in stretches_of_recordings([flight])
@@ -63,7 +64,7 @@ def was_estimated_from(model: Model, flight: Flight) -> bool:
 
 @dataclass(frozen=True)
 class Beyond:
-    """One variable in which a flight leaves what a model was estimated from; in its unit."""
+    """One variable in which a flight leaves the range that a model was estimated from. flown, here: ranges in `unit`."""
 
     name: str
     unit: str
@@ -72,7 +73,7 @@ class Beyond:
 
     @property
     def text(self) -> str:
-        """For a person, angles in degrees."""
+        """A sentence, with angles in degrees."""
         scale, unit = (math.degrees(1.0), "deg" + self.unit[3:]) if self.unit.startswith("rad") else (1.0, self.unit)
         (low, high), (flown_low, flown_high) = (tuple(scale * v for v in ends) for ends in (self.here, self.flown))
         return f"{self.name} from {low:.3g} to {high:.3g} {unit}, estimated from {flown_low:.3g} to {flown_high:.3g}"
@@ -83,15 +84,15 @@ class Beyond:
 
 
 def beyond_flown(model: Model, flight: Flight) -> tuple[Beyond, ...]:
-    """The variables in which a flight passes the ranges of a model by more than MARGIN of them."""
+    """The variables in which a flight leaves the model's flown ranges by more than MARGIN of the range."""
     units = {s.name: s.unit for s in (*model.states, *model.inputs)}
     ranges = flown_ranges(model, [flight])
     exceeded = []
     for name, (low, high) in model.flown.items():
         if name not in ranges:
             continue
-        room = MARGIN * (high - low)
-        if ranges[name][0] < low - room or ranges[name][1] > high + room:
+        margin = MARGIN * (high - low)
+        if ranges[name][0] < low - margin or ranges[name][1] > high + margin:
             exceeded.append(Beyond(name, units.get(name, ""), (low, high), ranges[name]))
     return tuple(exceeded)
 
@@ -110,9 +111,9 @@ class ProofOfMatch:
     fit: dict[str, ChannelFit]
     result: Result
     beyond: tuple[Beyond, ...] = ()
-    """In what the flight leaves the ranges that the model was estimated from."""
+    """Variables in which the flight leaves the ranges that the model was estimated from."""
     estimated_from: bool = False
-    """Whether the model was estimated from some of this flight."""
+    """Whether the model was estimated from part of this flight."""
 
     def to_json(self) -> dict[str, Any]:
         """One flight's entry of `match --json`."""
@@ -122,7 +123,7 @@ class ProofOfMatch:
 
 
 def predict_flight(model: Model, flight: Flight | FlightData, *, free: Sequence[str] = ()) -> ProofOfMatch:
-    """Predict one flight with every parameter frozen at the model's values but those named in `free`.
+    """Predict one flight with all parameters frozen at the model's values except those named in `free`.
 
     Raises ModelError for an unknown name, DataError or MissingColumnError for a flight that cannot feed the model.
     """

@@ -1,4 +1,4 @@
-"""What can be done with a log: which models and methods, what is missing for the others, what one more sensor would add."""
+"""What a log allows: which models and methods, what the other models lack, and what one more sensor would add."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,20 +31,20 @@ SENSORS: Mapping[str, tuple[str, ...]] = {
     "surface positions, or servo outputs with trim and travel in a mapping": SURFACES,
     "thrust, from a table over throttle and airspeed or a load cell": ("thrust",),
 }
-"""What one could add to an aircraft -> the columns that come with it."""
+"""Equipment that could be added to an aircraft -> the columns that come with it."""
 
 
 BELIEVE = (
-    f"believe {' and '.join(TRUSTED_RECONSTRUCTED)}: reconstructed angles lack the gusts, which methods that regress on them "
-    "cannot bear"
+    f"believe {' and '.join(TRUSTED_RECONSTRUCTED)}: reconstructed angles lack the gusts, which spoils methods that regress on "
+    "them"
 )
 
 
 @dataclass(frozen=True)
 class Possible:
-    """A model on a log. missing: columns without which it cannot be fitted; reconstructed: columns that `sideslip reconstruct`
-    makes; silent: outputs that are not compared. slow: why the samples come too slowly for it. methods: by name, none where
-    something is missing or too slow."""
+    """A model on a log. missing: required columns that the log lacks; reconstructed: columns that `sideslip reconstruct` makes;
+    silent: outputs that are not compared; slow: why the sampling is too slow for it; methods: names, none where something is
+    missing or too slow."""
 
     model: str
     missing: tuple[str, ...]
@@ -61,8 +61,8 @@ class Possible:
 
 @dataclass(frozen=True)
 class Recipe:
-    """measured: by sensors; computed, assumed: columns that a program made or nobody measured; adds: sensor -> models that it
-    would make possible; contradictions: what the log says twice."""
+    """measured: columns from sensors; computed, assumed: columns from a program or an assumption -> their origin; adds: sensor ->
+    models that it would make possible; contradictions: quantities that the log holds twice with different values."""
 
     measured: tuple[str, ...]
     models: tuple[Possible, ...]
@@ -73,7 +73,7 @@ class Recipe:
     contradictions: tuple[Contradiction, ...] = ()
 
     def lines(self) -> list[str]:
-        """For a person."""
+        """The text that is printed."""
         lines = [f"measured: {', '.join(self.measured)}"]
         for word, columns in (("computed", self.computed), ("assumed", self.assumed)):
             if columns:
@@ -124,52 +124,50 @@ class Recipe:
 
 def recipe(flight: Flight) -> Recipe:
     """What the built-in models and methods can do with a flight's columns; nothing is fitted."""
-    have = frozenset(c for c in flight.known_columns if flight.measured(c))
+    available = frozenset(c for c in flight.known_columns if flight.measured(c))
     aircraft = load_aircraft("cdfp")  # for the names in the models only
     models = [build(aircraft) for build in BUILDERS.values()]
-    possible = tuple(_possible(m, have, flight) for m in models)
+    possible = tuple(_possible(m, available, flight) for m in models)
     able = {p.model for p in possible if p.able}
     adds = {}
     for sensor, columns in SENSORS.items():
-        columns_with_sensor = have | set(columns)
+        columns_with_sensor = available | set(columns)
         gained = tuple(m.name for m in models if m.name not in able and _possible(m, columns_with_sensor, flight).able)
         if gained:
             adds[sensor] = gained
-    by_kind = {kind: _of_kind(flight, kind) for kind in ("computed", "assumed")}
-    unmeasured = {*by_kind["computed"], *by_kind["assumed"]}
-    measured = tuple(c for c in flight.columns if c in have and c not in unmeasured)
-    return Recipe(
-        measured, possible, adds, _air(have), by_kind["computed"], by_kind["assumed"], contradictions(flight)
-    )  # fmt: skip
+    computed, assumed = (_of_kind(flight, kind) for kind in ("computed", "assumed"))
+    measured = tuple(c for c in flight.columns if c in available and c not in {*computed, *assumed})
+    return Recipe(measured, possible, adds, _air(available), computed, assumed, contradictions(flight))
 
 
 def _of_kind(flight: Flight, kind: str) -> dict[str, str]:
-    """Columns whose import says that they are of a kind, and what they are from."""
+    """Columns that the import marked as of this kind -> their origin."""
     return {n: str(c.get("from", "")) for n, c in flight.channels.items() if c["kind"] == kind}
 
 
-def _can_reconstruct(have: frozenset[str]) -> bool:
-    return have.issuperset(RECONSTRUCTION) and not have.isdisjoint(AIRSPEED)
+def _can_reconstruct(available: frozenset[str]) -> bool:
+    return available.issuperset(RECONSTRUCTION) and not available.isdisjoint(AIRSPEED)
 
 
-def _air(have: frozenset[str]) -> str:
-    if have.issuperset(AIR):
+def _air(available: frozenset[str]) -> str:
+    if available.issuperset(AIR):
         return "measured"
-    if _can_reconstruct(have):
+    if _can_reconstruct(available):
         return "no vanes for all of it; 'sideslip reconstruct' makes V, alpha, beta and wind, with their uncertainty"
-    missing = [c for c in RECONSTRUCTION if c not in have]
-    if have.isdisjoint(AIRSPEED):
+    missing = [c for c in RECONSTRUCTION if c not in available]
+    if available.isdisjoint(AIRSPEED):
         missing.append("an airspeed by a pitot (V, p_dynamic or V_cas)")
     return f"incomplete, and to reconstruct it this is missing: {', '.join(missing)}"
 
 
-def _possible(model: Model, have: frozenset[str], flight: Flight) -> Possible:
-    reconstructed = tuple(n for n in AIR if n not in have) if _can_reconstruct(have) else ()
-    all_there = have | set(reconstructed)
+def _possible(model: Model, available: frozenset[str], flight: Flight) -> Possible:
+    reconstructed = tuple(n for n in AIR if n not in available) if _can_reconstruct(available) else ()
+    all_there = available | set(reconstructed)
     required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional]
-    missing = tuple(dict.fromkeys(n for n in required if not _there(n, all_there)))
-    may_lack = [n for n in MAY_LACK.get(model.name, ()) if not _there(n, all_there)]
-    missing = tuple(n for n in missing if may_lack != [n])  # one of them may be lacking, and a fit says what that costs
+    missing = tuple(dict.fromkeys(n for n in required if not _is_available(n, all_there)))
+    may_lack = [n for n in MAY_LACK.get(model.name, ()) if not _is_available(n, all_there)]
+    # a model may lack one of these; a note of the fit says what that costs
+    missing = tuple(n for n in missing if may_lack != [n])
     model_columns = {s.source for s in (*model.inputs, *model.outputs)}
     silent = tuple(dict.fromkeys((*(s.source for s in model.outputs if s.source not in all_there), *may_lack)))
     slow = too_slow(flight, model_columns)
@@ -177,5 +175,7 @@ def _possible(model: Model, have: frozenset[str], flight: Flight) -> Possible:
     return Possible(model.name, missing, tuple(n for n in reconstructed if n in model_columns), silent, methods, slow)
 
 
-def _there(column: str, have: frozenset[str] | Sequence[str]) -> bool:
-    return column in have or any(all(n in have for n in way.needs) for way in DERIVED.get(column, ()))
+def _is_available(column: str, available: frozenset[str] | Sequence[str]) -> bool:
+    return column in available or any(
+        all(n in available for n in derivation.needs) for derivation in DERIVED.get(column, ())
+    )

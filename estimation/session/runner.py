@@ -21,7 +21,7 @@ from estimation.session.stated_uncertainty import with_stated_uncertainty
 from estimation.session.structured import StructureWish, with_structure_tests
 from estimation.session.thinned import thinned
 from estimation.session.verdict import verdict
-from estimation.session.without_sensor import with_untold, without_sensor
+from estimation.session.without_sensor import with_unknown_thrust, without_sensor
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import Contradiction, contradictions
 from groundstation.flight.quality.noise import too_slow
@@ -29,7 +29,7 @@ from groundstation.flight.quality.plausibility import suspicions
 from groundstation.flight.quality.repeats import one_record_twice
 
 Outcome = Result | UserError | NumericalFailure
-"""What a method leaves of one flight: an answer, or why there is none."""
+"""What a method makes of one flight: a result, or the error that says why there is none."""
 
 
 def estimate(
@@ -46,10 +46,9 @@ def estimate(
 ) -> EstimationSession:
     """Run every method on every flight, and on all of them together where `joint`.
 
-    structure: whether what the model may lack is tested beside the fits, and added. device: where networks are trained.
-    progress: told each piece of work as it begins. Raises EstimationError for an
-    unknown method, DataError where a joint estimate would count one record twice, and what the first method raises when a
-    flight cannot feed the model.
+    structure: whether terms that the model may lack are tested beside the fits, and added. device: where networks are trained.
+    progress: called with a sentence as each piece of work begins. Raises EstimationError for an unknown method, DataError where a
+    joint estimate would count one record twice, and the first method's error where no method can use a flight.
     """
     if not methods:
         raise EstimationError(f"no method given; choose from {', '.join(estimator_names())}")
@@ -67,34 +66,35 @@ def estimate(
     model, flights = without_sensor(model, flights)
     flights = thinned(model, flights, keep_held=extras.keep_held)
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
-    session = _fitted(task, estimators, joint)
+    session = _fit_all(task, estimators, joint)
     if structure is not StructureWish.OFF:
-        base_model = task.plain or model
         session = with_structure_tests(
             session,
             task,
             structure,
-            lambda more, names: _fitted(
-                replace(task, model=more, plain=base_model),
+            lambda other_model, names: _fit_all(
+                replace(task, model=other_model, plain=model),
                 [e for e in estimators if names is None or e.name in names],
                 joint,
             ),
         )
-    return with_stated_uncertainty(_judged(session))
+    return with_stated_uncertainty(_with_verdicts(session))
 
 
-def _fitted(task: Task, estimators: Sequence[Estimator], joint: bool) -> EstimationSession:
+def _fit_all(task: Task, estimators: Sequence[Estimator], joint: bool) -> EstimationSession:
     """Every method over every flight, and over all of them together where `joint`."""
     flights = task.flights
     base_model = None if task.plain is None else joint_model(task.plain)
     together = replace(task, number=len(flights), model=joint_model(task.model), plain=base_model) if joint else task
-    outcomes_by_method = {e.name: _with_limits_of_records(_each(e, task), [[f] for f in flights]) for e in estimators}
+    outcomes_by_method = {
+        e.name: _with_limits_of_records(_fit_each(e, task), [[f] for f in flights]) for e in estimators
+    }
     for flight, outcomes in zip(flights, zip(*outcomes_by_method.values(), strict=True), strict=True):
         _refuse_useless(flight, outcomes)
     joint_outcomes: dict[str, Outcome] = {}
     for e in estimators if joint else ():
         task.tell(f"joint over {len(flights)} flights: {e.title}")
-        joint_outcomes[e.name] = _with_limits_of_records([_tried(e, together)], [flights])[0]
+        joint_outcomes[e.name] = _with_limits_of_records([_fit_or_error(e, together)], [flights])[0]
     estimates = []
     for i, flight in enumerate(flights):
         results, failures = _split({m: outcomes[i] for m, outcomes in outcomes_by_method.items()})
@@ -111,20 +111,18 @@ def _fitted(task: Task, estimators: Sequence[Estimator], joint: bool) -> Estimat
 
 
 def _with_limits_of_records(outcomes: Sequence[Outcome], flights: Sequence[Sequence[Flight]]) -> list[Outcome]:
-    """Outcomes with what the airspeeds of their flights may be off in the bounds, and without what their records are too slow
-    for."""
-    pairs = zip(outcomes, flights, strict=True)
+    """Outcomes with airspeed errors in their bounds; parameters that the records cannot determine are marked not identifiable."""
     return [
-        with_untold(with_fast_modes(with_airspeed_error(o, members), members)) if isinstance(o, Result) else o
-        for o, members in pairs
+        with_unknown_thrust(with_fast_modes(with_airspeed_error(o, members), members)) if isinstance(o, Result) else o
+        for o, members in zip(outcomes, flights, strict=True)
     ]
 
 
-def _judged(session: EstimationSession) -> EstimationSession:
+def _with_verdicts(session: EstimationSession) -> EstimationSession:
     """The session with a verdict on each flight, and on the joint estimate where there is one."""
     reconstructed = {f.flight.name: _reconstructed_angles(session.model, f.flight) for f in session.flights}
     odd = {f.flight.name: _odd_columns(session.model, f.flight) for f in session.flights}
-    craft = aircraft_objections(session.aircraft, session.model)
+    objections = aircraft_objections(session.aircraft, session.model)
     flights = tuple(
         replace(
             f,
@@ -133,7 +131,7 @@ def _judged(session: EstimationSession) -> EstimationSession:
                 f.failures,
                 reconstructed=reconstructed[f.flight.name],
                 odd=odd[f.flight.name],
-                craft=craft,
+                objections=objections,
                 structure=f.structure,
                 fast=_fast(f.results, [f.flight]),
             ),
@@ -142,16 +140,16 @@ def _judged(session: EstimationSession) -> EstimationSession:
     )
     if not session.joint and not session.joint_failures:
         return replace(session, flights=flights)
-    any_of = tuple(sorted(set().union(*reconstructed.values())))
+    reconstructed_angles = tuple(sorted(set().union(*reconstructed.values())))
     members = {m: [f.results[m] for f in session.flights if m in f.results] for m in session.methods}
     all_odd = [f"{name}: {text}" for name, texts in odd.items() for text in texts]
     joint_verdict = verdict(
         session.joint,
         session.joint_failures,
         members,
-        any_of,
+        reconstructed_angles,
         all_odd,
-        craft=craft,
+        objections=objections,
         structure=session.structure,
         odd_flights=session.odd,
         fast=_fast(session.joint, [f.flight for f in session.flights]),
@@ -160,7 +158,7 @@ def _judged(session: EstimationSession) -> EstimationSession:
 
 
 def _fast(results: Mapping[str, Result], flights: Sequence[Flight]) -> tuple[str, ...]:
-    """What the records of the controls are too slow for, as the most trusted method has it."""
+    """Sentences on dampings that the records of the controls are too slow for, by the first method's result."""
     first = next(iter(results.values()), None)
     return tuple(m.text for m in fast_modes(first, flights)) if first is not None else ()
 
@@ -172,8 +170,8 @@ def _reconstructed_angles(model: Model, flight: Flight) -> tuple[str, ...]:
 
 
 def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
-    """What the record of a flight itself shows of columns of the model that are of another unit or sign, and the contradictions
-    in it that move derivatives."""
+    """Sentences on columns of the model that the record itself shows in another unit or sign or sampled too slowly, and on
+    contradictions that move derivatives."""
     model_columns = {"time", *(s.source for s in (*model.inputs, *model.outputs, *model.states))}
     odd = tuple(s.text for s in suspicions(flight.time, flight.columns) if model_columns & set(s.columns))
     slow = too_slow(flight, model_columns)
@@ -185,20 +183,20 @@ def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
 
 
 def contradicted_columns(model_columns: set[str], flight: Flight) -> tuple[str, ...]:
-    """The contradictions of a flight that let no estimate by a model of these columns be recommended, and what they move."""
+    """Sentences on contradictions of a flight that forbid to recommend any estimate by a model of these columns."""
     stopping = [c for c in contradictions(flight) if c.stops and _matters(c, model_columns, flight)]
     return tuple(f"{c.text} (moves {c.moves})" for c in stopping)
 
 
 def _matters(contradiction: Contradiction, model_columns: set[str], flight: Flight) -> bool:
-    """Whether a contradiction touches the model: a sensor that failed does where a column is its own, or made of its values."""
-    ways = [way_to(flight, n) for n in model_columns if not flight.measured(n)]
-    used = model_columns.union(*(w.needs for w in ways if w is not None))
-    return not contradiction.failed or bool(flight.reconstructed) or bool(used & set(contradiction.failed))
+    """Whether a contradiction concerns the model. A failed sensor does where a column of the model is its own or made from it."""
+    derivations = [way_to(flight, n) for n in model_columns if not flight.measured(n)]
+    used_columns = model_columns.union(*(w.needs for w in derivations if w is not None))
+    return not contradiction.failed or bool(flight.reconstructed) or bool(used_columns & set(contradiction.failed))
 
 
-def _tried(estimator: Estimator, task: Task) -> Outcome:
-    """One fit; where it fails, why: the results of other methods and flights stand."""
+def _fit_or_error(estimator: Estimator, task: Task) -> Outcome:
+    """One fit; where it fails, its error, so that the other methods and flights keep their results."""
     try:
         with numerical_failures():
             return mark_not_finite(estimator.fit(task.for_estimator(estimator)))
@@ -206,8 +204,8 @@ def _tried(estimator: Estimator, task: Task) -> Outcome:
         return error
 
 
-def _each(estimator: Estimator, task: Task) -> list[Outcome]:
-    """What the method leaves of each flight by itself."""
+def _fit_each(estimator: Estimator, task: Task) -> list[Outcome]:
+    """What the method makes of each flight by itself."""
     if estimator.fit_each is not None:
         count = len(task.flights)
         task.tell(f"{count} flight{'s' if count > 1 else ''} side by side: {estimator.title}")
@@ -215,16 +213,16 @@ def _each(estimator: Estimator, task: Task) -> list[Outcome]:
             with numerical_failures():
                 return [mark_not_finite(r) for r in estimator.fit_each(task.for_estimator(estimator))]
         except (UserError, NumericalFailure):
-            pass  # one of them cannot be used: which one shows when each is tried by itself
-    results = []
+            pass  # one flight cannot be used: fitting each by itself shows which
+    outcomes = []
     for number, flight in enumerate(task.flights):
         task.tell(f"{flight.name}: {estimator.title}")
-        results.append(_tried(estimator, replace(task, flights=[flight], number=number)))
-    return results
+        outcomes.append(_fit_or_error(estimator, replace(task, flights=[flight], number=number)))
+    return outcomes
 
 
 def _refuse_useless(flight: Flight, outcomes: Sequence[Outcome]) -> None:
-    """Raise what the first method raised where none can use a flight: it cannot feed the model."""
+    """Raise the first method's error where no method can use the flight: it cannot feed the model."""
     refusals = [o for o in outcomes if isinstance(o, UserError)]
     if len(refusals) == len(outcomes):
         raise refusals[0]
@@ -250,7 +248,7 @@ def run_method(
 
 
 def _check(extras: Extras, model: Model, estimators: Sequence[Estimator]) -> None:
-    """EstimationError before any work is done for extras that cannot be had."""
+    """Raise EstimationError, before any work is done, for extras that cannot be computed."""
     check_extras(extras.asked, estimators)
     if extras.bootstrap:
         from estimation.estimators.refits import check_replicates
@@ -264,7 +262,7 @@ def _check(extras: Extras, model: Model, estimators: Sequence[Estimator]) -> Non
 
 
 def _refuse_unknown(aircraft: Aircraft, estimator: Estimator) -> None:
-    """AircraftError for a method that takes geometry and mass itself, where nothing at all is known of the aircraft."""
+    """Raise AircraftError for a method that uses geometry and mass itself where nothing is known of the aircraft."""
     if aircraft.unknown:
         raise AircraftError(
             f"method {estimator.name} takes geometry and mass of the aircraft, and none is known of aircraft"

@@ -1,6 +1,6 @@
-"""A second look at an answer: channels the model does not explain, controls and channels of the wrong sign or unit.
+"""Sanity checks of a result: channels the model does not explain, controls and channels of the wrong sign or unit.
 
-What the data show by themselves is told by `groundstation.flight.quality.plausibility`.
+`groundstation.flight.quality.plausibility` checks the data without a model.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,9 +17,9 @@ from estimation.signals.denoise import noise_level
 
 Array = NDArray[np.float64]
 
-FAR = 8.0  # times what was believed
+ANOTHER_UNIT = 8.0  # estimate over belief, or its inverse, from which a control has another unit
 SURE_BOUNDS = 5.0  # bounds by which a derivative has to differ from zero
-TURNED = -0.7  # correlation of a channel with what the model makes of it: -0.9 to -1 where its sign is turned
+REVERSED = -0.7  # correlation of a channel with the model's output, below which its sign is wrong (then -0.9 to -1)
 
 
 def turned_outputs(model: Model, fits: Iterable[tuple[Array, Array]]) -> list[str]:
@@ -36,19 +36,19 @@ def turned_outputs(model: Model, fits: Iterable[tuple[Array, Array]]) -> list[st
         f"{signal.source}: moves against what the other channels make of it (correlation {c:.2f} with the model): "
         "is its sign wrong (sign = -1)?"
         for signal, c in zip(model.outputs, correlation, strict=False)
-        if c < TURNED
+        if c < REVERSED
     ]
 
 
 def _moving(values: Array, reference: Array) -> Array:
-    """Values (N, n) about their mean over the rows where the other is known too."""
+    """Values (N, n) about their mean over the rows where both are finite; NaN elsewhere."""
     common = np.where(np.isfinite(values) & np.isfinite(reference), values, np.nan)
     counts = np.isfinite(common).sum(axis=0)
     return np.asarray(common - np.nansum(common, axis=0) / np.maximum(counts, 1))
 
 
 def turned_side_force(model: Model, parameters: Mapping[str, Estimate]) -> list[str]:
-    """A sentence where air from the side pulls the aircraft towards it, as no aircraft's does: `CY_beta` above 0."""
+    """A sentence where the side force has the wrong sign: `CY_beta` above 0, as no aircraft has."""
     side_force = parameters.get("CY_beta")
     measured = "ay" in {s.source for s in model.outputs}
     if (
@@ -63,7 +63,7 @@ def turned_side_force(model: Model, parameters: Mapping[str, Estimate]) -> list[
 
 
 def turned_controls(model: Model, parameters: Mapping[str, Estimate]) -> list[str]:
-    """A sentence for each control all of whose derivatives have the sign that was not believed."""
+    """A sentence for each control all of whose derivatives have the opposite sign of their beliefs."""
     return [
         f"{' and '.join(ratios)}: of the opposite sign of what was believed: check the sign of {column}"
         for column, ratios in _ratios(model, parameters).items()
@@ -72,18 +72,18 @@ def turned_controls(model: Model, parameters: Mapping[str, Estimate]) -> list[st
 
 
 def controls_of_another_unit(model: Model, parameters: Mapping[str, Estimate]) -> list[str]:
-    """A sentence for each control all of whose derivatives are of another order of magnitude than was believed."""
+    """A sentence for each control all of whose derivatives are larger, or all smaller, than their beliefs by ANOTHER_UNIT."""
     sentences = []
     for column, ratios in _ratios(model, parameters).items():
         sizes = [abs(r) for r in ratios.values()]
-        if max(ratios.values()) > 0.0 and (min(sizes) > FAR or max(sizes) < 1.0 / FAR):
+        if max(ratios.values()) > 0.0 and (min(sizes) > ANOTHER_UNIT or max(sizes) < 1.0 / ANOTHER_UNIT):
             times = ", ".join(f"{r:.2g}" for r in ratios.values())
             sentences.append(f"{' and '.join(ratios)}: {times} times what was believed: check the unit of {column}")
     return sentences
 
 
 def _ratios(model: Model, parameters: Mapping[str, Estimate]) -> Mapping[str, Mapping[str, float]]:
-    """Column of each control -> its derivatives that can be told -> estimate over what was believed."""
+    """Column of each control -> its identifiable derivatives -> estimate over belief."""
     identifiable = {
         n: e for n, e in parameters.items() if e.identifiable and abs(e.estimate) > SURE_BOUNDS * e.std_coloured
     }
@@ -100,18 +100,20 @@ def _ratios(model: Model, parameters: Mapping[str, Estimate]) -> Mapping[str, Ma
 
 
 UNEXPLAINED = 0.5  # r2 below which a channel is not explained
-AUDIBLE = 3.0  # residual in units of the channel's white noise from which that is no matter of noise
+ABOVE_NOISE = 3.0  # residual over the channel's white noise, above which noise alone does not explain a low r2
 SURE = 2.0  # bounds by which a constant must lie beyond what is possible
-TRIM = 0.26  # rad (15 deg) of sideslip or surface that a lateral constant may stand for: no aircraft is flown further out of trim
+LARGEST_TRIM = (
+    0.26  # rad (15 deg) of sideslip or surface that a lateral constant may stand for: none is flown so far out of trim
+)
 SYMMETRIC = ("CY", "Cl", "Cn")  # coefficients that vanish in symmetric flight: their constants are offsets
 
 LARGEST_BIAS = {"m/s2": 1.0, "rad/s": 0.05, "rad": 0.1, "m/s": 5.0}
-"""Unit -> bias beyond what an instrument can have: an accelerometer a tenth of g, a gyro 3 deg/s (an uncalibrated MEMS sensor),
+"""Unit -> largest bias that an instrument can have: an accelerometer a tenth of g, a gyro 3 deg/s (an uncalibrated MEMS sensor),
 an angle 6 deg (a vane in the airframe's upwash), an airspeed 5 m/s (position error of a light aircraft)."""
 
 
 class DoubtKind(Enum):
-    """What an answer is doubted for."""
+    """Kinds of doubt about a result."""
 
     UNEXPLAINED = "unexplained channel"
     SIGN = "sign of a control"
@@ -137,7 +139,7 @@ class DoubtKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """What asks for a second look, and where to look."""
+    """One reason to distrust a result, and what to check."""
 
     kind: DoubtKind
     text: str
@@ -148,12 +150,12 @@ class Doubt:
 
 
 def doubts_of(result: Result) -> list[Doubt]:
-    """Channels that the model does not explain, and derivatives far from what was believed."""
+    """Doubts about channels that the model does not explain, and about signs and units."""
     doubts = []
     fit = result.flights[0]
     for i, (name, f) in enumerate(fit.fit.items()):
         measured = fit.measured[np.isfinite(fit.measured[:, i]), i]
-        if f.r2 < UNEXPLAINED and f.rms > AUDIBLE * noise_level(measured):
+        if f.r2 < UNEXPLAINED and f.rms > ABOVE_NOISE * noise_level(measured):
             text = (
                 f"{name} is not explained by the model (r2 {f.r2:.2f}): check its unit, sign and sensor, and the model"
             )
@@ -168,7 +170,7 @@ def doubts_of(result: Result) -> list[Doubt]:
 
 
 def impossible_values(result: Result) -> list[str]:
-    """Biases and constants that no instrument and no trim can have, by more than their bounds; one sentence each."""
+    """A sentence for each bias or constant that exceeds what an instrument or a trim can have by more than SURE bounds."""
     sentences = []
     for e in (*result.parameters.values(), *(o for f in result.flights for o in f.local.values())):
         parameter = result.model.parameter(e.name)
@@ -177,19 +179,19 @@ def impossible_values(result: Result) -> list[str]:
             largest = LARGEST_BIAS.get(parameter.unit, np.inf)
             if excess > largest:
                 sentences.append(
-                    f"{e.name} = {e.estimate:.3g} {parameter.unit} is no bias of an instrument (at most {largest:g})"
+                    f"{e.name} = {e.estimate:.3g} {parameter.unit} is too large for an instrument's bias (at most {largest:g})"
                 )
         elif parameter.role is ParameterRole.CONSTANT and e.name.partition("_")[0] in SYMMETRIC:
-            angle = excess / _strongest(result, e.name.partition("_")[0])
-            if angle > TRIM:
+            angle = excess / _largest_slope(result, e.name.partition("_")[0])
+            if angle > LARGEST_TRIM:
                 sentences.append(
                     f"{e.name} = {e.estimate:.3g} stands for {np.degrees(angle):.0f} deg of sideslip or surface out of trim"
                 )
     return list(dict.fromkeys(sentences))
 
 
-def _strongest(result: Result, coefficient: str) -> float:
-    """Largest derivative [1/rad] of a coefficient by sideslip or a surface; infinite where none can be told."""
+def _largest_slope(result: Result, coefficient: str) -> float:
+    """Largest derivative [1/rad] of a coefficient by sideslip or a surface; infinite where none is identifiable."""
     sizes = [
         abs(e.estimate)
         for n, e in result.parameters.items()

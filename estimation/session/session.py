@@ -1,5 +1,4 @@
-"""Everything one call of `estimate` found, as it is printed, written as JSON (names as in the interface description) and
-handed to the report."""
+"""The results of one call of `estimate`, to be printed, written as JSON and shown in the report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +19,7 @@ from groundstation.flight.findings import finding_texts
 
 @dataclass(frozen=True)
 class FlightEstimates:
-    """Results of every method on one flight; failures: method -> why it could not be used."""
+    """Results of every method on one flight. failures: method -> why it gives no result."""
 
     flight: Flight
     results: Mapping[str, Result]
@@ -30,7 +29,7 @@ class FlightEstimates:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on what was done to the data, and on what of the first method's answer asks for a second look."""
+        """Sentences on what was done to the data, and the doubts about the first method's result."""
         first = self._first
         return (
             *finding_texts((self.flight if first is None else first.flights[0]).notes),
@@ -39,7 +38,7 @@ class FlightEstimates:
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """What of the first method's answer asks for a second look."""
+        """Doubts about the first method's result."""
         return () if self._first is None else tuple(doubts_of(self._first))
 
     @property
@@ -49,14 +48,10 @@ class FlightEstimates:
 
 @dataclass(frozen=True)
 class EstimationSession:
-    """Everything one call of `estimate` found. truth: derivatives of simulated flights, to be shown beside the means.
+    """Results of one call of `estimate`. truth: derivatives of simulated flights, shown beside the means.
 
-    joint_failures: method -> why it left no joint estimate; verdict: on the joint estimates, where there are any; structure:
-    what their
-    model lacks; odd: flights that differ from the others."""
-
-    def __repr__(self) -> str:
-        return f"<EstimationSession of {self.model.name} by {', '.join(self.methods)}: {self.text:.200}>"
+    joint_failures: method -> why it gives no joint estimate. Of the joint estimates, where there are any: verdict; structure:
+    what their model lacks; odd: flights that differ from the others."""
 
     aircraft: Aircraft
     model: Model
@@ -70,23 +65,25 @@ class EstimationSession:
     structure: StructureTest | None = None
     odd: tuple[OddFlight, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<EstimationSession of {self.model.name} by {', '.join(self.methods)}: {self.text:.200}>"
+
     @property
     def leading(self) -> Result | None:
-        """The joint estimate that figures and tables of one estimate show: the recommended, else the usual method's, else the
-        first."""
+        """The joint estimate that figures and tables show: the recommended one, else the default method's, else the first."""
         method = "" if self.verdict is None else self.verdict.recommended.method
         return self.joint.get(method) or self.joint.get(estimator_names()[0]) or next(iter(self.joint.values()), None)
 
     @property
     def converged(self) -> bool:
-        """Whether every method came to a usable end on every flight."""
+        """Whether every method converged on every flight."""
         results = [r for f in self.flights for r in f.results.values()] + list(self.joint.values())
         failures = self.joint_failures or any(f.failures for f in self.flights)
         return bool(results) and all(r.converged for r in results) and not failures
 
     @property
     def text(self) -> str:
-        """One sentence on how it went."""
+        """One sentence: how many flights were estimated, what did not converge, what the data cannot tell."""
         not_converged = [
             f"{f.flight.name} ({m})" for f in self.flights for m, r in f.results.items() if not r.converged
         ]
@@ -112,7 +109,7 @@ class EstimationSession:
         return f"; nor can all together tell {', '.join(undetermined)}" if undetermined else "; all together can"
 
     def to_json(self) -> dict[str, Any]:
-        """As the interface description has it."""
+        """The JSON of `estimate --json`."""
         first = self.joint or (self.flights[0].results if self.flights else {})
         collinear = next((r.collinear for r in first.values()), ())
         return {

@@ -1,7 +1,7 @@
-"""The structure test beside the fits of a session, and fits again with what the model turns out to lack.
+"""Structure tests of the fits of a session, and new fits with the terms that the model turns out to lack.
 
-Each flight's fit is tested, and the joint one. The whole linear model is the built-in models' own: derivatives that the data
-tell are added whatever is wished (`estimation.structure.score_test.THRESHOLD`), everything else on request only.
+The fit of each flight is tested, and the joint one. Built-in models stand for the complete linear model, so derivatives that the
+data call for (`estimation.structure.score_test.THRESHOLD`) are always added to them, other candidates on request only.
 """
 
 import math
@@ -20,7 +20,8 @@ from estimation.models.library import WHOLE
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.session.evidence import PREDICTABLE, predictability
 from estimation.session.session import EstimationSession
-from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
+from estimation.session.verdict import FILTERS, verdict
+from estimation.structure.candidates import CandidateKind, structure_candidates, with_candidates
 from estimation.structure.gusts import follows_controls, not_gusts
 from estimation.structure.linearised import linearise_fit
 from estimation.structure.odd_flights import (
@@ -34,21 +35,18 @@ from estimation.structure.odd_flights import (
 from estimation.structure.score_test import NOTABLE, Lack, StructureTest, Tested, structure_of
 from groundstation.flight import Flight
 
-ROUNDS = 4  # of adding: a model that lacks more is another model
-MOVES = 1.0  # bounds by which an odd flight has to move the joint estimate to be left out of its structure test
-UNTOLD = 0.5
-"""Part of an estimate by which a rival's differs from it, from which neither is the value."""
-LeftOpen = tuple[tuple[str, Mapping[str, float]], ...]
-"""Derivatives of which a filter's fit does not tell whether they are there -> what they move, in the parameters' own units."""
-TOLD = 3.0
-"""Standard deviations from which a derivative that a filter's fit leaves open counts as there."""
-FILTERS = ("fem-noise", "fem")
-ADDED_ANYWAY = (CandidateKind.LINEAR, CandidateKind.LATE_SENSOR)
-"""What is added whatever is wished: the built-in models are the whole linear model, and instruments have lags of their own."""
+ROUNDS = 4  # of adding terms: a model that lacks more is another model
+AMBIGUOUS = 0.5
+"""Relative difference between an estimate and its rival's, above which neither is taken for the value."""
+UndecidedTerms = tuple[tuple[str, Mapping[str, float]], ...]
+"""Derivatives that a filter's fit neither confirms nor excludes, with what each moves, in the parameters' own units."""
+CONFIRMED = 3.0  # score from which a derivative that was added as undecided counts as present
+ALWAYS_ADDED = (CandidateKind.LINEAR, CandidateKind.LATE_SENSOR)
+"""Kinds that are added to built-in models without request: these stand for the complete linear model, and instruments lag."""
 
 
 class StructureWish(Enum):
-    """What `--structure` asks for."""
+    """The values of `--structure`."""
 
     OFF = "off"
     TEST = "test"
@@ -56,7 +54,7 @@ class StructureWish(Enum):
 
     @classmethod
     def of(cls, text: str) -> "StructureWish":
-        """The wish by its word; EstimationError naming what there is."""
+        """The member of this value. Raises EstimationError, which names the values, for any other text."""
         if text not in {w.value for w in cls}:
             raise EstimationError(f"structure {text!r}: choose from {', '.join(w.value for w in cls)}")
         return cls(text)
@@ -66,21 +64,21 @@ def with_structure_tests(
     session: EstimationSession,
     task: Task,
     wish: StructureWish,
-    fitted: Callable[[Model, Collection[str] | None], EstimationSession],
+    fit_model: Callable[[Model, Collection[str] | None], EstimationSession],
 ) -> EstimationSession:
-    """The session with the structure test of each flight and of the joint fit, fitted again where something is added.
+    """The session with structure tests of each flight and of the joint fit, fitted again where a term is added.
 
-    fitted: the session of another model by some methods, None being all. Until nothing more is to be added, only those that
-    the test looks at are fitted again.
+    fit_model: gives the session of another model by the named methods, None being all. While terms are being added, only the
+    methods that the test needs are fitted.
     """
     added_names: list[str] = []
     ambiguous: list[Lack] = []
     tested = _tested(session, task)
-    looked_at = _looked_at(session)
-    left_open: list[LeftOpen] = [() for _ in _bases(tested)]
+    methods = _tested_methods(session)
+    left_open: list[UndecidedTerms] = [() for _ in _bases(tested)]
     for _ in range(ROUNDS):
         lacks = _lacks(tested)
-        new = [lack for lack in lacks if _wanted(lack, tested.model, wish) and lack.names[0] not in added_names]
+        new = [lack for lack in lacks if _to_be_added(lack, tested.model, wish) and lack.names[0] not in added_names]
         by_name = {c.name: c for c in structure_candidates(tested.model)}
         terms = [by_name[lack.names[0]] for lack in new if lack.names[0] in by_name]
         if not terms:
@@ -94,96 +92,89 @@ def with_structure_tests(
             break
         added_names += dict.fromkeys(t.name for t in terms)
         ambiguous += [lack for lack in new if lack.rivals]
-        tested = _tested(fitted(with_candidates(tested.model, _fresh(terms), fitting=True), looked_at), task)
-    if added_names and looked_at is not None:
-        tested = _tested(fitted(tested.model, None), task)
+        distinct = {t.name: t for t in terms}.values()
+        tested = _tested(fit_model(with_candidates(tested.model, distinct, fitting=True), methods), task)
+    if added_names and methods is not None:
+        tested = _tested(fit_model(tested.model, None), task)
     return _with_added(tested, added_names, ambiguous, left_open)
 
 
 def _bases(session: EstimationSession) -> list[tuple[StructureTest | None, Mapping[str, Result]]]:
-    """What decides what a model lacks: the joint fit, else each flight's."""
+    """The structure tests and results that decide what a model lacks: of the joint fit, else of each flight."""
     if session.joint:
         return [(session.structure, session.joint)]
     return [(f.structure, f.results) for f in session.flights]
 
 
 def _undecided(model: Model, structure: StructureTest | None, results: Mapping[str, Result]) -> list[Tested]:
-    """Derivatives that a filter's fit leaves open: not significant, yet what they may be moves a printed value.
+    """Derivatives that are not significant in a filter's fit, though they may move a printed value.
 
-    In rough air the residuals of a filter tell little of what is left out: a `Cn_da` of three of its standard deviations moved
-    `Cn_beta` by sixteen bounds. They are estimated, and the bounds span whether they are there.
+    In rough air the residuals of a filter show little of a missing term: a `Cn_da` of three standard deviations moved `Cn_beta`
+    by sixteen bounds. Such derivatives are estimated, and the bounds span the cases with and without them.
     """
     if structure is None or model.name not in WHOLE or _recommended_method(results) not in FILTERS:
         return []
     return [t for t in structure.tested if t.candidate.kind is CandidateKind.LINEAR and t.worst[1] >= NOTABLE]
 
 
-def _left_open(undecided: Sequence[Tested], results: Mapping[str, Result]) -> LeftOpen:
-    """Of derivatives that are undecided, those of which the filter's fit does not tell whether they are there."""
-    terms = [t for t in undecided if abs(t.score) < TOLD]
+def _left_open(undecided: Sequence[Tested], results: Mapping[str, Result]) -> UndecidedTerms:
+    """Those undecided derivatives that the filter's fit does not confirm, with what each moves."""
+    terms = [t for t in undecided if abs(t.score) < CONFIRMED]
     bounds = {n: e.std_coloured for n, e in results[_recommended_method(results)].parameters.items()} if terms else {}
     return tuple((t.candidate.name, {n: m * bounds[n] for n, m in t.moves.items() if n in bounds}) for t in terms)
 
 
-def _looked_at(session: EstimationSession) -> tuple[str, ...] | None:
-    """The methods whose fits decide what a model lacks; None where that takes all: output error alone unless a filter is
-    believed."""
-    believed = {_recommended_method(results) for _, results in _bases(session)}
+def _tested_methods(session: EstimationSession) -> tuple[str, ...] | None:
+    """The methods whose fits decide what a model lacks: output error alone, or all (None) where a filter is recommended."""
+    recommended = {_recommended_method(results) for _, results in _bases(session)}
     others = set(session.methods) - {"ml"}
-    return None if not others or "ml" not in session.methods or believed & {*FILTERS} else ("ml",)
-
-
-def _fresh(terms: Sequence[Candidate]) -> list[Candidate]:
-    return list({t.name: t for t in terms}.values())
+    return None if not others or "ml" not in session.methods or recommended & {*FILTERS} else ("ml",)
 
 
 def _lacks(session: EstimationSession) -> list[Lack]:
-    """The strongest lack of the joint fit, else the strongest of any flight; one at a time, for each changes the others."""
+    """The strongest lack of the joint fit, else of any flight; one at a time, because adding one changes the others."""
     tests = [session.structure] if session.structure is not None else [f.structure for f in session.flights]
     strongest = [lack for s in tests if s is not None for lack in s.lacks[:1]]
     return sorted(strongest, key=lambda lack: -abs(lack.leading.score))[:1]
 
 
-def _wanted(lack: Lack, model: Model, wish: StructureWish) -> bool:
-    """Whether something that is lacking is to be added."""
-    if not (lack.holds and lack.possible):  # the other flights do not confirm it, or nothing of that kind has that size
+def _to_be_added(lack: Lack, model: Model, wish: StructureWish) -> bool:
+    """Whether a lack is to be added to the model."""
+    confirmed = lack.holds and lack.possible  # by the other flights, and of a size that its kind can have
+    if not confirmed:
         return False
     if wish is StructureWish.AUTO:
         return True
-    return model.name in WHOLE and lack.leading.candidate.kind in ADDED_ANYWAY
+    return model.name in WHOLE and lack.leading.candidate.kind in ALWAYS_ADDED
 
 
 def _with_added(
-    session: EstimationSession, added_names: Sequence[str], ambiguous: Sequence[Lack], left_open: Sequence[LeftOpen]
+    session: EstimationSession,
+    added_names: Sequence[str],
+    ambiguous: Sequence[Lack],
+    left_open: Sequence[UndecidedTerms],
 ) -> EstimationSession:
-    """The session with what was added, and the bounds that what cannot be told leaves open. left_open: of the joint fit, else
-    of each flight."""
+    """The session with the added terms in its structure tests, and bounds that span what stays ambiguous. left_open: of the joint
+    fit, else of each flight."""
 
-    def settled(structure: StructureTest | None) -> StructureTest | None:
+    def with_record(structure: StructureTest | None) -> StructureTest | None:
         return None if structure is None else structure.with_added(added_names, ambiguous)
 
-    flights = tuple(
-        replace(
-            f,
-            structure=settled(f.structure),
-            results=_spanning(f.results, settled(f.structure), () if session.joint else left_open[i]),
-        )
-        for i, f in enumerate(session.flights)
-    )
-    joint = settled(session.structure)
-    return replace(
-        session,
-        flights=flights,
-        structure=joint,
-        joint=_spanning(session.joint, joint, left_open[0] if session.joint else ()),
-    )
+    flights = []
+    for i, f in enumerate(session.flights):
+        structure = with_record(f.structure)
+        results = _spanning(f.results, structure, () if session.joint else left_open[i])
+        flights.append(replace(f, structure=structure, results=results))
+    structure = with_record(session.structure)
+    joint = _spanning(session.joint, structure, left_open[0] if session.joint else ())
+    return replace(session, flights=tuple(flights), structure=structure, joint=joint)
 
 
 def _spanning(
-    results: Mapping[str, Result], structure: StructureTest | None, left_open: LeftOpen
+    results: Mapping[str, Result], structure: StructureTest | None, left_open: UndecidedTerms
 ) -> Mapping[str, Result]:
-    """Results whose bounds span what rivals would make of them, what is left out without being refused for it, and whether a
-    derivative is there that is left open."""
+    """Results whose bounds span three things: the estimates with a rival instead, small lacks that do not forbid a
+    recommendation, and the presence or absence of undecided derivatives."""
     if structure is None:
         return results
     spans = [*(lack.differs for lack in structure.ambiguous), *(moves for _, moves in left_open)]
@@ -206,9 +197,10 @@ def _spanned(
     alternatives: Mapping[str, float],
     why: Mapping[str, str],
 ) -> Result:
-    """A result with wider bounds; what they leave nothing of is not told.
+    """A result with wider bounds; parameters that these make meaningless are marked not identifiable.
 
-    spans: in parameters' own units; borne: in bounds; alternatives: parameter -> its value where a rival takes its place.
+    spans: parameter -> span in its own units; borne: parameter -> span in bounds; alternatives: parameter -> its value where a
+    rival takes its place; why: parameter -> what the flights cannot tell.
     """
     parameters = dict(result.parameters)
     for name, e in result.parameters.items():
@@ -216,7 +208,7 @@ def _spanned(
         rival += [e.estimate - alternatives[name]] if name in alternatives else []
         wide = math.hypot(e.std_coloured, *rival, *(e.std_coloured * m.get(name, 0.0) for m in borne))
         parameters[name] = replace(e, std_coloured=wide)
-        if e.identifiable and math.hypot(*rival, 0.0) > UNTOLD * abs(e.estimate):
+        if e.identifiable and math.hypot(*rival, 0.0) > AMBIGUOUS * abs(e.estimate):
             parameters[name] = replace(
                 parameters[name],
                 identifiable=False,
@@ -237,17 +229,18 @@ def _tested(session: EstimationSession, task: Task) -> EstimationSession:
 def _test(
     session: EstimationSession, flights: Sequence[Flight], results: Mapping[str, Result], task: Task
 ) -> tuple[StructureTest, tuple[OddFlight, ...]]:
-    """The structure test of one set of results on the same flights; a structure that says why not where there is none."""
+    """The structure test of results on the same flights; one without candidates that says why, where it cannot be made."""
     try:
         with numerical_failures():
-            return _of_basis(session, replace(task, flights=flights), results)
+            return _test_of_likelihood(session, replace(task, flights=flights), results)
     except (UserError, NumericalFailure) as error:
         return StructureTest((), (), why_not=f"not tested: {error}"), ()
 
 
-def _of_basis(
+def _test_of_likelihood(
     session: EstimationSession, task: Task, results: Mapping[str, Result]
 ) -> tuple[StructureTest, tuple[OddFlight, ...]]:
+    """The structure test of the most trusted likelihood fit, which is made here where no result is one, and odd flights."""
     usable = {m: r for m, r in results.items() if r.converged}
     if not usable:
         return StructureTest((), (), why_not="not tested: no fit to test"), ()
@@ -260,11 +253,13 @@ def _of_basis(
         f.name: {**scale_bounds(f), **attenuations(session.model, d)} for f, d in zip(task.flights, ready, strict=True)
     }
     trusted = _recommended_method(results)
-    moved = _moved_result(results.get(trusted, basis), basis)
+    recommended = results.get(trusted, basis)
+    if set(recommended.names) != set(basis.names):
+        recommended = basis
     unseen = {CandidateKind.PLACE} if "imu" in session.aircraft.sensors else set()
     if any(f.reconstructed for f in task.flights) or any(d.commands for d in ready):
         unseen.add(CandidateKind.DAMPER)
-    structure, odd = _of_result(basis, moved, ready, unseen, scales)
+    structure, odd = _test_of_fit(basis, recommended, ready, unseen, scales)
     follows = {
         m: not_gusts(usable[m], ready) if m == trusted else follows_controls(usable[m], ready)
         for m in FILTERS
@@ -274,8 +269,8 @@ def _of_basis(
 
 
 def _likelihood(model: Model, ready: list[FlightData], *, measured: bool) -> Result:
-    """The fit to be tested beside methods that have no likelihood: output error, in rough air filter error, for what gusts do to
-    output error looks like what a model lacks. measured: the flow angles, without which a filter is of no use."""
+    """The fit to be tested where no method has a likelihood: output error, but filter error in rough air, where gusts make output
+    error look as if the model lacked something. measured: whether flow angles are; without them a filter is of no use."""
     result = output_error(model, ready)
     if not measured or predictability(result) <= PREDICTABLE:
         return result
@@ -285,27 +280,20 @@ def _likelihood(model: Model, ready: list[FlightData], *, measured: bool) -> Res
     return filtered if filtered.converged else result
 
 
-def _moved_result(recommended: Result, basis: Result) -> Result:
-    """The result whose bounds the moves are counted in: a filter's where it is trusted with rough air, else the basis."""
-    return recommended if set(recommended.names) == set(basis.names) else basis
-
-
 def _recommended_method(results: Mapping[str, Result]) -> str:
-    """What would be recommended, were nothing lacking."""
-    from estimation.session.verdict import verdict
-
+    """The method that would be recommended if the model lacked nothing."""
     return verdict(results).recommended.method
 
 
-def _of_result(
+def _test_of_fit(
     basis: Result, recommended: Result, ready: list[FlightData], unseen: Collection[CandidateKind], scales: Scales
 ) -> tuple[StructureTest, tuple[OddFlight, ...]]:
-    """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the
-    others.
+    """What a fit lacks in all flights, and a flight that still differs once that is included. Where there is such a flight, the
+    others are tested again without it.
 
-    unseen: what these flights cannot show: the place of an accelerometer whose readings are brought to the CG; a damper, without
-    vanes (reconstructed angles follow the motion as one does: scores of 10 with nothing behind the record) or where the record
-    of a control is a command. scales: what instruments may be off.
+    recommended: the result whose bounds count what a candidate moves. unseen: kinds that these flights cannot show: the place of
+    an accelerometer whose readings are corrected to the CG; a damper, without vanes (reconstructed angles follow the motion as a
+    damper does: scores of 10 without one) or where the record of a control is a command. scales: as in `odd_flights`.
     """
     linearised_result = recommended if recommended.method in FILTERS else basis
     filtered = linearised_result.method in FILTERS
@@ -317,7 +305,7 @@ def _of_result(
     structure = structure_of(linear, recommended, filtered=filtered)
     names = [lack.leading.candidate.name for lack in structure.lacks]
     odd = odd_flights(linear.absorbing(names), recommended, scales)
-    differ = {o.flight for o in odd if o.moves > MOVES}
+    differ = {o.flight for o in odd if o.moves > NOTABLE}
     if differ and len(linear.flights) > len(differ) + 1:
         linear = replace(linear, flights=tuple(f for f in linear.flights if f.name not in differ))
         structure = structure_of(linear, recommended, filtered=filtered)

@@ -1,9 +1,9 @@
 """Decimation of long records at high rates to the rate that the model's motion needs.
 
-A rigid body moves with a few Hz, and a record of 200 Hz or 1 kHz is redundant. A flight with more than LONG samples is passed
-through one linear-phase low pass, every column alike, and every n-th sample is taken. A linear system driven by filtered inputs
-gives the filtered outputs, so that the model needs no filter; and no frequency above the new rate is aliased. The new rate is
-chosen by the fastest mode of the model, with derivatives from a regression on the part in which the controls move most.
+A rigid body moves with a few Hz, so a record of 200 Hz or 1 kHz is redundant. A flight with more than LONG samples passes one
+linear-phase low pass, the same for every column, and every n-th sample is used. Filtered inputs of a linear system give its
+filtered outputs, so the model needs no filter, and nothing above the new rate is aliased. The fastest mode of the model sets the
+new rate, with derivatives from a regression on the stretch in which the controls move most.
 """
 
 from collections.abc import Sequence
@@ -23,17 +23,17 @@ from groundstation.flight import Array, Flight
 from groundstation.flight.arrays import Mask
 from groundstation.flight.findings import Finding, FindingKind
 
-LONG = 20_000  # samples of a flight up to which it is fitted as it is: 100 s at 200 Hz, a quarter of an hour at 20 Hz
-LOWEST_RATE = 50.0  # Hz: edges of surfaces and gusts need it, whatever the modes are
+LONG = 20_000  # samples up to which a flight is fitted at its full rate: 100 s at 200 Hz, a quarter of an hour at 20 Hz
+LOWEST_RATE = 50.0  # Hz: steps of surfaces and gusts need it, whatever the modes are
 SAMPLES_PER_TIME_CONSTANT = 2.0  # of the fastest mode: the filter then passes five times its rate
 RATE_WITHOUT_MODES = 100.0  # Hz, where the regression gives no modes
-REGRESSION_SAMPLES = 3_000  # of the part for the regression, at RATE_WITHOUT_MODES: half a minute
-TAPS = 10  # of the filter on either side, times the factor of decimation
-CORNER = 0.8  # of half the new rate
+REGRESSION_SAMPLES = 3_000  # of the stretch for the regression, at RATE_WITHOUT_MODES: half a minute
+TAPS = 10  # of the filter on either side, times the decimation factor
+CORNER = 0.8  # of the filter, over half the new rate
 
 
 def thinned(model: Model, flights: Sequence[Flight], *, keep_held: bool = False) -> Sequence[Flight]:
-    """The flights with the long ones decimated to the rate that the model's fastest mode needs; a note on the flight says so."""
+    """The flights, the long ones decimated to the rate that the model's fastest mode needs; a note of the flight says so."""
     if all(len(f) <= LONG for f in flights):
         return flights
     fastest = _fastest_mode(model, max(flights, key=len))
@@ -43,7 +43,7 @@ def thinned(model: Model, flights: Sequence[Flight], *, keep_held: bool = False)
 
 def _thinned(model: Model, flight: Flight, rate: float, fastest: float | None, keep_held: bool) -> Flight:
     before = 1.0 / flight.sample_interval
-    factor = int(before / rate + 1e-6)
+    factor = int(before / rate + 1e-6)  # rounding must not lose a whole factor
     if factor < 2:
         return flight
     why = "the model's modes are not known" if fastest is None else f"the model's fastest mode has {fastest:.3g} rad/s"
@@ -62,8 +62,8 @@ def _columns(model: Model) -> list[str]:
 def low_passed(flight: Flight, factor: int, conditioned_columns: Sequence[str], *, keep_held: bool = False) -> Flight:
     """The flight at every `factor`-th sample of each segment, low-passed.
 
-    conditioned_columns: columns whose wild, repeated and stuck values are removed before. A sample counts as measured where at
-    least one of the samples that it replaces is; commands that hold between their records are not filtered.
+    conditioned_columns: columns whose wild, repeated and stuck values are removed first. A new sample counts as measured where at
+    least one of the samples that it replaces is. Commands that hold between their records are not filtered.
     """
     conditioned = condition_columns(flight, conditioned_columns, keep_held=keep_held)
     notes = list(conditioned.notes)
@@ -93,23 +93,25 @@ def _filtered(flight: Flight, values: Array, measured: Mask, factor: int) -> Arr
         known = measured[part]
         if not known.any():
             continue
-        whole = values[part]
+        filled = values[part]
         if not known.all():
-            places = np.arange(known.size)
-            whole = np.interp(places, places[known], whole[known])
+            positions = np.arange(known.size)
+            filled = np.interp(positions, positions[known], filled[known])
         pad = min(reach, known.size - 1)
-        extended = np.pad(np.pad(whole, pad, mode="reflect", reflect_type="odd"), reach - pad, mode="edge")
+        extended = np.pad(np.pad(filled, pad, mode="reflect", reflect_type="odd"), reach - pad, mode="edge")
         smooth = _convolved(extended, kernel)
         if not known.all():
-            near = _convolved(np.pad(known.astype(float), factor // 2), np.ones(2 * (factor // 2) + 1))
-            smooth[near <= 0.5] = np.nan
+            measured_nearby = _convolved(np.pad(known.astype(float), factor // 2), np.ones(2 * (factor // 2) + 1))
+            smooth[measured_nearby <= 0.5] = np.nan  # a count, but for rounding
         result[part] = smooth
     return result
 
 
 def _convolved(values: Array, kernel: Array) -> Array:
-    """(N - M + 1,) convolution of values (N,) with a kernel (M,) where they overlap completely, by Fourier transforms. Not by
-    scipy.signal, which takes longer to import than ten minutes of flight take to filter."""
+    """(N - M + 1,) convolution of values (N,) with a kernel (M,) where they overlap completely, by Fourier transforms.
+
+    Importing scipy.signal would take longer than filtering ten minutes of flight.
+    """
     size = 1 << int(values.size - 1).bit_length()
     product = np.fft.rfft(values, size) * np.fft.rfft(kernel, size)
     return np.asarray(np.fft.irfft(product, size)[kernel.size - 1 : values.size])

@@ -14,13 +14,14 @@ import numpy as np
 
 from estimation.estimators.result import Estimate, Result
 from estimation.models.base import ParameterRole
-from estimation.session.aircraft_review import NOTHING, AircraftObjections
+from estimation.session.aircraft_review import NO_OBJECTIONS, AircraftObjections
 from estimation.session.evidence import (
     PREDICTABLE,
     ProcessNoise,
     beneath_instruments,
     corrected_states,
     gain_of_filter,
+    neighbour_correlations,
     parameter_scatter,
     predictability,
 )
@@ -28,9 +29,9 @@ from estimation.session.lack_sentences import ADD, ambiguous_text, lack_text
 from estimation.session.plausible_derivatives import implausible_derivatives
 from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible_values
 from estimation.structure.odd_flights import OddFlight
-from estimation.structure.score_test import StructureTest
+from estimation.structure.score_test import NOTABLE, StructureTest
 
-NOBODY = "none"
+NO_METHOD = "none"
 TRUST: Mapping[str, int] = {"ml": 0, "fem-noise": 1, "fem": 2, "ngn-improved": 3, "ls": 4, "ngn": 5}
 """Order of trust where nothing else decides: rms error over bound in still air, ml nearest to 1 (docs/estimation.md)."""
 
@@ -38,24 +39,23 @@ FILTERS = ("fem-noise", "fem")
 """Filter error: the published form first, which never failed in the flights of docs/validation.md."""
 
 REGRESSIONS: Mapping[str, float] = {"ls": 0.15, "ngn": 0.15, "ngn-improved": 0.05}
-"""Methods that take measured motion for truth -> the part of a derivative by which that is known to move it, which their
-bounds leave out (docs/ngn.md: 10-15 % and 5 % against truth)."""
+"""Methods that take measured motion for truth -> relative error of a derivative that this causes and their bounds leave out
+(docs/ngn.md: 10-15 % and 5 % against truth)."""
 
 TRUSTED_RECONSTRUCTED = ("ml",)
-"""Methods that do not take reconstructed angles for the ones flown; docs/compatibility.md has what gusts do to the others."""
+"""Methods that do not take reconstructed angles for the true ones; docs/compatibility.md shows what gusts do to the others."""
 
 NOISY = 0.6  # mean log ratio of variances, ml over fem: calm and light air up to 0.35, gusts of 0.5 deg from 0.96
-COLOURED = 0.3  # correlation of neighbouring innovations: a right model leaves 0.2 at most in 60 flights
+COLOURED = 0.3  # correlation of successive innovations: a right model leaves 0.2 at most in 60 flights
 FEW = 8.0
-"""Measured numbers for each unknown of a filter error, its gains among them, below which the gains take up noise of the outputs:
-at five (nine of ten samples missing) roll derivatives were 3.7 bounds off; 14 s at 10 Hz have twenty."""
-BENEATH = "filter error takes up less than the noise of any instrument, as in a record without noise, and agrees"
-APART = 3.0  # joint bounds between two methods that should agree
-COMES_OUT_AS_NONE = 3.0  # bounds from nothing, within which a derivative does
-OUTSIDE = 1.0  # of its own bound that a joint estimate may lie beyond all its members
-NOTABLE = 1.0  # of its bound by which a printed value has to be moved, before what moves it forbids a recommendation
+"""Measured numbers per unknown of a filter error, gains included, below which the gains absorb output noise: at five (nine of
+ten samples missing) roll derivatives were 3.7 bounds off; 14 s at 10 Hz have twenty."""
+BELOW_NOISE = "filter error takes up less than the noise of any instrument, as in a record without noise, and agrees"
+DISAGREE = 3.0  # joint bounds by which two estimates must differ to contradict each other
+NEAR_ZERO = 3.0  # bounds within which an estimate counts as zero
+OUTSIDE = 1.0  # bounds by which a joint estimate may lie outside the range of its members
 EXPLAINS = 0.2  # r2 that some output has to reach: a record at rest, or of noise alone, has none
-BEYOND = 1.5  # times what any other flight reached, from which a flight stretches a shared linear model
+STRETCHED = 1.5  # motion over the largest of any other flight, from which a flight stretches a shared linear model
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,8 @@ class Verdict:
 
 @dataclass
 class _Case:
-    """Results of one flight or of all together, as evidence is gathered. against: method -> why it is not to be believed."""
+    """Results of one flight or of all together, while evidence is collected. against: method -> why it is not to be believed;
+    reconstructed: names of reconstructed flow angles, for sentences."""
 
     results: Mapping[str, Result]
     against: dict[str, str] = field(default_factory=dict)
@@ -94,7 +95,7 @@ class _Case:
     reconstructed: str = ""
 
     @property
-    def left(self) -> list[str]:
+    def credible(self) -> list[str]:
         """Methods without an objection, the most trusted first."""
         methods = [m for m in self.results if m not in self.against]
         return sorted(methods, key=lambda m: TRUST.get(m, len(TRUST)))
@@ -111,53 +112,59 @@ def verdict(
     members: Mapping[str, Sequence[Result]] | None = None,
     reconstructed: Sequence[str] = (),
     odd: Sequence[str] = (),
-    craft: AircraftObjections = NOTHING,
+    objections: AircraftObjections = NO_OBJECTIONS,
     structure: StructureTest | None = None,
     odd_flights: Sequence[OddFlight] = (),
     fast: Sequence[str] = (),
 ) -> Verdict:
-    """The verdict on the results of several methods on the same data. members: of a joint estimate, each flight's by method.
+    """The verdict on the results of several methods on the same data.
 
-    reconstructed: flow angles that the model uses and that were not measured but found from the other instruments. They lack
-    the gusts: methods that take them for the angles flown miss by bounds (docs/compatibility.md), output error hardly does.
-    odd: what the records themselves show to be of another unit or sign, which no result is any better than. craft: what the
-    aircraft's own review says. structure: what the model lacks; odd_flights: flights that differ from the others of a joint fit.
-    fast: what is over before the records of the controls can show it.
+    failures: method -> why it gives no result. members: method -> results of the single flights of a joint estimate.
+    reconstructed: flow angles of the model that were computed from other instruments. They lack the gusts: methods that take
+    them for the true angles are off by several bounds (docs/compatibility.md), output error hardly is. odd: sentences on
+    columns that the record itself shows in another unit or sign, which spoils every result. objections: of the aircraft
+    review. structure: what the model lacks; odd_flights: flights that differ from the others of a joint fit. fast: sentences on
+    dampings that the records of the controls are too slow for.
     """
     case = _Case(results, reconstructed=" and ".join(reconstructed))
-    for text in craft.impossible:
+    for text in objections.impossible:
         case.doubts.append(Doubt(DoubtKind.AIRCRAFT, text))
         case.against = dict.fromkeys(results, text) | case.against
-    for text in (f"the aircraft file states {n}, and the model has no term for it: not used" for n in craft.dropped):
+    for text in (
+        f"the aircraft file states {n}, and the model has no term for it: not used" for n in objections.dropped
+    ):
         case.doubts.append(Doubt(DoubtKind.STATED, text))
     for text in odd:
         case.doubts.append(Doubt(DoubtKind.CHANNEL, text))
         case.against = dict.fromkeys(results, text) | case.against
     if reconstructed:
         objection = (
-            f"{case.reconstructed} reconstructed, not measured, without the gusts, which only output error bears"
+            f"{case.reconstructed} reconstructed, not measured, without the gusts, which only output error tolerates"
         )
         for method in (m for m in results if m not in TRUSTED_RECONSTRUCTED):
             case.object_to(method, DoubtKind.RECONSTRUCTED, objection)
     if corrected := corrected_states(results):
         for method in (m for m in results if m in REGRESSIONS):
-            case.against.setdefault(method, f"it takes records for the motion that {corrected} tells from it")
+            case.against.setdefault(
+                method, f"it takes records for the true motion, from which {corrected} shows them to differ"
+            )
     for method, reason in (failures or {}).items():
         case.doubts.append(Doubt(DoubtKind.FAILED, f"{method}: {reason}"))
     for method, result in results.items():
-        _own_doubts(case, method, result, craft.aspect)
+        _doubt_result(case, method, result, objections.aspect)
     for method, results_of_flights in (members or {}).items():
         if method in results and len(results_of_flights) > 1:
-            _members(case, method, results[method], results_of_flights)
+            _doubt_joint(case, method, results[method], results_of_flights)
     case.doubts += [Doubt(DoubtKind.FAST, text) for text in fast]
     if members:
         case.doubts += _stretched(next(iter(results.values()), None))
-    recommendation = of_structure(_choice(case, tested=structure is not None), case.doubts, structure, odd_flights)
+    choice = _choice(case, tested=structure is not None)
+    recommendation = _in_view_of_structure(choice, case.doubts, structure, odd_flights)
     return Verdict(recommendation, tuple(case.doubts))
 
 
-def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None:
-    """What one result says against itself."""
+def _doubt_result(case: _Case, method: str, result: Result, aspect: float) -> None:
+    """Add doubts and objections that one result gives by itself."""
     if not result.converged:
         case.object_to(method, DoubtKind.FAILED, result.text)
         return
@@ -170,22 +177,22 @@ def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None
             case.against.setdefault(method, doubt.text)
     r2 = [f.r2 for fit in result.flights for f in fit.fit.values() if math.isfinite(f.r2)]
     if r2 and max(r2) < EXPLAINS:
-        text = f"it explains none of the outputs (r2 {max(r2):.2f} at most): nothing here moves as the model says"
+        text = f"it explains none of the outputs (r2 {max(r2):.2f} at most): the motion is not the model's"
         case.object_to(method, DoubtKind.UNEXPLAINED, text)
     if not result.informative:
-        case.against.setdefault(method, "it can tell none of the derivatives")
+        case.against.setdefault(method, "it determines none of the derivatives")
 
 
 # ------------------------------------------------------------------------------------------------------------ the choice
 
 
-def of_structure(
+def _in_view_of_structure(
     recommendation: Recommendation,
     doubts: list[Doubt],
     structure: StructureTest | None,
     odd_flights: Sequence[OddFlight],
 ) -> Recommendation:
-    """The recommendation in view of what the model lacks and of flights that differ; their doubts are added to `doubts`."""
+    """The recommendation, or none, in view of what the model lacks and of odd flights; their doubts are added to `doubts`."""
     structure = structure or StructureTest((), ())
     lacks, ambiguous = structure.lacks, structure.ambiguous
     against = [structure.follows[recommendation.method]] if recommendation.method in structure.follows else []
@@ -197,31 +204,29 @@ def of_structure(
         text, advice = lack_text(lack), ADD if lack.possible else ""
         doubts.append(Doubt(DoubtKind.LACK, text + advice))
         if lack.matters(structure.bears):
-            against = [*(t.removesuffix(advice) for t in against), text + advice]  # said once
-        elif recommendation.method in FILTERS:  # which takes up whatever is left out
+            against = [*(t.removesuffix(advice) for t in against), text + advice]  # the advice only once, at the end
+        elif recommendation.method in FILTERS:  # a filter absorbs whatever the model lacks
             against.append(f"{text}; {recommendation.method} may take that for process noise")
-    for lack in ambiguous:
-        text = ambiguous_text(lack)
-        doubts.append(Doubt(DoubtKind.LACK, text))
+    doubts += [Doubt(DoubtKind.LACK, ambiguous_text(lack)) for lack in ambiguous]
     names = tuple(dict.fromkeys(n for lack in (*lacks, *ambiguous) for n in lack.names))
     if not against:
         return replace(recommendation, lacks=names) if lacks else recommendation
     reason = "; ".join(against)
-    reason = reason if recommendation.method != NOBODY else _joined(reason, recommendation.why)
-    return Recommendation(NOBODY, reason, names)
+    reason = reason if recommendation.method != NO_METHOD else _joined(reason, recommendation.why)
+    return Recommendation(NO_METHOD, reason, names)
 
 
 def _choice(case: _Case, *, tested: bool = False) -> Recommendation:
-    """The method to believe. tested: what the model lacks has been looked for, so that agreement is more than a shared lack."""
+    """The method to recommend. tested: a structure test was made, so that methods do not agree merely by a shared lack."""
     if not case.results:
-        return Recommendation(NOBODY, "no method came to a result")
+        return Recommendation(NO_METHOD, "no method came to a result")
     noise = _process_noise(case)
     if noise.present and "ml" in case.results and not case.reconstructed:
         case.against.setdefault("ml", noise.text)
-    if "ml" not in case.left:  # in rough air a filter that leaves a vane aside had Cn_r 27 bounds off
-        for method in (m for m in FILTERS if m in case.left and case.results[m].model.output_delays):
-            case.against[method] = "its filter leaves the record that shows late aside: of little use in rough air"
-    for method in (m for m in ("ml", *FILTERS) if m in case.left):
+    if "ml" not in case.credible:  # in rough air a filter that ignored a late vane had Cn_r 27 bounds off
+        for method in (m for m in FILTERS if m in case.credible and case.results[m].model.output_delays):
+            case.against[method] = "its filter does not correct by the late record: of little use in rough air"
+    for method in (m for m in ("ml", *FILTERS) if m in case.credible):
         if contradicted := _contradicted(case, method):
             case.object_to(method, DoubtKind.DISAGREEMENT, contradicted)
         else:
@@ -232,26 +237,26 @@ def _choice(case: _Case, *, tested: bool = False) -> Recommendation:
 def _process_noise(case: _Case) -> ProcessNoise:
     """Whether process noise drives the residuals of output error; a doubt where it does."""
     ml = case.results.get("ml")
-    for method in (m for m in FILTERS if m in case.left):
-        _judge_innovations(case, method)
-    fem = next((case.results[m] for m in FILTERS if m in case.left), None)
+    for method in (m for m in FILTERS if m in case.credible):
+        _doubt_innovations(case, method)
+    fem = next((case.results[m] for m in FILTERS if m in case.credible), None)
     if ml is None or not ml.converged:
         return ProcessNoise(any(m in case.results for m in FILTERS), "")
     if fem is not None:
         gain = gain_of_filter(ml, fem)
         furthest = _furthest(ml, fem)
-        present = gain.beyond_chance and (gain.size > NOISY or (furthest is not None and furthest[1] > APART))
+        present = gain.beyond_chance and (gain.size > NOISY or (furthest is not None and furthest[1] > DISAGREE))
         text = (
             f"process noise (gusts, or what the model lacks): filter error gains {gain.gain:.0f} in twice the log likelihood "
             f"over output error, chance {gain.chance:.0f}, and takes {1.0 - math.exp(-0.5 * gain.size):.0%} off the residuals"
         )
-        if present and beneath_instruments(ml) and (furthest is None or furthest[1] <= APART):
-            return ProcessNoise(False, text, BENEATH)
+        if present and beneath_instruments(ml) and (furthest is None or furthest[1] <= DISAGREE):
+            return ProcessNoise(False, text, BELOW_NOISE)
         noise = ProcessNoise(present, text)
     else:
         size = predictability(ml)
         text = (
-            f"its residuals follow one another ({1.0 - math.exp(-0.5 * size):.0%} of them is foretold by the sample before): "
+            f"its residuals follow one another (the sample before predicts {1.0 - math.exp(-0.5 * size):.0%} of them): "
             "gusts, or what the model lacks, move the aircraft; estimate with --method ml,fem,ls"
         )
         noise = ProcessNoise(size > PREDICTABLE, text)
@@ -260,18 +265,16 @@ def _process_noise(case: _Case) -> ProcessNoise:
     return noise
 
 
-def _judge_innovations(case: _Case, method: str) -> None:
-    """Innovations of a right model are white; where they are not, the filter has not taken up what drives the aircraft. Of few
-    numbers it makes them so."""
-    from estimation.session.evidence import neighbour_correlations
-
+def _doubt_innovations(case: _Case, method: str) -> None:
+    """Object to a filter whose innovations are not white, as those of a right model are. With few measured numbers per unknown
+    the gains make them white whatever the model, so too few numbers are an objection as well."""
     result = case.results[method]
     unknowns = len(result.names) + sum(len(row) for row in result.extra.get("gain", {}).values())
     numbers = sum(int(np.isfinite(f.residuals).sum()) for f in result.flights)
     if numbers < FEW * unknowns:
         text = f"{numbers} measured numbers are few for its {unknowns} unknowns, gains among them: log faster or fly longer"
         case.object_to(method, DoubtKind.COLOURED, text)
-    correlations = neighbour_correlations(case.results[method])
+    correlations = neighbour_correlations(result)
     name, rho = max(correlations.items(), key=lambda item: abs(item[1]), default=("", 0.0))
     if abs(rho) > COLOURED:
         text = f"innovations of {name} are not white (neighbours correlate by {rho:+.2f}): the model lacks something"
@@ -279,47 +282,49 @@ def _judge_innovations(case: _Case, method: str) -> None:
 
 
 def _contradicted(case: _Case, method: str) -> str:
-    """What the sound regressions say against a likelihood that would be recommended; empty unless all of them contradict it.
+    """What the credible regressions say against a likelihood method; empty unless all of them contradict it.
 
-    They err each in its own way, so one that agrees outweighs one that does not. Output error is no witness against a filter
-    error, nor the other way round: where they differ the test of process noise has decided. Of a derivative that is added since
-    nothing is believed of it, and that comes out as nothing, a regression's share of error has nothing to be a share of.
+    Each regression errs in its own way, so one that agrees outweighs one that does not. Output error and filter error are not
+    compared: the test of process noise decides between them. Derivatives without a belief that are estimated as zero are not
+    compared, because the error of a regression is stated relative to the value.
     """
-    witnesses = [m for m in case.left if m in REGRESSIONS]
+    witnesses = [m for m in case.credible if m in REGRESSIONS]
     result, sentences = case.results[method], []
     starts = result.model.starts()
-    nothing = [
-        n
-        for n, e in result.parameters.items()
-        if not starts.get(n) and abs(e.estimate) < COMES_OUT_AS_NONE * e.std_coloured
+    zeros = [
+        n for n, e in result.parameters.items() if not starts.get(n) and abs(e.estimate) < NEAR_ZERO * e.std_coloured
     ]
     for witness in witnesses:
-        furthest = _furthest(result, case.results[witness], REGRESSIONS[witness], nothing)
-        if furthest is None or furthest[1] <= APART:
+        furthest = _furthest(result, case.results[witness], REGRESSIONS[witness], zeros)
+        if furthest is None or furthest[1] <= DISAGREE:
             return ""
         sentences.append(f"{furthest[0]} lies {furthest[1]:.1f} joint bounds from that of {witness}")
     return " and ".join(sentences)
 
 
 def _without_likelihood(case: _Case) -> Recommendation:
-    """Where neither likelihood is to be believed: a regression that another regression confirms to within bounds alone."""
-    regressions = [m for m in case.left if m in REGRESSIONS]
+    """The recommendation where no likelihood method is credible: a regression that another one confirms within its bounds."""
+    regressions = [m for m in case.credible if m in REGRESSIONS]
     for i, method in enumerate(regressions):
         for second in regressions[i + 1 :]:
             furthest = _furthest(case.results[method], case.results[second])
-            if furthest is not None and furthest[1] <= APART:
+            if furthest is not None and furthest[1] <= DISAGREE:
                 agree = f"{method} and {second} agree within their bounds"
-                return Recommendation(method, f"no likelihood is to be believed here ({_said(case)}), and {agree}")
-    unranked = [m for m in case.left if m not in REGRESSIONS and m not in ("ml", *FILTERS)]
+                return Recommendation(
+                    method, f"no likelihood method is credible here ({_objections(case)}), and {agree}"
+                )
+    unranked = [m for m in case.credible if m not in REGRESSIONS and m not in ("ml", *FILTERS)]
     if unranked:
-        return Recommendation(unranked[0], "nothing that is looked at speaks against it")
+        return Recommendation(unranked[0], "no check speaks against it")
     if regressions:
-        reason = f"{regressions[0]} takes measured motion for truth, which its bounds leave out; nothing confirms it"
-        return Recommendation(NOBODY, _joined(reason, _said(case)))
-    return Recommendation(NOBODY, _said(case))
+        reason = (
+            f"{regressions[0]} takes measured motion for truth, which its bounds leave out; no other method confirms it"
+        )
+        return Recommendation(NO_METHOD, _joined(reason, _objections(case)))
+    return Recommendation(NO_METHOD, _objections(case))
 
 
-def _said(case: _Case) -> str:
+def _objections(case: _Case) -> str:
     return "; ".join(f"{m}: {reason}" for m, reason in case.against.items())
 
 
@@ -328,8 +333,8 @@ def _joined(*sentences: str) -> str:
 
 
 def _why(case: _Case, method: str, noise: ProcessNoise, tested: bool) -> str:
-    """Why a likelihood is recommended."""
-    witnesses = [m for m in case.left if m in REGRESSIONS]
+    """Why a likelihood method is recommended."""
+    witnesses = [m for m in case.credible if m in REGRESSIONS]
     agree = f"it agrees with {' and '.join(witnesses)}" if witnesses else ""
     if agree and not tested:
         agree += ", which would share what the model lacks (not tested)"
@@ -337,26 +342,26 @@ def _why(case: _Case, method: str, noise: ProcessNoise, tested: bool) -> str:
         return f"{case.reconstructed} reconstructed, not measured: only output error does not take them for the angles flown"
     if method in FILTERS:
         return _joined(noise.text or "its innovations are white", agree)
-    if any(m in case.left for m in FILTERS):
+    if any(m in case.credible for m in FILTERS):
         quiet = noise.quiet
     else:
-        quiet = "its residuals do not follow one another more than noise of the inputs makes them"
+        quiet = "its residuals follow one another no more than noise of the inputs explains"
     return _joined(quiet, agree)
 
 
 def _furthest(a: Result, b: Result, share: float = 0.0, without: Collection[str] = ()) -> tuple[str, float] | None:
-    """The parameter in which two results differ most, and by how many joint bounds. share: known error of `b`, of its value.
+    """The derivative in which two results differ most, and by how many joint bounds. share: known relative error of `b`;
     without: parameters that are not compared."""
     distances = [
         (n, abs(e.estimate - o.estimate) / joint)
-        for n, e, o in _both(a, b)
+        for n, e, o in _common_derivatives(a, b)
         if n not in without and (joint := math.hypot(e.std_coloured, o.std_coloured, share * o.estimate)) > 0.0
     ]
     return max(distances, key=lambda item: item[1], default=None)
 
 
-def _both(a: Result, b: Result) -> list[tuple[str, Estimate, Estimate]]:
-    """Derivatives that both results can tell. Constants are left out: methods need not agree on what trim is."""
+def _common_derivatives(a: Result, b: Result) -> list[tuple[str, Estimate, Estimate]]:
+    """Derivatives identifiable in both results. Constants are left out: methods need not agree on trim."""
     names = a.model.free_of(ParameterRole.DERIVATIVE)
     pairs = [(n, a.parameters[n], b.parameters[n]) for n in names if n in a.parameters and n in b.parameters]
     return [(n, e, o) for n, e, o in pairs if e.identifiable and o.identifiable]
@@ -365,8 +370,8 @@ def _both(a: Result, b: Result) -> list[tuple[str, Estimate, Estimate]]:
 # ------------------------------------------------------------------------------------------------- joint and its members
 
 
-def _members(case: _Case, method: str, joint: Result, members: Sequence[Result]) -> None:
-    """Doubts about a joint estimate that its members give: outside all of them, or bounds that their scatter denies."""
+def _doubt_joint(case: _Case, method: str, joint: Result, members: Sequence[Result]) -> None:
+    """Add doubts about a joint estimate: where it lies outside its members, or their scatter exceeds their bounds."""
     for name, e in joint.parameters.items():
         identifiable = [r.parameters[name] for r in members if name in r.parameters and r.converged]
         identifiable = [o for o in identifiable if o.identifiable]
@@ -380,7 +385,7 @@ def _members(case: _Case, method: str, joint: Result, members: Sequence[Result])
             place = f"outside its members ({low:.3g} to {high:.3g}) by {distance / bound:.1f} joint bounds"
             text = f"joint {name} {e.estimate:.3g} lies {place}"
             case.doubts.append(Doubt(DoubtKind.JOINT, f"{method}: {text}"))
-            if distance > APART * bound:
+            if distance > DISAGREE * bound:
                 case.against.setdefault(method, text)
     for name, s in parameter_scatter(members).items():
         if s.text:
@@ -388,14 +393,14 @@ def _members(case: _Case, method: str, joint: Result, members: Sequence[Result])
 
 
 def _stretched(joint: Result | None) -> list[Doubt]:
-    """Flights that move far beyond all others, which a shared linear model then extrapolates to."""
+    """Doubts about a flight that moves far more than all others, to which a shared linear model extrapolates."""
     if joint is None or len(joint.flights) < 2:
         return []
     doubts = []
     for c, name in enumerate(joint.model.output_names):
         extents = [float(np.max(np.abs(_centred(joint, i, c)))) for i in range(len(joint.flights))]
         first, second = sorted(extents, reverse=True)[:2]
-        if second > 0.0 and first > BEYOND * second:
+        if second > 0.0 and first > STRETCHED * second:
             flight = joint.flights[extents.index(first)].name
             sentence = f"{flight} moves {name} {first / second:.1f} times as far as any other flight"
             text = f"{sentence}: one linear model is stretched there"
@@ -404,6 +409,7 @@ def _stretched(joint: Result | None) -> list[Doubt]:
 
 
 def _centred(joint: Result, flight: int, channel: int) -> np.ndarray:
+    """Finite measured values about their median; one zero where there are none."""
     values = joint.flights[flight].measured[:, channel]
     finite = values[np.isfinite(values)]
     return finite - np.median(finite) if finite.size else np.zeros(1)

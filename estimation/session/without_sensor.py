@@ -1,8 +1,8 @@
 """Built-in models on a flight without a sideslip vane, a side accelerometer, or a record of thrust.
 
-Sideslip follows from p, r, phi and ay by the kinematics of the model, but for where it began. Both lacking is refused as before:
-side force would then be told by nothing. Thrust that stays as it is within a flight is one unknown force along x; with the
-zero-lift drag coefficient, which then stands for what that force does with airspeed, too, it takes nothing from lift and pitch.
+Sideslip follows from p, r, phi and ay by the kinematics of the model, except for its initial value. A flight that lacks both the
+vane and ay is refused, because nothing then measures side force. Thrust that is constant within a flight becomes one unknown
+force along x. It cannot be separated from CD_0, which also absorbs how thrust changes with airspeed; lift and pitch lose nothing.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,19 +27,19 @@ KINEMATIC = "beta_kinematic"
 
 LACKING: Mapping[str, str] = {
     "beta": (
-        "beta not measured: it follows from p, r, phi and ay and begins at zero as an unknown, so that CY_0, Cl_0 and Cn_0 "
-        "cannot be told from the sideslip at the beginning, and what is slower than the manoeuvres tells nothing of beta"
+        "beta not measured: it is integrated from p, r, phi and ay, from an unknown initial value, so that CY_0, Cl_0 and Cn_0 "
+        "cannot be told from the initial sideslip, and motion slower than the manoeuvres gives no information on beta"
     ),
     "ay": (
-        "ay not measured: the side force CY is told by how beta moves alone, and what turns the air or the vane passes for it: "
-        "the bounds of every CY are several times as wide"
+        "ay not measured: the side force CY follows only from the motion of beta, and errors of the air or the vane act like a "
+        "side force: the bounds of every CY are several times as wide"
     ),
     "thrust": (
-        "thrust not measured: taken as constant within the flight and unknown, so that CD_0 cannot be told from it; what thrust "
-        "does off the CG passes for Cm_0"
+        "thrust not measured: taken as constant within the flight and unknown, so that CD_0 cannot be told from it; its moment "
+        "about the CG is counted as Cm_0"
     ),
 }
-"""Column that may be lacking -> what that leaves open."""
+"""Column that may be lacking -> what then cannot be determined."""
 
 MAY_LACK: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(EITHER_IN, EITHER),
@@ -48,9 +48,9 @@ MAY_LACK: Mapping[str, tuple[str, ...]] = {
 """Built-in model -> columns of which its flights may lack one."""
 
 THRUST = "thrust"
-UNTOLD = "CD_0"
+DRAG = "CD_0"  # cannot be separated from an unknown thrust
 NO_THRUST = "thrust was not measured"
-"""How the reason begins for which a parameter cannot be told without a record of thrust."""
+"""First words of the reason for which a parameter is not identifiable without a record of thrust."""
 UNUSED = Finding(FindingKind.NOT_MEASURED, "thrust is not used, as other flights lack it: estimate those by themselves")
 STEADY_THROTTLE = 0.05
 """Standard deviation of a recorded throttle (0 to 1) up to which thrust passes for constant: a fifth of the thrust of level
@@ -58,8 +58,9 @@ flight of a small propeller aeroplane at half throttle, the size of its zero-lif
 
 
 def without_sensor(model: Model, flights: Sequence[Flight]) -> tuple[Model, Sequence[Flight]]:
-    """Model and flights as a fit can use them: where a flight lacks one of LACKING, the model does not ask for it, and the flight
-    says what can no longer be told. Both as they are where nothing, or more than one, is lacking, and for other models.
+    """Model and flights as a fit can use them: where a flight lacks one of the columns of LACKING, the model does without it and
+    a note of the flight says what can no longer be determined. Unchanged where no column or more than one is lacking, and for
+    other than built-in models.
 
     Raises DataError for a flight without thrust whose throttle moves.
     """
@@ -79,12 +80,12 @@ def without_sensor(model: Model, flights: Sequence[Flight]) -> tuple[Model, Sequ
     if THRUST in columns:
         slim = _without_thrust(slim, [f for f, names in zip(flights, absent, strict=True) if names])
         noted = [f if names else f.with_notes(UNUSED) for f, names in zip(noted, absent, strict=True)]
-    blind = [f for f, names in zip(noted, absent, strict=True) if "beta" in names]
-    return (_started(slim, blind) if blind else slim), noted
+    without_vane = [f for f, names in zip(noted, absent, strict=True) if "beta" in names]
+    return (_with_kinematic_starts(slim, without_vane) if without_vane else slim), noted
 
 
 def _without_thrust(model: Model, flights: Sequence[Flight]) -> Model:
-    """The model with thrust as an unknown of each flight in place of an input. Raises DataError where the throttle moves."""
+    """The model with thrust as an unknown of each flight instead of an input. Raises DataError where the throttle moves."""
     for f in flights:
         moves = float(np.nanstd(f["throttle"])) if f.measured("throttle") else 0.0
         if moves > STEADY_THROTTLE:
@@ -97,18 +98,18 @@ def _without_thrust(model: Model, flights: Sequence[Flight]) -> Model:
     return replace(model, inputs=inputs, parameters=(*model.parameters, unknown))
 
 
-def with_untold(result: Result) -> Result:
-    """The result with what an unknown thrust takes the place of as not told."""
-    if THRUST not in result.model.parameter_names or UNTOLD not in result.parameters:
+def with_unknown_thrust(result: Result) -> Result:
+    """The result with zero-lift drag and thrust marked not identifiable where thrust is an unknown."""
+    if THRUST not in result.model.parameter_names or DRAG not in result.parameters:
         return result
-    why = f"{NO_THRUST}: the record tells thrust less drag, and not one of them"
-    names = [n for n in (UNTOLD, THRUST) if n in result.parameters]
+    why = f"{NO_THRUST}: the record determines only thrust less drag"
+    names = [n for n in (DRAG, THRUST) if n in result.parameters]
     blind = {n: replace(result.parameters[n], identifiable=False, why=why) for n in names}
     return replace(result, parameters={**result.parameters, **blind})
 
 
-def _started(model: Model, flights: Sequence[Flight]) -> Model:
-    """The model with starts for derivatives of which nothing is believed, by a regression on the sideslip of the kinematics."""
+def _with_kinematic_starts(model: Model, flights: Sequence[Flight]) -> Model:
+    """The model with start values for derivatives without a belief, by a regression on the kinematic sideslip."""
     states = tuple(replace(s, column=KINEMATIC) if s.source == "beta" else s for s in model.states)
     with_kinematics = [f.with_columns(**{KINEMATIC: kinematic_sideslip(f)}) for f in flights]
     try:
@@ -121,8 +122,8 @@ def _started(model: Model, flights: Sequence[Flight]) -> Model:
 
 
 def kinematic_sideslip(flight: Flight) -> Array:
-    """beta (N,) rad by beta_dot = p sin(alpha) - r cos(alpha) + (ay + g cos(theta) sin(phi)) / V, without the straight line that
-    errors of gyro and bank put into each segment: good for a start, and for no result."""
+    """beta (N,) [rad] by beta_dot = p sin(alpha) - r cos(alpha) + (ay + g cos(theta) sin(phi)) / V, less a straight line in each
+    segment, which errors of gyro and bank cause. Good enough for start values only."""
     from scipy.signal import detrend
 
     names = ("p", "r", "ay", "phi", "V", "alpha", "theta")
@@ -137,7 +138,7 @@ def kinematic_sideslip(flight: Flight) -> Array:
 
 
 def _filled(flight: Flight, name: str) -> Array:
-    """A column with its holes on straight lines; zero where it is not measured."""
+    """A column (N,) interpolated linearly over missing samples; zeros where it is not measured at all."""
     if not flight.measured(name):
         return np.zeros(len(flight))
     measured = np.isfinite(flight[name])

@@ -1,1 +1,1 @@
-"""The user's own simulation as a base model: its coefficients along the flight, and found effects back into it."""
+"""The user's own simulation as a base model: its coefficients along the flights, and effects found written back into it."""

@@ -15,7 +15,7 @@ from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
 from estimation.models.load import load_model, read_model
-from estimation.simulation.along_flight import Along, simulate_along
+from estimation.simulation.along_flight import AlongFlights, simulate_along
 from estimation.simulation.autopilot.simulations import ARDUPILOT, GAZEBO, ardupilot_simulation, gazebo_simulation
 from estimation.simulation.base_model import Free, base_model
 from estimation.simulation.jsbsim.aircraft import jsbsim_simulation
@@ -44,8 +44,8 @@ def simulation_of(spec: str) -> Simulation:
     )
 
 
-MOST_RENEWALS = 6  # each squares the remaining distance, so that more would not help
-SETTLED = 1e-3  # of a motion's standard deviation: far below the noise of its measurement
+MOST_RENEWALS = 6  # each squares the remaining distance, so more would not help
+SETTLED = 1e-3  # largest change over a motion's standard deviation: far below the noise of its measurement
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,9 @@ def attach(
 ) -> Attached:
     """The simulation `spec` with the model `which`: a built-in name, or a MODEL.toml that was estimated on a simulation.
 
-    given: the requested aircraft; without one that of the flights, else the simulation's. controls: a model that says how control
-    surfaces move where they are not what was recorded; a MODEL.toml says it itself. Raises SimulationError, ModelError,
-    AircraftError or DataError (one sentence each).
+    given: the requested aircraft; by default that of the flights, else the simulation's. controls: a model whose input transforms
+    move the control surfaces, where they did not move as recorded; a MODEL.toml brings its own. Raises SimulationError,
+    ModelError, AircraftError or DataError (one sentence each).
     """
     simulation = simulation_of(spec)
     aircraft = aircraft_for(simulation, flights, given)
@@ -91,19 +91,19 @@ def attach(
         model = base_model(simulation, which, aircraft, along_flights, free)
     else:
         model = _model_on_simulation(which)
-        plain, names = without_simulation(model), computed(model)
-        along_flights = simulate_along(simulation, plain, flights, names=names, controls=controls or model)
-    return Attached(
-        simulation, aircraft, model, carrying(flights, along_flights), (*simulation.notes, *_unmeasured(along_flights))
-    )
+        along_flights = simulate_along(
+            simulation, without_simulation(model), flights, names=computed(model), controls=controls or model
+        )
+    notes = (*simulation.notes, *_unmeasured_notes(along_flights))
+    return Attached(simulation, aircraft, model, with_simulation_columns(flights, along_flights), notes)
 
 
 def renewed_attachment(attached: Attached, fitted: Model | None = None) -> Attached:
-    """The same with the simulation evaluated at the motion that `fitted` (by default the present model) predicts for each flight,
-    instead of at the measured motion.
+    """The attachment with the simulation evaluated at the motion that `fitted` (by default the present model) predicts for each
+    flight, instead of at the measured motion.
 
-    The prediction can differ from the measured motion by some degrees, where slopes at the measured motion do not hold. Where the
-    fit of the initial states does not converge, the measured motion stays. The means from which derivatives start stay too.
+    The prediction can differ from the measured motion by some degrees, and the slopes at the measured motion do not hold there.
+    Flights whose initial states cannot be fitted keep the measured motion. The derivatives' starts do not change.
     """
     motion_model = fitted or attached.model
     along_flights = simulate_along(
@@ -111,11 +111,11 @@ def renewed_attachment(attached: Attached, fitted: Model | None = None) -> Attac
         [_motion_of(motion_model, flight) for flight in attached.flights], names=computed(attached.model),
         controls=motion_model,
     )  # fmt: skip
-    return replace(attached, flights=carrying(attached.flights, along_flights))
+    return replace(attached, flights=with_simulation_columns(attached.flights, along_flights))
 
 
 def motion_settled(attached: Attached) -> Attached:
-    """The same with the simulation evaluated at the predicted motion, repeated until the prediction no longer changes."""
+    """The attachment evaluated at the predicted motion, repeated until the prediction no longer changes."""
     old_motions = [_motion_of(attached.model, flight) for flight in attached.flights]
     for _ in range(MOST_RENEWALS):
         attached = renewed_attachment(attached)
@@ -127,7 +127,7 @@ def motion_settled(attached: Attached) -> Attached:
 
 
 def estimated_about_its_motion(attached: Attached) -> Attached:
-    """The same with the simulation evaluated at the motion of the best fit to all flights; unchanged where that fit fails."""
+    """The attachment evaluated at the motion of the best fit to all flights; unchanged where that fit fails."""
     try:
         with numerical_failures():
             first = output_error(attached.model, attached.flights)
@@ -137,26 +137,19 @@ def estimated_about_its_motion(attached: Attached) -> Attached:
 
 
 def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str | Path | Aircraft | None) -> Aircraft:
-    """Mass and inertia of the given aircraft, without one of that of the flights, else of the simulation. Area, span and chord
-    are the simulation's where it has them, because its coefficients are referred to these, unless it can refer them to any
-    aircraft."""
-    simulation_aircraft = simulation.aircraft
-    if given is None and simulation_aircraft is not None and not any(f.provenance.aircraft for f in flights):
-        return simulation_aircraft
+    """The given aircraft, else that of the flights, else the simulation's. Area, span and chord are the simulation's where it has
+    them, because its coefficients refer to these, unless it can refer them to any aircraft."""
+    own = simulation.aircraft
+    if given is None and own is not None and not any(f.provenance.aircraft for f in flights):
+        return own
     aircraft = aircraft_of(flights, given)
-    if simulation.referred is not None:
+    if simulation.referred is not None or own is None or np.isnan([own.area, own.span, own.chord]).any():
         return aircraft
-    if simulation_aircraft is None or any(
-        np.isnan(v) for v in (simulation_aircraft.area, simulation_aircraft.span, simulation_aircraft.chord)
-    ):
-        return aircraft
-    return aircraft.with_values(
-        area=simulation_aircraft.area, span=simulation_aircraft.span, chord=simulation_aircraft.chord
-    )
+    return aircraft.with_values(area=own.area, span=own.span, chord=own.chord)
 
 
 def without_simulation(model: Model) -> Model:
-    """The model with the simulation's coefficients at zero; it shows which variables and columns of a flight the model needs."""
+    """The model with the simulation's coefficients at zero, which needs only variables and columns that flights have."""
     inputs = tuple(s for s in model.inputs if not s.computed)
     coefficients = [c for c in ("CL", "CD", *COEFFICIENTS) if c in model.definitions]
     zero_lines = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in coefficients else f"{n} = {text}"
@@ -165,7 +158,7 @@ def without_simulation(model: Model) -> Model:
 
 
 def _model_on_simulation(which: str) -> Model:
-    """The model of a file, which must have inputs of a simulation."""
+    """The model of a file. Raises SimulationError where it has no inputs from a simulation."""
     if not which.endswith(".toml"):
         raise SimulationError(
             f"--simulation with model {which!r}: choose a built-in model ({', '.join(BUILDERS)}),"
@@ -180,22 +173,22 @@ def _model_on_simulation(which: str) -> Model:
 
 
 def computed(model: Model) -> tuple[str, ...]:
-    """Names of the columns of a simulation that a model reads."""
+    """Names of the simulation's columns that a model reads."""
     return tuple(s.name for s in model.inputs if s.computed)
 
 
-def carrying(flights: Sequence[Flight], along_flights: Along) -> tuple[Flight, ...]:
+def with_simulation_columns(flights: Sequence[Flight], along_flights: AlongFlights) -> tuple[Flight, ...]:
     """The flights with the columns of the simulation."""
     return tuple(flight.with_columns(**columns) for flight, columns in zip(flights, along_flights.columns, strict=True))
 
 
-def _unmeasured(along_flights: Along) -> tuple[str, ...]:
+def _unmeasured_notes(along_flights: AlongFlights) -> tuple[str, ...]:
     surfaces = [v for v in along_flights.unmeasured if v != "thrust"]
     return (f"no flight measures {', '.join(surfaces)}: the simulation has them at zero",) if surfaces else ()
 
 
 def _motion_of(model: Model, flight: Flight) -> Mapping[str, Array]:
-    """State -> predicted history (N,) with only the initial state fitted; empty where that does not converge."""
+    """State -> predicted history (N,) with only the initial states fitted; empty where that does not converge."""
     frozen = model.fixed(*model.parameter_names)
     result = output_error(frozen, flight, options=OutputErrorOptions(improve_start=False))
     if not result.converged:

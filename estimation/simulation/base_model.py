@@ -1,15 +1,15 @@
-"""The base model around a simulation: our equations of motion, its coefficients, and what may be wrong with them.
+"""The base model around a simulation: our equations of motion with its coefficients, and parameters for their errors.
 
 Each coefficient is
 
     C = k_C C_sim + C_0 + (C_x - mean_C_x) x + ...
 
-with C_sim the simulation's along the flight (`along_flight`), a factor k_C (1) and an increment C_0 (0). C_x are derivatives as
-the field writes them (per rad, rates non-dimensional), beginning at `mean_C_x`, the simulation's own mean slope over the flights:
-what an estimate of C_x differs from it by is the increment that the simulation lacks. Effects add their terms behind these.
+with C_sim the simulation's coefficient along the flight (`along_flight`), a factor k_C (1 as it flies) and an increment C_0 (0).
+C_x are derivatives in the usual form (per rad, rates non-dimensional). They start at `mean_C_x`, the simulation's mean slope over
+the flights; an estimate minus this start is the increment that the simulation lacks. Effects append their terms.
 
-A drag that knows the lift of the angle of attack alone (SITL's) gets share_CD CD_k (CL^2 - CL(alpha)^2): what its files cannot
-say is estimated beside, 0 as the simulation flies and 1 as a parabolic polar has it, and accuses none of its numbers.
+Where the simulation's induced drag depends on alpha alone (SITL), the model adds share_CD CD_k (CL^2 - CL(alpha)^2). Its files
+cannot express that term, so share_CD (0: as the simulation flies, 1: a parabolic polar) is estimated with the constants.
 """
 
 from dataclasses import asdict, replace
@@ -19,30 +19,32 @@ from estimation.aircraft import Aircraft
 from estimation.models.base import Model, Parameter, Signal
 from estimation.models.load import load_model
 from estimation.models.parts import usual_role
-from estimation.simulation.along_flight import Along, coefficients_in, column_name, variables_of
+from estimation.simulation.along_flight import AlongFlights, coefficients_in, column_name, variables_of
 from estimation.simulation.oracle import Simulation
 
 REGRESSORS = {
     "alpha": ("alpha", "alpha"), "beta": ("beta", "beta"), "p": ("p_hat", "p"), "q": ("q_hat", "q"), "r": ("r_hat", "r"),
     "de": ("delta_e", "delta_e"), "da": ("delta_a", "delta_a"), "dr": ("delta_r", "delta_r"),
 }  # fmt: skip
-"""Ending of a derivative's name -> what it multiplies, the variable behind that."""
+"""Ending of a derivative's name -> its regressor, and the variable in that."""
 SHARE = "share_CD"
 SHARE_WORDS = "induced drag by the lift of elevator and pitch rate, not in the simulation: share of a parabolic polar"
 DESCRIPTION = "Base: the simulation {}"
 
 
 class Free(StrEnum):
-    """What of a simulation is estimated: factors and constants (for the search for effects, which frees derivatives one by one),
-    derivatives and constants (to say what each is by the flights), or nothing."""
+    """What of a simulation is estimated: factors and constants (for the search for effects, which frees single derivatives),
+    derivatives and constants (to estimate each from the flights), or nothing."""
 
     FACTORS = "factors"
     DERIVATIVES = "derivatives"
     NOTHING = "nothing"
 
 
-def base_model(simulation: Simulation, which: str, aircraft: Aircraft, along_flights: Along, free: Free) -> Model:
-    """The built-in model `which` with the coefficients of a simulation as it was evaluated along the flights."""
+def base_model(
+    simulation: Simulation, which: str, aircraft: Aircraft, along_flights: AlongFlights, free: Free
+) -> Model:
+    """The built-in model `which` with the coefficients of a simulation that was evaluated along the flights."""
     built_in = load_model(which, aircraft)
     coefficients = coefficients_in(built_in)
     variables = variables_of(built_in)
@@ -86,8 +88,8 @@ def base_model(simulation: Simulation, which: str, aircraft: Aircraft, along_fli
     )
 
 
-def _derivative(along_flights: Along, coefficient: str, variable: str, aircraft: Aircraft) -> float:
-    """Mean slope as the derivative is written: per rad, or per rate times length over twice the mean airspeed."""
+def _derivative(along_flights: AlongFlights, coefficient: str, variable: str, aircraft: Aircraft) -> float:
+    """Mean slope as a derivative: per rad, for rates per rate times length over twice the mean airspeed."""
     slope = along_flights.means.get((coefficient, variable), 0.0)
     length = {"p": aircraft.span, "q": aircraft.chord, "r": aircraft.span}.get(variable)
     return slope if length is None else slope * 2.0 * along_flights.speed / length

@@ -1,4 +1,4 @@
-"""XML from strangers, within bounds: no document type, no entities, at most so many bytes, elements and levels."""
+"""XML from untrusted files, within limits: no document type, no entities, limited bytes, elements and levels."""
 
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -8,12 +8,12 @@ from daq.utilities.input_files import read_bytes
 from estimation.simulation.oracle import SimulationError
 
 LARGEST = 4 * 2**20  # bytes; models of PX4 have some 20 kB
-DEEPEST = 64  # elements within elements; SDF needs ten
-MOST = 50_000  # elements
+DEEPEST = 64  # nested elements; SDF needs ten
+MOST_ELEMENTS = 50_000  # elements; models of PX4 have some hundreds
 
 
 def bounded_tree(path: Path, what: str, most: int = LARGEST) -> ET.Element:
-    """The root of an XML file. Raises SimulationError where it is none, or beyond the bounds."""
+    """The root of an XML file. what: its kind, for messages; most: bytes. Raises SimulationError for no XML, or beyond limits."""
     data = read_bytes(path, what, SimulationError, most)
     builder = ET.TreeBuilder()
     depth = count = 0
@@ -21,8 +21,10 @@ def bounded_tree(path: Path, what: str, most: int = LARGEST) -> ET.Element:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
-        if depth > DEEPEST or count > MOST:
-            raise SimulationError(f"{path}: more than {DEEPEST} levels or {MOST} elements; {what} has no need of them")
+        if depth > DEEPEST or count > MOST_ELEMENTS:
+            raise SimulationError(
+                f"{path}: more than {DEEPEST} levels or {MOST_ELEMENTS} elements; {what} has no need of them"
+            )
         builder.start(tag, attributes)
 
     def end(tag: str) -> None:

@@ -1,4 +1,4 @@
-"""From a model file to a JSBSim aircraft and from an aircraft to a model file, each proved, for `sideslip export`."""
+"""From a model file to a JSBSim aircraft and from a JSBSim aircraft to a model file, each proved, for `sideslip export`."""
 
 import json
 import math
@@ -31,19 +31,20 @@ from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulat
 from estimation.simulation.own_simulations import TextOracle
 from estimation.simulation.proof import ExportProof, proof_of
 
-RATE = 120.0  # Hz: JSBSim's own
-FASTEST = 2000.0  # Hz
+RATE = 120.0  # Hz: JSBSim's default
+SLOWEST, FASTEST = 20.0, 2000.0  # Hz: rates at which an aircraft can sensibly be flown
 
 
 @dataclass(frozen=True)
 class ProvedExport:
-    """What was written, and how far it flies from the model. rate: steps per second it was flown at."""
+    """The written aircraft, and how far its flight is from the model's. rate: steps per second of the proof."""
 
     exported: JsbsimExport
     proof: ExportProof
     rate: float
 
     def sentence(self) -> str:
+        """The result of the proof."""
         if not self.proof.failed:
             return (
                 "proof: flown by JSBSim, the aircraft stays within a tenth of sensor noise of the model in every output"
@@ -54,8 +55,8 @@ class ProvedExport:
             f" {self.proof.allowed[output]:.3g}; do not use the aircraft, and look at what the model has that no aircraft can"
         )
 
-    def of_the_steps(self) -> str:
-        """What JSBSim's steps alone do at the rate, in one sentence."""
+    def step_error_sentence(self) -> str:
+        """The error of JSBSim's steps alone at the rate, in one sentence."""
         proof = self.proof
         output = _worst_output(proof, proof.steps, tuple(proof.steps))
         step_note = f"its steps alone put {output} off by {proof.steps[output]:.2g} rms in the same flight"
@@ -67,25 +68,25 @@ class ProvedExport:
         )
 
 
-def _worst_output(proof: ExportProof, off: Mapping[str, float], among: tuple[str, ...]) -> str:
-    return max(among, key=lambda n: off[n] / proof.allowed[n])
+def _worst_output(proof: ExportProof, deviations: Mapping[str, float], among: tuple[str, ...]) -> str:
+    return max(among, key=lambda n: deviations[n] / proof.allowed[n])
 
 
 def export_to_jsbsim(path: Path, aircraft_from: str | None, out: Path, rate: float = RATE) -> ProvedExport:
     """Write the model file `path` as an aircraft into the folder `out` and fly both.
 
-    aircraft_from: `jsbsim:NAME` or a folder; by default the simulation that the model was found on. rate: JSBSim steps per second
-    for which delays are counted, and at which it is flown. Raises SimulationError or ModelError before anything is written.
+    aircraft_from: `jsbsim:NAME` or a folder; by default the simulation that the model was found on. rate: JSBSim steps per
+    second, the unit of delays and the rate of the proof. Raises SimulationError or ModelError before anything is written.
     """
     model = read_model(path)
     spec = aircraft_from or simulation_named(model)
     if not spec.startswith(PREFIX):
         origin = f"was found on {spec!r}" if spec else "does not say on which simulation it was found"
         raise SimulationError(f"{path}: {origin}; say which aircraft to write it into with --aircraft-from jsbsim:NAME")
-    if not 20.0 <= rate <= FASTEST:
-        raise SimulationError(f"--rate {rate:g}: give steps per second from 20 to {FASTEST:g}")
+    if not SLOWEST <= rate <= FASTEST:
+        raise SimulationError(f"--rate {rate:g}: give steps per second from {SLOWEST:g} to {FASTEST:g}")
     source = aircraft_file(spec.removeprefix(PREFIX))
-    record = lineage_of(model, path, spec, rate)
+    record = _lineage(model, path, spec, rate)
     exported, written_aircraft, increments = export_aircraft(
         model, source, out, json.dumps(record, sort_keys=True), rate
     )
@@ -100,8 +101,8 @@ def export_to_jsbsim(path: Path, aircraft_from: str | None, out: Path, rate: flo
     return ProvedExport(exported, proof, rate)
 
 
-def lineage_of(model: Model, path: Path, spec: str, rate: float) -> dict[str, Any]:
-    """Where an exported aircraft comes from: model, simulation, and what the gap workflow wrote beside the model."""
+def _lineage(model: Model, path: Path, spec: str, rate: float) -> dict[str, Any]:
+    """The origin of an exported aircraft: model, simulation, and the lineage that the gap workflow wrote beside the model."""
     record: dict[str, Any] = {
         "model": path.name, "digest": model.digest, "simulation": spec, "rate_hz": rate, "software": _software(),
     }  # fmt: skip
@@ -127,36 +128,41 @@ def _software() -> str:
         return "sideslip (not installed)"
 
 
-# From a JSBSim aircraft to a model file in our own text: what `sideslip export jsbsim:NAME -o MODEL.toml` does.
+# From a JSBSim aircraft to a model file: what `sideslip export jsbsim:NAME -o MODEL.toml` does.
 #
-# Written where every function has an exact form, and proved on the spot: at random states the text has JSBSim's own coefficients.
+# The file is written only where every function has an exact form, and where its coefficients equal JSBSim's at random states.
 
-SAME = 1e-9  # of the largest of a coefficient: text and JSBSim differ by rounding only
-STATES = 200
+SAME = 1e-9  # of the largest value of a coefficient: text and JSBSim differ by rounding only
+STATES = 200  # random ones of a proof
 SIZES = {"beta": 0.2, "p": 0.4, "q": 0.3, "r": 0.3, "delta_e": 0.3, "delta_a": 0.3, "delta_r": 0.3}  # rad, rad/s
-ALPHAS = (-0.1, 0.3)  # rad, where it remembers nothing of a stall
+ALPHAS = (-0.1, 0.3)  # rad: JSBSim's stall hysteresis does not act there
 DENSITIES = (0.6, 1.2)  # kg/m3: the troposphere
-CRUISE = 0.4  # lift coefficient in whose speed, at sea level, states are taken
-SPEEDS = (0.7, 1.8)  # of that
+CRUISE = 0.4  # lift coefficient that sets the speed, at sea level
+SPEEDS = (0.7, 1.8)  # range of speeds over that
+SEED = 20261123  # fixed, so that a proof is repeatable
+GRAVITY = 9.81  # m/s2, rounded: it only sets the size of speeds
+SAMPLED = 4  # states at which a property is read to see whether it is constant
 
 
 @dataclass(frozen=True)
 class ProvedImport:
-    """What was written, and how far its coefficients are from JSBSim's: of each the largest difference over the largest value.
-    notes: what of the aircraft is not asked."""
+    """The written model. deviation: coefficient -> largest difference from JSBSim's over its largest value; notes: which parts of
+    the aircraft are not used."""
 
     imported: Imported
-    off: dict[str, float]
+    deviation: dict[str, float]
     notes: tuple[str, ...]
 
     @property
     def worst(self) -> str:
-        return max(self.off, key=lambda c: self.off[c])
+        """The coefficient with the largest deviation."""
+        return max(self.deviation, key=lambda c: self.deviation[c])
 
     def sentence(self) -> str:
+        """The result of the proof."""
         return (
             f"proof: at {STATES} random states all six coefficients are JSBSim's own, {self.worst} to"
-            f" {self.off[self.worst]:.1g} of its largest value"
+            f" {self.deviation[self.worst]:.1g} of its largest value"
         )
 
 
@@ -171,19 +177,19 @@ def import_from_jsbsim(spec: str, path: Path) -> ProvedImport:
 
 
 def imported_exactly(spec: str) -> ProvedImport:
-    """The model of an aircraft, proved. Raises SimulationError."""
+    """The model of an aircraft with its proof. Raises SimulationError where it has no exact form or the proof fails."""
     simulation = jsbsim_simulation(spec.removeprefix(PREFIX))
-    oracle, craft = simulation.oracle, simulation.aircraft
+    oracle, aircraft = simulation.oracle, simulation.aircraft
     assert isinstance(oracle, JsbsimOracle)
-    assert craft is not None
+    assert aircraft is not None
     states = random_states(simulation)
     fdm = oracle.fdm
     source = AircraftSource(
-        simulation.name, simulation.spec, craft, aerodynamics_of(aircraft_file(spec.removeprefix(PREFIX))),
-        oracle.surfaces.writes, arm_of(lambda name: float(fdm[name])), _air(oracle, states), _asking(oracle, states),
+        simulation.name, simulation.spec, aircraft, aerodynamics_of(aircraft_file(spec.removeprefix(PREFIX))),
+        oracle.surfaces.writes, arm_of(lambda name: float(fdm[name])), _air(oracle, states), _property_reader(oracle, states),
     )  # fmt: skip
     imported_model = import_aircraft(source)
-    text, jsbsim_values = compared(oracle, TextOracle(imported_model.model), states)
+    text, jsbsim_values = _both_coefficients(oracle, TextOracle(imported_model.model), states)
     size = np.maximum(np.abs(jsbsim_values).max(axis=0), 1e-300)
     deviation = dict(zip(COEFFICIENTS, (np.abs(text - jsbsim_values).max(axis=0) / size).tolist(), strict=True))
     proved = ProvedImport(imported_model, deviation, tuple(n for n in simulation.notes if not n.endswith(HELD)))
@@ -195,9 +201,9 @@ def imported_exactly(spec: str) -> ProvedImport:
     return proved
 
 
-def compared(oracle: JsbsimOracle, text: TextOracle, states: States) -> tuple[Array, Array]:
-    """(N, 6) coefficients of a text and of JSBSim, each at the state that JSBSim has after it was set: density is given by
-    height, and rounded; the rate of alpha is its own, at two attitudes in turn."""
+def _both_coefficients(oracle: JsbsimOracle, text: TextOracle, states: States) -> tuple[Array, Array]:
+    """(N, 6) coefficients of a text and of JSBSim, both at the state that JSBSim has after it was set: its density follows from a
+    rounded height, and its rate of alpha from an attitude, two in turn."""
     fdm, jsbsim_values, rows = oracle.fdm, [], []
     for i in range(len(states)):
         state = {n: float(v[i]) for n, v in states.values.items()}
@@ -214,32 +220,32 @@ def compared(oracle: JsbsimOracle, text: TextOracle, states: States) -> tuple[Ar
 
 def random_states(simulation: Simulation, count: int = STATES) -> States:
     """States in which the aircraft may fly, the same at every call."""
-    craft = simulation.aircraft
-    assert craft is not None
-    rng = np.random.default_rng(20261123)
-    cruise = math.sqrt(2.0 * craft.mass * 9.81 / (SEA_LEVEL_DENSITY * craft.area * CRUISE))
+    aircraft = simulation.aircraft
+    assert aircraft is not None
+    rng = np.random.default_rng(SEED)
+    cruise = math.sqrt(2.0 * aircraft.mass * GRAVITY / (SEA_LEVEL_DENSITY * aircraft.area * CRUISE))
     values = {n: rng.uniform(-SIZES.get(n, 0.0), SIZES.get(n, 0.0), count) for n in VARIABLES}
     values["V"], values["alpha"] = cruise * rng.uniform(*SPEEDS, count), rng.uniform(*ALPHAS, count)
     return States(values, rng.uniform(*DENSITIES, count), np.zeros(count))
 
 
-def _asking(oracle: JsbsimOracle, states: States) -> Callable[[str], list[float] | None]:
-    """What a property is at several states; None where JSBSim does not know it."""
+def _property_reader(oracle: JsbsimOracle, states: States) -> Callable[[str], list[float] | None]:
+    """A function: name -> values of a property at several states; None where JSBSim does not know it."""
 
-    def asked(name: str) -> list[float] | None:
+    def values_of(name: str) -> list[float] | None:
         if not knows_property(oracle.fdm, name):
             return None
         values = []
-        for i in range(4):
+        for i in range(SAMPLED):
             oracle.coefficients(states.part(slice(i, i + 1)))
             values.append(float(oracle.fdm[name]))
         return values
 
-    return asked
+    return values_of
 
 
 def _air(oracle: JsbsimOracle, states: States) -> StandardTroposphere:
-    """The air that JSBSim has, by two states far apart in height: temperature and density are powers of one another."""
+    """JSBSim's atmosphere, from two states far apart in height: temperature is a power of density there."""
     fdm, air_samples = oracle.fdm, []
     order = np.argsort(states.rho)
     for i in (int(order[0]), int(order[-1])):

@@ -1,4 +1,4 @@
-"""The interface of a simulation: six aerodynamic coefficients at given states, controls and air. Nothing else of it is used.
+"""The interface of a simulation: six aerodynamic coefficients at given states, controls and air. Nothing else is used.
 
 Body axes x forward, y right, z down; SI and radians; surfaces with the signs of the flight columns (+delta_a rolls left,
 +delta_e nose down, +delta_r nose left). Moments are about the centre of gravity.
@@ -25,7 +25,7 @@ without noise (the value that a simulator's aerodynamics use)."""
 
 
 class SimulationError(EstimationError):
-    """A simulation that cannot be found, or that cannot give its coefficients."""
+    """A simulation that cannot be found, or that cannot compute its coefficients."""
 
 
 @dataclass(frozen=True)
@@ -46,22 +46,23 @@ class States:
         return replace(self, values={**self.values, name: self.values[name] + step})
 
     def part(self, keep: "NDArray[np.bool_] | slice") -> "States":
+        """Some of the states."""
         values = {n: v[keep] for n, v in self.values.items()}
         return States(values, self.rho[keep], self.alpha_dot[keep])
 
     @classmethod
     def joined(cls, several: "list[States]") -> "States":
-        """Many states as one, for a simulation that is faster in one call."""
+        """Several sets of states as one, because one call of a simulation is faster than many."""
         values = {n: np.concatenate([s.values[n] for s in several]) for n in VARIABLES}
         return cls(values, np.concatenate([s.rho for s in several]), np.concatenate([s.alpha_dot for s in several]))
 
 
 class Oracle(Protocol):
-    """Coefficients of a simulation. Made by `estimation.simulation.attach`."""
+    """The coefficients of a simulation at any state."""
 
     def coefficients(self, states: States) -> Array:
         """(N, 6) coefficients in the order of COEFFICIENTS, referred to the simulation's own area, span and chord; a column of
-        NaN where the simulation has no such coefficient. Raises SimulationError where it cannot say."""
+        NaN where the simulation has no such coefficient. Raises SimulationError where it cannot compute them."""
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 The function is `base(V, alpha, beta, p, q, r, surfaces, thrust, rho) -> (CX, CY, CZ, Cl, Cm, Cn)`: V m/s, angles rad, rates
 rad/s, thrust N, rho kg/m3, surfaces a mapping with delta_e, delta_a, delta_r [rad]; body axes, moments about the centre of
 gravity. It may take arrays (N,) and return six arrays, or take numbers and return six numbers: it is tried with arrays and,
-where that fails, called state by state. A coefficient that it does not have is None. A parameter alpha_dot is given the rate of
-alpha [rad/s]. The module may have an AIRCRAFT: an `estimation.aircraft.Aircraft`, or the path of an aircraft file beside it."""
+where that fails, called state by state. None stands for a coefficient that it does not have. A parameter alpha_dot receives the
+rate of alpha [rad/s]. The module may define AIRCRAFT: an `estimation.aircraft.Aircraft`, or the path of an aircraft file."""
 
 import inspect
 import math
@@ -27,7 +27,7 @@ from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, SURFACES, Arr
 
 @dataclass(frozen=True)
 class TextOracle:
-    """See `estimation.simulation.oracle.Oracle`."""
+    """The coefficients of a model file; see `estimation.simulation.oracle.Oracle`."""
 
     model: Model
 
@@ -40,7 +40,7 @@ class TextOracle:
         return result
 
     def line(self, name: str, states: States) -> Array:
-        """(N,) value of any line of the model. Raises SimulationError where it depends on something else."""
+        """(N,) value of any line of the model. Raises SimulationError where it depends on more than `states` and constants."""
         return np.broadcast_to(np.asarray(self._value(name, self._symbols(states), name), float), (len(states),))
 
     def _symbols(self, states: States) -> dict[str, Any]:
@@ -62,7 +62,7 @@ class TextOracle:
 
 
 def text_simulation(spec: str) -> Simulation:
-    """A model file as a simulation. Raises ModelError for no such file, SimulationError where it has no coefficient."""
+    """A model file as a simulation. Raises ModelError for no such file, SimulationError for a model without coefficients."""
     model = read_model(Path(spec))
     if not set(COEFFICIENTS) & set(model.definitions):
         raise SimulationError(
@@ -83,26 +83,27 @@ SAME = 1e-9  # relative difference allowed between the coefficients of a state a
 
 @dataclass(frozen=True)
 class FunctionOracle:
-    """See `estimation.simulation.oracle.Oracle`. spec: its name in messages. takes_rate: it has a parameter alpha_dot."""
+    """The coefficients of a Python function; see `estimation.simulation.oracle.Oracle`. spec: its name in messages; takes_rate:
+    whether it has a parameter alpha_dot."""
 
     spec: str
     function: Callable[..., Any]
     takes_rate: bool = False
 
     def coefficients(self, states: States) -> Array:
-        first_answer = self._single(states.part(slice(0, 1)))
+        first = self._single(states.part(slice(0, 1)))
         if len(states) == 1:
-            return first_answer
+            return first
         try:
-            all_answers = self._columns(self._call(states, arrays=True), len(states))
-        except (*MISTAKES, ValueError):
-            all_answers = None
-        if all_answers is not None and np.allclose(all_answers[:1], first_answer, rtol=SAME, atol=SAME, equal_nan=True):
-            return all_answers
+            together = self._columns(self._call(states, arrays=True), len(states))
+        except MISTAKES:
+            together = None  # it takes numbers only
+        if together is not None and np.allclose(together[:1], first, rtol=SAME, atol=SAME, equal_nan=True):
+            return together
         return np.concatenate([self._single(states.part(slice(i, i + 1))) for i in range(len(states))])
 
     def _single(self, state: States) -> Array:
-        """(1, 6) coefficients of one state, passed as plain numbers; SimulationError names a mistake in the function."""
+        """(1, 6) coefficients of one state, passed as numbers; SimulationError names a mistake in the function."""
         try:
             return self._columns(self._call(state, arrays=False), 1)
         except MISTAKES as error:
@@ -118,6 +119,7 @@ class FunctionOracle:
         )
 
     def _columns(self, answer: Any, count: int) -> Array:
+        """(count, 6) coefficients from what the function returned. Raises ValueError where these are no coefficients."""
         if not hasattr(answer, "__len__") or len(answer) != len(COEFFICIENTS):
             raise ValueError(f"gives {type(answer).__name__}, not the six coefficients {' '.join(COEFFICIENTS)}")
         result = np.empty((count, len(COEFFICIENTS)))
@@ -153,5 +155,5 @@ def function_simulation(spec: str) -> Simulation:
 def _takes_rate(function: Callable[..., Any]) -> bool:
     try:
         return ALPHA_RATE in inspect.signature(function).parameters
-    except (TypeError, ValueError):  # of a compiled function, which has no signature
+    except (TypeError, ValueError):  # a compiled function has no signature
         return False

@@ -1,4 +1,4 @@
-"""Proof of an export: JSBSim flies what was written, the model moves by its own equations in the same steps."""
+"""Proof of an export: JSBSim flies the written aircraft, the model flies by its own equations in the same steps."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,31 +12,31 @@ from estimation.models.base import Model
 from estimation.prepare.flight_data import FlightData, Preparation, Segment
 from estimation.prepare.pipeline import prepare
 from estimation.simulation.along_flight import MOMENTS, column_name, simulate_along
-from estimation.simulation.attach import carrying, computed, without_simulation
-from estimation.simulation.jsbsim.export import Written
+from estimation.simulation.attach import computed, with_simulation_columns, without_simulation
+from estimation.simulation.jsbsim.export import WrittenAircraft
 from estimation.simulation.jsbsim.flying import fly_aircraft
 from estimation.simulation.jsbsim.increments import Increments
 from estimation.simulation.oracle import ALPHA_RATE, Array, Simulation
 from groundstation.flight import Flight
 
-# A model moved by the steps that JSBSim takes, so that a comparison with JSBSim sees equations and not integrators.
+# The model is integrated by JSBSim's own rule, so that the comparison shows equations and not integrators.
 #
-# JSBSim's rule of the proof is the Adams-Bashforth rule of second order,
+# For the proof, JSBSim uses the Adams-Bashforth rule of second order,
 #
 #     x[k+1] = x[k] + h (3 f[k] - f[k-1]) / 2
 #
-# with f[k] at the surfaces of that frame. While a surface moves this is half a frame late against inputs on straight lines: a
-# rate differs by h/2 times what its acceleration changed by in the last frame, however right both are. Lagging states of
-# effects are `lag_filter`s in JSBSim, by the trapezoidal rule, and are so here.
+# with f[k] at the surfaces of that frame. While a surface moves, this is half a frame late compared with inputs interpolated
+# linearly: a rate differs by h/2 times the change of its acceleration over the last frame, though both are right. First-order
+# lags of effects are `lag_filter`s in JSBSim, integrated by the trapezoidal rule, and so they are here.
 
-UNIT = 1.0  # of a filter's state: its rate is linear in it, so that any step gives its slope
+UNIT = 1.0  # step of a filter's state: its rate is linear in it, so any step gives its slope
 
 
 def step_model(model: Model, data: FlightData, x0: Array, filters: tuple[str, ...]) -> Array:
-    """(samples, ny) what a model shows that is moved by JSBSim's steps, one a sample, from x0 (nx,); NaN outside segments.
+    """(samples, ny) outputs of a model integrated by JSBSim's rule, one step a sample, from x0 (nx,); NaN outside segments.
 
-    filters: its states of the form x_dot = (input - x)/tau, which JSBSim has in its flight control. The flight begins steady: the
-    rate before the first sample is that of the first.
+    filters: its states of the form x_dot = (input - x)/tau, which are filters of JSBSim's flight control. The flight begins
+    steady: the rate before the first sample is taken as that of the first.
     """
     simulator = Simulator.build(model, (), substeps=1)
     values = model.starts()
@@ -62,7 +62,7 @@ def _step_motion(model: Model, segment: Segment, u: Array, p: Array, x0: Array, 
     for k in range(len(segment) - 1):
         next_state = x + 0.5 * h[k] * (3.0 * f - last_rates)
         next_state[filtered] = x[filtered]
-        for i in filtered:  # in the order in which JSBSim has them: one may read another
+        for i in filtered:  # in JSBSim's order, since one may read another
             drive = rates(next_state, k + 1)[i]
             filtered_state = next_state.copy()
             filtered_state[i] += UNIT
@@ -76,27 +76,26 @@ def _step_motion(model: Model, segment: Segment, u: Array, p: Array, x0: Array, 
     return np.array(output_rows)
 
 
-# Proof of an export: the written aircraft is flown by JSBSim, the model it was written from moves by its own equations
-# with the same surfaces, and the two are compared in units of what sensors could see.
+# The comparison: both fly with the same surfaces, and their difference is measured in units of sensor noise.
 #
-# The model takes the steps that JSBSim takes, and the rate of alpha that it reads, of its step before: what is left is a
-# difference of forces, moments, inertia and actuators, whatever the rate of steps. What that is off by, the same model moved
-# exactly says.
+# The model takes JSBSim's steps and reads the rate of alpha that JSBSim reads, that of the step before. The difference then comes
+# from forces, moments, inertia and actuators only, whatever the rate. The same model integrated exactly shows the error of the
+# steps themselves.
 
 DEG = float(np.pi / 180.0)
 NOISE: Mapping[str, float] = {
     "p": 0.3 * DEG, "q": 0.3 * DEG, "r": 0.3 * DEG, "phi": 0.2 * DEG, "theta": 0.2 * DEG, "alpha": 0.2 * DEG, "beta": 0.2 * DEG,
     "V": 0.15, "ax": 0.05, "ay": 0.05, "az": 0.08,
 }  # fmt: skip
-"""What good sensors of a small aircraft scatter by [SI]."""
-SHARE = 0.1  # of the noise: a difference that no flight shows
-AS_IT_IS = Preparation(denoise=False, draws=0, keep_held=True)  # a flight without noise
+"""Noise of good sensors of a small aircraft, 1 sigma [SI]."""
+SHARE = 0.1  # of that noise is allowed: no flight shows such a difference
+AS_IT_IS = Preparation(denoise=False, draws=0, keep_held=True)  # for a flight without noise
 
 
 @dataclass(frozen=True)
 class ExportProof:
-    """rms: output -> root mean square of JSBSim less our model in JSBSim's steps [SI]; allowed: a tenth of a sensor's noise.
-    steps: that of the model in these steps less the same model moved exactly. flight: as flown."""
+    """rms: output -> root mean square of our model in JSBSim's steps minus JSBSim [SI]; allowed: `SHARE` of a sensor's noise;
+    steps: of the model in these steps minus the same model integrated exactly; flight: as JSBSim flew it."""
 
     rms: Mapping[str, float]
     allowed: Mapping[str, float]
@@ -105,11 +104,12 @@ class ExportProof:
 
     @property
     def failed(self) -> tuple[str, ...]:
+        """Outputs whose difference is not within what is allowed."""
         return tuple(n for n, v in self.rms.items() if not v <= self.allowed[n])
 
 
 def proof_of(
-    source: Path, simulation: Simulation, written_aircraft: Written, increments: Increments, rate: float
+    source: Path, simulation: Simulation, written_aircraft: WrittenAircraft, increments: Increments, rate: float
 ) -> ExportProof:
     """Fly the written aircraft and the model side by side. Raises SimulationError where there is nothing to fly."""
     values = increments.physical.starts()
@@ -127,27 +127,26 @@ def proof_of(
 
 @dataclass(frozen=True)
 class SteppedMotion:
-    """(N, ny) what a model shows, moved by JSBSim's steps and exactly (on inputs straight between samples)."""
+    """(N, ny) outputs of a model integrated by JSBSim's rule, and exactly with inputs linear between samples."""
 
     stepped: Array
     exact: Array
 
 
 def move_model(simulation: Simulation, model: Model, flight: Flight, filters: tuple[str, ...] = ()) -> SteppedMotion:
-    """A model on a simulation over a flight without noise, from its first state on. filters: its states that are lag filters in
-    JSBSim."""
+    """A model on a simulation, flown through a flight without noise from its first state. filters: as in `step_model`."""
     along_flight = simulate_along(
         simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model)
     )
-    (carrying_flight,) = carrying([flight], along_flight)
-    x0 = _start(model, flight)
-    as_read = prepare(model, _with_the_rate_told(carrying_flight), AS_IT_IS)
-    exact = simulate(model, prepare(model, carrying_flight, AS_IT_IS), x0=x0, substeps=1)
+    (with_columns,) = with_simulation_columns([flight], along_flight)
+    x0 = _initial_state(model, flight)
+    as_read = prepare(model, _with_recorded_alpha_rate(with_columns), AS_IT_IS)
+    exact = simulate(model, prepare(model, with_columns, AS_IT_IS), x0=x0, substeps=1)
     return SteppedMotion(step_model(model, as_read, x0, filters), exact)
 
 
-def _with_the_rate_told(flight: Flight) -> Flight:
-    """The same with moments at the rate of alpha that JSBSim's functions read, of its last step, in place of the model's own."""
+def _with_recorded_alpha_rate(flight: Flight) -> Flight:
+    """The flight with moments at the rate of alpha that JSBSim's functions read, of its last step, instead of the model's own."""
     columns = {}
     for c in MOMENTS:
         slope = column_name(c, ALPHA_RATE)
@@ -161,8 +160,8 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _start(model: Model, flight: Flight) -> Array:
-    """(nx,) the first state: as flown, states of effects where their signal says."""
+def _initial_state(model: Model, flight: Flight) -> Array:
+    """(nx,) the first state: as flown; states of effects start at their signal."""
     first = {n: float(flight[n][0]) for n in flight.columns}
     return np.array([
         first[s.name] if s.name in first else first[s.start] if isinstance(s.start, str) else float(s.start or 0.0)

@@ -1,9 +1,9 @@
-"""What a model may lack, found in its own equations: terms of the general linear model, first nonlinear ones, lags, scales.
+"""What a model may lack, derived from its own equations: linear terms, first nonlinear terms, lags, scales.
 
-A line of a force or moment is one in which estimated derivatives stand in products with motion or controls. Each such line is
-offered every regressor of the lines it shares regressors with, and the first odd power of those that it has. A recorded
-control may act later than recorded, a vane or an attitude may show the motion late, a measured channel may read too much by a
-factor, an accelerometer may sit off the CG, and the product of inertia may be another.
+A force line is an equation in which estimated derivatives multiply motion or controls. Its candidates are the regressors of all
+force lines with which it shares a regressor, and first nonlinear terms of its own regressors. Further candidates: a control acts
+later than recorded, a vane or an attitude lags, a channel has a wrong scale, an accelerometer is off the CG, a damper moves a
+surface unrecorded, the product of inertia is wrong.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,21 +14,21 @@ from estimation.models.base import InputTransform, Model, Parameter, ParameterRo
 from estimation.models.expressions import names_in, products_in
 
 LATE_OUTPUTS = ("alpha", "beta", "phi", "theta", "ax", "ay", "az")
-"""Columns that instruments with a lag of their own show: vanes swing, attitudes come out of a filter."""
+"""Columns of instruments that may lag: vanes swing, attitudes and accelerations are filtered."""
 SMALL_FLOW = ("alpha", "beta")
 GRAVITY_OFF = {"ax": 0.005, "ay": 0.005, "az": 0.005}
-"""Part by which gravity in flight differs from the standard value of the models: 0.3 % between pole and equator, 0.3 % at 10 km,
-0.3 % at 200 m/s along the equator. A scale of an accelerometer as near to one as this is gravity, not the instrument."""
+"""Share by which gravity in flight may differ from the models' standard value: 0.3 % between pole and equator, 0.3 % at 10 km,
+0.3 % at 200 m/s along the equator. An accelerometer's scale this close to one is gravity, not the instrument."""
 DAMPED = {"delta_r": "r", "delta_e": "q"}
-"""Control -> rate that a damper may feed back to it behind its record."""
+"""Control -> rate that a damper may feed back to it without a trace in its record."""
 WASHOUT, WASHOUT_SPREAD, WASHOUT_BOUNDS = 3.0, 2.0, (0.3, 20.0)
-"""s, in which such a damper forgets a steady turn, and the prior's standard deviation: yaw dampers have 1 to 6 s (J. Roskam,
-Airplane Flight Dynamics II, 8.2.3), and a score with 3 s finds one of 1 or of 6 s too. Without a washout a damper is the
-aeroplane's own damping to any record."""
+"""Time constant [s] of such a damper's washout: prior mean, prior standard deviation, limits. Yaw dampers have 1 to 6 s (J.
+Roskam, Airplane Flight Dynamics II, 8.2.3), and a score computed with 3 s finds these too. Without a washout no record can
+distinguish a damper from the aeroplane's own damping."""
 
 
 class CandidateKind(Enum):
-    """What sort of thing is left out."""
+    """Kinds of what a model may lack."""
 
     LINEAR = "derivative"
     NONLINEAR = "nonlinear term"
@@ -52,9 +52,9 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Candidate:
-    """One thing that a model may lack. name: of its parameter; null: the value at which the model is as it was; line, term:
-    what is added to which line; channel: the input or output concerned; phrase: as a sentence has it; least: distance from the
-    null below which it says nothing."""
+    """One thing that a model may lack. name: of its parameter; null: value of the parameter that leaves the model unchanged;
+    line, term: the term `name*term` is added to this line; channel: the input or output concerned; phrase: its name in
+    sentences; least: distance from the null below which it is not significant."""
 
     name: str
     kind: CandidateKind
@@ -67,7 +67,7 @@ class Candidate:
 
     @property
     def parameter(self) -> Parameter:
-        """As an unknown of a model, at its null value."""
+        """The unknown parameter, which starts at its null value."""
         role = (
             ParameterRole.DERIVATIVE
             if self.kind in (CandidateKind.LINEAR, CandidateKind.NONLINEAR, CandidateKind.INERTIA)
@@ -77,7 +77,7 @@ class Candidate:
 
     @property
     def power(self) -> int:
-        """Of the angles in a nonlinear term; 0 in all else."""
+        """Power of the angles in a nonlinear term; 0 for other kinds."""
         return (3 if self.term.endswith("^3") else 2) if self.kind is CandidateKind.NONLINEAR else 0
 
 
@@ -88,8 +88,8 @@ def structure_candidates(model: Model) -> tuple[Candidate, ...]:
 
 
 def with_candidates(model: Model, wanted_candidates: Iterable[Candidate], *, fitting: bool = False) -> Model:
-    """The model with candidates as estimated parameters that start at their null values. fitting: what has no effect at these
-    (the washout of a damper) is estimated besides."""
+    """The model with candidates as estimated parameters that start at their null values. fitting: also estimate what has no
+    effect at the null values (the washout of a damper)."""
     selected = tuple(wanted_candidates)
     terms: dict[str, str] = {}
     dampers = [c for c in selected if c.kind is CandidateKind.DAMPER]
@@ -127,9 +127,9 @@ def with_candidates(model: Model, wanted_candidates: Iterable[Candidate], *, fit
 
 
 def force_lines(model: Model) -> Mapping[str, tuple[str, ...]]:
-    """Lines with estimated derivatives -> their regressors: states, inputs, and what follows from these without parameters."""
+    """Force lines -> their regressors: states, inputs, and lines that depend on these without parameters."""
     derivatives = {p.name for p in model.parameters if p.role is ParameterRole.DERIVATIVE}
-    free_of_parameters = _plain(model)
+    free_of_parameters = _free_of_parameters(model)
     lines: dict[str, tuple[str, ...]] = {}
     for symbol, text in model.definitions.items():
         pairs = [names for names in products_in(text) if names & derivatives and len(names) == 2]
@@ -137,61 +137,63 @@ def force_lines(model: Model) -> Mapping[str, tuple[str, ...]]:
             continue
         regressors = dict.fromkeys(n for names in pairs for n in sorted(names - derivatives) if n in free_of_parameters)
         nested = [n for names in pairs for n in names if n in lines]
-        for line in nested:  # drag by lift: what lift depends on
+        for line in nested:  # drag that depends on lift also has the regressors of lift
             regressors |= dict.fromkeys(lines[line])
         lines[symbol] = tuple(regressors)
     return {symbol: regressors for symbol, regressors in lines.items() if regressors}
 
 
-def _plain(model: Model) -> frozenset[str]:
-    """Names of motion and controls, and of lines that hold no parameter and reach only these."""
+def _free_of_parameters(model: Model) -> frozenset[str]:
+    """Names of motion and controls, and of lines that depend on these and constants only."""
     motion = {*model.state_names, *model.input_names}
     parameters = set(model.parameter_names)
     memo: dict[str, bool] = {}
 
-    def judge(name: str) -> bool:
+    def is_free(name: str) -> bool:
         if name in motion or name in model.constants:
             return True
         if name in parameters or name not in model.definitions:
             return False
         if name not in memo:
-            memo[name] = False
-            memo[name] = all(judge(n) for n in names_in(model.definitions[name]))
+            memo[name] = False  # ends the recursion in a circle of lines
+            memo[name] = all(is_free(n) for n in names_in(model.definitions[name]))
         return memo[name]
 
-    lines = {symbol for symbol in model.definitions if judge(symbol)}
-    return frozenset(motion | lines)
+    return frozenset(motion | {symbol for symbol in model.definitions if is_free(symbol)})
 
 
 def _terms(model: Model) -> Iterator[Candidate]:
     lines = force_lines(model)
-    for line, has in lines.items():
-        related = {r: None for regressors in lines.values() if set(regressors) & set(has) for r in regressors}
+    for line, own_regressors in lines.items():
+        related = {
+            r: None for regressors in lines.values() if set(regressors) & set(own_regressors) for r in regressors
+        }
         direct = {n for names in products_in(model.definitions[line]) for n in names}
         for regressor in related:
             if regressor not in direct:
                 name = f"{line}_{_suffix(regressor)}"
                 yield Candidate(name, CandidateKind.LINEAR, line=line, term=regressor, phrase=name)
-        yield from _nonlinear(model, line, [r for r in has if r in direct])
+        yield from _nonlinear(model, line, [r for r in own_regressors if r in direct])
 
 
 def _nonlinear(model: Model, line: str, regressors: Iterable[str]) -> Iterator[Candidate]:
-    """First nonlinear terms: an angle's or a control's cube, and sideslip that acts otherwise at another angle of attack."""
+    """First nonlinear terms: cubes of flow angles and controls, alpha squared, and sideslip effects that change with alpha."""
+    terms: list[tuple[str, str]] = []
     for r in regressors:
         control = any(s.name == r and s.control for s in model.inputs)
         if r in SMALL_FLOW or (control and r.startswith("delta_")):
-            name = f"{line}_{_suffix(r)}3"
-            yield Candidate(name, CandidateKind.NONLINEAR, line=line, term=f"{r}^3", phrase=name)
+            terms.append((f"{_suffix(r)}3", f"{r}^3"))
         if r == "beta" and "alpha" in (*model.state_names, *model.input_names):
-            name = f"{line}_alpha_beta"
-            yield Candidate(name, CandidateKind.NONLINEAR, line=line, term="alpha*beta", phrase=name)
+            terms.append(("alpha_beta", "alpha*beta"))
         if r == "alpha":
-            name = f"{line}_alpha2"
-            yield Candidate(name, CandidateKind.NONLINEAR, line=line, term="alpha^2", phrase=name)
+            terms.append(("alpha2", "alpha^2"))
+    for suffix, term in terms:
+        name = f"{line}_{suffix}"
+        yield Candidate(name, CandidateKind.NONLINEAR, line=line, term=term, phrase=name)
 
 
 def _suffix(regressor: str) -> str:
-    """`da` of delta_a, `p` of p_hat: as the field names derivatives."""
+    """Index of a derivative: `da` for delta_a, `p` for p_hat."""
     return regressor.replace("delta_", "d").removesuffix("_hat")
 
 
@@ -201,7 +203,7 @@ def _suffix(regressor: str) -> str:
 def _late_controls(model: Model) -> Iterator[Candidate]:
     delayed = {t.input for t in model.transforms if t.kind in ("delay", "lag")}
     for s in model.inputs:
-        if s.control and s.name not in delayed and s.name not in ("thrust",):
+        if s.control and s.name not in delayed and s.name != "thrust":
             yield Candidate(
                 f"delay_{s.name}",
                 CandidateKind.LATE_CONTROL,
@@ -261,7 +263,7 @@ def _dampers(model: Model) -> Iterator[Candidate]:
 
 
 def _effects_of(model: Model, control: str) -> Iterator[tuple[str, str]]:
-    """Lines that a control acts in, each with the derivative by which it does."""
+    """(line, derivative) for each line in which a control acts."""
     derivatives = {p.name for p in model.parameters if p.role is ParameterRole.DERIVATIVE}
     for line, text in model.definitions.items():
         for names in products_in(text):

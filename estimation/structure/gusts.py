@@ -23,7 +23,7 @@ FOLLOWS = 0.08
 """Share of the innovations of one output that past movements of the controls predict, from which they follow the controls: at
 most 0.03 in calm and gusty flights, 0.13 to 0.35 with a late vane, a late rudder or another product of inertia (random
 aeroplanes, docs/validation.md)."""
-FOLLOWS_BY_CHANCE = 1e-6  # probability of such a share by chance
+FOLLOWS_BY_CHANCE = 1e-6  # probability of such a share by chance, above which it is not reported
 
 NO_GUSTS = "its process noise is no gusts"
 
@@ -67,8 +67,8 @@ def follows_controls(result: Result, data: Sequence[FlightData]) -> str:
     if not name:
         return ""
     return (
-        f"{NO_GUSTS}: what the controls did before foretells {largest:.0%} of its innovations of {name}, where"
-        f" in rough air they foretell {FOLLOWS:.0%} at most; the model, a channel or the record of a control lacks something"
+        f"{NO_GUSTS}: past movements of the controls predict {largest:.0%} of its innovations of {name}, in rough air"
+        f" {FOLLOWS:.0%} at most; the model, a channel or the record of a control lacks something"
     )
 
 
@@ -88,7 +88,7 @@ def _rows(result: Result, data: Sequence[FlightData], controls: list[int], outpu
     return np.concatenate(history), np.concatenate(rest)
 
 
-BY_CHANCE = 1e-4  # probability of such a deviation by chance
+BY_CHANCE = 1e-4  # probability of such a deviation by chance, above which it is not reported
 UNEVEN = 0.18
 """Largest deviation of the cumulated periodogram of white innovations from a straight line: at most 0.14 in gusts, 0.22 to 0.55
 where the model lacks backlash, a lag or a curved derivative (docs/validation.md)."""
@@ -110,10 +110,11 @@ def coloured_spectrum(result: Result, data: Sequence[FlightData]) -> str:
                     rate = max(rate, 0.5 / float(np.median(np.diff(s.time))))
         if not bins or total[-1] <= 0.0:
             continue
-        off = np.abs(total / total[-1] - SHARES)
+        deviation = np.abs(total / total[-1] - SHARES)
         limit = max(UNEVEN, float(np.sqrt(-0.5 * np.log(0.5 * BY_CHANCE) / bins)), furthest)
-        if off.max() > limit:
-            furthest, name, where = float(off.max()), result.model.output_names[c], rate * SHARES[int(np.argmax(off))]
+        if deviation.max() > limit:
+            furthest, name = float(deviation.max()), result.model.output_names[c]
+            where = rate * SHARES[int(np.argmax(deviation))]
     if not name:
         return ""
     return (
@@ -157,8 +158,8 @@ def turns_no_wind(result: Result, data: Sequence[FlightData]) -> str:
     if worst <= MOMENTS:
         return ""
     return (
-        f"{NO_GUSTS}: gusts turn {which[0]} first, and here the moment that drives {which[1]} does {worst:.1f} times as much as"
-        f" they (in rough air {MOMENTS:g} at most); the model or a control lacks something"
+        f"{NO_GUSTS}: gusts turn {which[0]} first, but here the moment that drives {which[1]} has {worst:.1f} times their effect"
+        f" (in rough air {MOMENTS:g} at most); the model or a control lacks something"
     )
 
 

@@ -1,9 +1,9 @@
-"""One fit with everything that its model may lack beside it, linearised: inner products of sensitivities and residuals.
+"""A fit linearised in its parameters and in all candidates of its model: inner products of sensitivities and residuals.
 
-Products are in the metric in which the outputs' noise is white. That noise is found of what is left once parameters *and*
-everything that may be lacking have been fitted, flight by flight: what a model lacks must not pass for noise. A flight's own
-unknowns (initial states, constants of the day) are eliminated. What the inputs' errors put in
-(`estimation.estimators.input_error`) is kept as draws: simulated nulls, by which scores are calibrated.
+Products use the metric in which the outputs' noise is white. Its spectrum comes from the residuals that remain after fitting
+parameters *and* all candidates, flight by flight, because what a model lacks must not pass for noise. A flight's own unknowns
+(initial states, local constants) are eliminated. The effect of errors in the inputs (`estimation.estimators.input_error`) is
+represented by random draws, simulated nulls that calibrate the scores.
 """
 
 from collections.abc import Collection, Sequence
@@ -34,35 +34,44 @@ from estimation.structure.candidates import Candidate, CandidateKind, structure_
 
 Array = NDArray[np.float64]
 
-SEEN = 1e-6
-"""Share of a column that parameters must leave over: less is a combination of them, which no data can tell from the model."""
+INDEPENDENT = 1e-6
+"""Share of a candidate's squared column that must remain after projecting out the parameters: with less it is a combination of
+them, which no data can separate."""
 
 
 @dataclass(frozen=True)
 class FlightProducts:
-    """One flight, columns [shared parameters | candidates | residual], its own unknowns eliminated. gram: as weighed by the
-    noise; plain: weighed by the variances of the residuals, as output error does (without the residual). noise, edges:
-    (columns, draws) and common: (columns, errors) products with what the inputs' errors do to the outputs."""
+    """Products of one flight, columns [shared parameters | candidates | residual], its own unknowns eliminated.
+
+    gram: (columns, columns) weighed by the noise spectrum; output_error_gram: without the residual, weighed by the residual
+    variances as output error does. noise, edges: (columns, draws), common: (columns, errors), products with the response to input
+    errors.
+    """
 
     name: str
     gram: Array
-    plain: Array
+    output_error_gram: Array
     noise: Array
     edges: Array
     common: Array
 
     def in_order(self, index: NDArray[np.intp]) -> "FlightProducts":
-        """Some columns, in another order; the residual last."""
-        pick, inner = np.ix_(index, index), np.ix_(index[:-1], index[:-1])
+        """The products for the columns `index`, whose last is the residual."""
+        block, inner = np.ix_(index, index), np.ix_(index[:-1], index[:-1])
         return FlightProducts(
-            self.name, self.gram[pick], self.plain[inner], self.noise[index], self.edges[index], self.common[index]
+            self.name,
+            self.gram[block],
+            self.output_error_gram[inner],
+            self.noise[index],
+            self.edges[index],
+            self.common[index],
         )
 
 
 @dataclass(frozen=True)
 class LinearisedFit:
-    """All flights of a fit. shared: parameters; values: theirs; tested: candidates. prior: information of priors on the
-    shared ones."""
+    """All flights of a fit. shared: names of the parameters, values: their estimates, prior: (n, n) information of their priors;
+    tested: candidates. edges: size of errors in the steps' times; common: (errors, errors) covariance of common input errors."""
 
     shared: tuple[str, ...]
     values: Array
@@ -78,27 +87,27 @@ class LinearisedFit:
         return len(self.shared)
 
     def total(self, members: Sequence[int] | None = None) -> Array:
-        """Gram matrix over some flights (all), priors included."""
+        """Gram matrix summed over some flights (default: all), with priors."""
         grams = [f.gram for i, f in enumerate(self.flights) if members is None or i in members]
         gram = np.sum(grams, axis=0)
         gram[: self.n, : self.n] += self.prior
         return np.asarray(gram)
 
-    def plain(self) -> Array:
-        """The same as output error weighs it."""
-        gram = np.sum([f.plain for f in self.flights], axis=0)
+    def output_error_gram(self) -> Array:
+        """The same over all flights, weighed as output error does, without the residual."""
+        gram = np.sum([f.output_error_gram for f in self.flights], axis=0)
         gram[: self.n, : self.n] += self.prior
         return np.asarray(gram)
 
     def without(self, kind: CandidateKind) -> "LinearisedFit":
-        """The same without candidates of a kind."""
+        """The fit without candidates of a kind."""
         n, remaining = self.n, [k for k, c in enumerate(self.tested) if c.kind is not kind]
         order = np.array([*range(n), *(n + k for k in remaining), n + len(self.tested)], np.intp)
         flights = tuple(f.in_order(order) for f in self.flights)
         return replace(self, tested=tuple(self.tested[k] for k in remaining), flights=flights)
 
     def absorbing(self, names: Collection[str]) -> "LinearisedFit":
-        """The same with some candidates counted among the parameters, at nothing."""
+        """The fit with some candidates moved to the parameters, with the value zero."""
         n = self.n
         absorbed = [k for k, c in enumerate(self.tested) if c.name in names]
         remaining = [k for k in range(len(self.tested)) if k not in absorbed]
@@ -115,8 +124,8 @@ class LinearisedFit:
             prior=prior,
         )
 
-    def by_inputs(self, combine: Array) -> Array:
-        """(rows, rows) covariance of scores from the inputs' errors. combine: (rows, columns) of what is scored."""
+    def input_error_covariance(self, combine: Array) -> Array:
+        """(rows, rows) covariance of scores due to input errors. combine: (rows, columns), the scores' linear combinations."""
         total = np.zeros((len(combine), len(combine)))
         projection = np.zeros((len(combine), self.common.shape[0]))
         for f in self.flights:
@@ -129,9 +138,9 @@ class LinearisedFit:
 
 
 def linearise_fit(result: Result, data: Sequence[FlightData], substeps: int = 2) -> LinearisedFit | None:
-    """A fit with what its model may lack beside it; None where its motion cannot be simulated.
+    """The fit linearised with all candidates of its model; None where its motion cannot be simulated.
 
-    result: by any method; data: its flights, prepared for its model.
+    result: of any method; data: its flights, prepared for its model.
     """
     tested = structure_candidates(result.model)
     model = at_paths_of(with_candidates(result.model.with_starts(result.fitted_model.starts()), tested), result)
@@ -157,27 +166,27 @@ def linearise_fit(result: Result, data: Sequence[FlightData], substeps: int = 2)
         edges,
         common_error(evidence, edges),
     )
-    return _visible(linear)
+    return _without_dependent(linear)
 
 
 def _with_states(flights: list[FlightData], model: Model) -> list[FlightData]:
-    """Flights whose segments begin with the states that candidates have put behind the model's: each at the one it follows."""
+    """Flights whose initial states include the states that candidates append to the model's: each starts at its source state."""
     names = model.state_names
-    follows = [names.index(s.start) for s in model.states if isinstance(s.start, str) and s.start in names]
+    sources = [names.index(s.start) for s in model.states if isinstance(s.start, str) and s.start in names]
 
-    def begun(s: Segment) -> Segment:
-        behind = len(names) - len(s.x0)
-        return replace(s, x0=np.append(s.x0, s.x0[follows[-behind:]])) if behind else s
+    def extended(s: Segment) -> Segment:
+        appended = len(names) - len(s.x0)
+        return replace(s, x0=np.append(s.x0, s.x0[sources[-appended:]])) if appended else s
 
-    return [replace(f, segments=tuple(begun(s) for s in f.segments)) for f in flights]
+    return [replace(f, segments=tuple(extended(s) for s in f.segments)) for f in flights]
 
 
-def _visible(linear: LinearisedFit) -> LinearisedFit:
-    """Without candidates that these flights do not excite, or that are combinations of the parameters."""
+def _without_dependent(linear: LinearisedFit) -> LinearisedFit:
+    """The fit without candidates that these flights do not excite, or that are combinations of the parameters."""
     gram, n = linear.total(), linear.n
     rest = projected_out(gram, n)
     raw = np.diag(gram)[n:-1]
-    keep = np.flatnonzero(np.diag(rest)[:-1] > SEEN * np.maximum(raw, 1e-300))
+    keep = np.flatnonzero(np.diag(rest)[:-1] > INDEPENDENT * np.maximum(raw, 1e-300))
     index = np.concatenate([np.arange(n), n + keep, [len(gram) - 1]]).astype(np.intp)
     flights = tuple(f.in_order(index) for f in linear.flights)
     tested = tuple(linear.tested[k] for k in keep)
@@ -187,12 +196,12 @@ def _visible(linear: LinearisedFit) -> LinearisedFit:
 def _products(
     problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint, index: int
 ) -> tuple[FlightProducts, InputErrorEvidence]:
-    """Inner products of one flight, and what its residuals show of edges and timing."""
+    """Inner products of one flight, and the evidence in its residuals of errors in the inputs."""
     pieces = segments_in_noise(problem, point, index)
     state_covariances = [pseudo_inverse(p.nuisance.T @ p.nuisance)[0] for p in pieces]
     responses = disturbed_outputs(problem, unknowns, index)
     white = white_responses(pieces, state_covariances, responses, point)
-    inverse, residuals = _without_everything(pieces, state_covariances)
+    inverse, residuals = _after_full_fit(pieces, state_covariances)
     projected = without_nuisance(pieces, state_covariances)
     quiet = [w[:, : responses[0].noise] for w in white]
     change = inverse @ np.sum([J.T @ w for J, w in zip(projected, quiet, strict=True)], axis=0)
@@ -209,23 +218,22 @@ def _products(
     gram = projected_out(gram[np.ix_(columns, columns)], len(problem.local))
     stacked = np.concatenate(projected)[:, order]
     unweighted = projected_out(stacked.T @ stacked, len(problem.local))
-    return _sorted(problem.flights[index].name, gram, unweighted, responses[0]), InputErrorEvidence(
-        rest, responses[0].noise, responses[0].edges
-    )
+    evidence = InputErrorEvidence(rest, responses[0].noise, responses[0].edges)
+    return _split_products(problem.flights[index].name, gram, unweighted, responses[0]), evidence
 
 
-def _sorted(name: str, gram: Array, unweighted: Array, kinds: Disturbed) -> FlightProducts:
-    """Products with the columns in their places: gram has [shared and candidates | noise, edges, common | residual]."""
+def _split_products(name: str, gram: Array, unweighted: Array, kinds: Disturbed) -> FlightProducts:
+    """The products from a gram matrix with the columns [shared and candidates | noise, edges, common | residual]."""
     n = len(unweighted)
     rows = np.concatenate([np.arange(n), [len(gram) - 1]])
     noise, edges, common = np.split(gram[rows][:, n:-1], [kinds.noise, kinds.noise + kinds.edges], axis=1)
     return FlightProducts(name, gram[np.ix_(rows, rows)], unweighted, noise, edges, common)
 
 
-def _without_everything(
+def _after_full_fit(
     pieces: list[ResidualSegment], state_covariances: list[Array]
 ) -> tuple[Array, list[ResidualSegment]]:
-    """(covariance of parameters and candidates, pieces with the residual that a fit of all of them leaves)."""
+    """(covariance of parameters and candidates, pieces with the residual after fitting all of them)."""
     projected = without_nuisance(pieces, state_covariances)
     stacked = np.concatenate(projected)
     inverse = pseudo_inverse(stacked.T @ stacked)[0]

@@ -1,10 +1,9 @@
-"""Which of the things that a model may lack the residuals ask for, and what leaving them out does to the estimates.
+"""Score tests of the candidates of a fit, and by how much leaving them out moves the estimates.
 
-The score of one candidate is what the residuals have in common with its effect once all parameters have taken what they can,
-over its standard deviation from the outputs' noise and the inputs' errors: of unit variance where nothing is lacking (C. R.
-Rao, 1948; V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 5.4, does the same for regressions).
-Candidates that are significant are taken one after the other, the strongest first, until none is left; what would have served
-as well is its rival.
+The score of a candidate is the product of the residuals with its sensitivity, all parameters projected out, over the standard
+deviation that output noise and input errors give it. Its variance is one where the model lacks nothing (C. R. Rao, 1948; V. Klein
+and E. A. Morelli, Aircraft System Identification, 2nd ed., section 5.4, test regressors likewise). Significant candidates are
+selected one after the other, the strongest first; a candidate that would explain the residuals as well is its rival.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,26 +25,24 @@ THRESHOLD = 5.0
 the largest of 25 scores was 1.4 to 3.4, with edges on the sampling clock 3.2 and 4.7; what was hidden scored 9 to 140
 (docs/validation.md)."""
 RIVAL = 0.85
-"""Share of the strongest score from which another candidate would serve as well, if it is no more needed once that is in."""
+"""Share of the strongest score from which another candidate is a rival, if it is no longer significant once that one is in."""
 TIED = 0.97
-"""Share of the strongest score within which the likelier cause is taken: a derivative before a product of inertia, before an
-instrument."""
-MOST = 4  # candidates taken one after the other: a model that lacks more is another model
+"""Share of the strongest score from which the likelier kind is selected instead (`LIKELIEST_FIRST`)."""
+MOST_SELECTED = 4  # candidates selected: a model that lacks more is another model
 ADVERSE = 0.25
-"""Of the roll by aileron, the largest yaw by aileron (Roskam, Airplane Flight Dynamics I, 4.1: -5 to -15 %; spoilers the same
-the other way): more is a product of inertia that is not what the file says."""
+"""Largest yaw by aileron over roll by aileron (Roskam, Airplane Flight Dynamics I, 4.1: -5 to -15 %; spoilers as much with the
+other sign): more indicates a wrong product of inertia in the aircraft file."""
 FACTORS = {"alpha": (0.5, 2.0), "beta": (0.5, 2.0)}
 """Scales that a vane in the upwash of an airframe can have (Gracey, NASA RP-1046: 1.1 to 1.8 ahead of a fuselage)."""
-FACTORS_ELSE = (0.75, 1.33)  # of any other channel: a calibration, not another instrument
-LONGEST_LAG = 0.5  # s either way: vanes, servos and telemetry lag by 0.02 to 0.2
-FARTHEST = 0.75  # of the span, from the CG: a nose boom of a slender aeroplane
+FACTORS_ELSE = (0.75, 1.33)  # of any other channel: more is no calibration error
+LONGEST_LAG = 0.5  # s, either sign: vanes, servos and telemetry lag by 0.02 to 0.2
+FARTHEST = 0.75  # distance of an accelerometer from the CG over the span: a nose boom of a slender aeroplane
 STEEP, MOST_FORCE, MOST_MOMENT = 0.35, 5.0, 1.0
-"""What a nonlinear term may make of a force and of a moment coefficient at an angle of 20 deg [rad]: more than all wings do."""
-NOTABLE = 1.0  # bounds by which a printed value has to move
+"""Angle [rad] (20 deg), and the most that a nonlinear term may add there to a force or moment coefficient: more than any wing."""
+NOTABLE = 1.0  # bounds by which a printed value has to move before it counts
 BORNE = 3.0
-"""Bounds up to which what leaving something out moves is counted in the bounds instead of forbidding a recommendation: its
-size is known to a fifth there (a score of 5), so the wider bound holds the truth; beyond, the model is another one and its
-estimates are not to be believed."""
+"""Bounds up to which the effect of a lack widens the bounds instead of forbidding a recommendation. Its size is known to a fifth
+(a score of 5), so the wider bound covers the truth. Beyond, the model is so different that its estimates are not believable."""
 
 MOMENTS = ("Cl", "Cm", "Cn")
 
@@ -57,8 +54,8 @@ LIKELIEST_FIRST = (
 
 @dataclass(frozen=True)
 class Tested:
-    """One candidate. score: signed, in standard deviations; value: what it would be; moves: parameter -> by how many of its
-    corrected bounds the estimate is moved by leaving it out."""
+    """One tested candidate. score: signed, in standard deviations; value: its estimate; moves: parameter -> by how many of its
+    corrected bounds leaving the candidate out moves its estimate."""
 
     candidate: Candidate
     score: float
@@ -68,7 +65,7 @@ class Tested:
 
     @property
     def significant(self) -> bool:
-        """Whether the residuals ask for it, and it is no less than what the model itself can be off."""
+        """Whether its score exceeds the threshold and its value is beyond what the model itself leaves uncertain."""
         return abs(self.score) > self.threshold and abs(self.value - self.candidate.null) > self.candidate.least
 
     @property
@@ -91,25 +88,25 @@ class Tested:
 
 @dataclass(frozen=True)
 class Lack:
-    """Something the model lacks, and what would serve as well. differs: parameter -> by how much its estimate
-    differs with a rival in its place; apart: the most of that in bounds. holdout: twice the log likelihood that it gains on each
-    flight when fitted to all the others, summed; None with one flight. possible: whether the leading one can have that size."""
+    """Something the model lacks, and its rivals. differs: parameter -> by how much its estimate differs with a rival instead;
+    largest_difference: the largest of these in bounds. holdout: gain in twice the log likelihood on each flight by a fit to all
+    the others, summed; None with one flight. possible: whether a candidate of the leading one's kind can have that size."""
 
     leading: Tested
     rivals: tuple[Tested, ...] = ()
     differs: Mapping[str, float] = field(default_factory=dict)
-    apart: float = 0.0
+    largest_difference: float = 0.0
     holdout: float | None = None
     possible: bool = True
 
     @property
     def holds(self) -> bool:
-        """Whether flights that it was not fitted to confirm it, as far as there are any."""
+        """Whether held-out flights confirm it; True where there are none."""
         return self.holdout is None or self.holdout > 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the leading candidate and its rivals."""
+        """Names of the leading candidate and its rivals."""
         return (self.leading.candidate.name, *(r.candidate.name for r in self.rivals))
 
     def matters(self, bounds: float) -> bool:
@@ -119,9 +116,8 @@ class Lack:
 
 @dataclass(frozen=True)
 class StructureTest:
-    """What was tested beside a fit. added: candidates that have been put into the model; ambiguous: of these, those that a
-    rival outside the model explains as well, though it gives other values. follows: filter method -> why its process noise is
-    no gusts."""
+    """The structure test of a fit. added: names of candidates that were added to the model; ambiguous: lacks among these that a
+    rival explains as well with other estimates. why_not: why no test was made. follows: filter method -> why it is no gusts."""
 
     tested: tuple[Tested, ...]
     lacks: tuple[Lack, ...]
@@ -132,12 +128,12 @@ class StructureTest:
 
     @property
     def bears(self) -> float:
-        """Bounds by which what is left out may move a value: BORNE once that has been added which the model lacked most, and
-        before that, where a better model is to be had, NOTABLE."""
+        """Bounds by which a lack may move a value: BORNE once the strongest lacks were added, before that NOTABLE, because a
+        better model is available."""
         return BORNE if self.added else NOTABLE
 
     def with_added(self, names: Sequence[str], ambiguous: Sequence[Lack]) -> "StructureTest":
-        """The same with what had been put into the model before."""
+        """The test with the candidates that were added to the model before it."""
         return replace(self, added=tuple(names), ambiguous=tuple(ambiguous))
 
     def to_json(self) -> dict[str, Any]:
@@ -148,45 +144,46 @@ class StructureTest:
 
 
 def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = False) -> StructureTest:
-    """Test every candidate, and take the significant ones one after the other.
+    """Test every candidate and select the significant ones, one after the other.
 
-    result: whose bounds the moves are counted in. filtered: its estimates weigh residuals as a filter does, not as output
-    error does.
+    result: its bounds count the moves. filtered: its estimates weigh residuals as a filter does, not as output error does.
     """
     first = _scores(linear, (), result, filtered)
-    taken_up: list[int] = []
+    selected: list[int] = []
     lacks: list[Lack] = []
     scores = first
-    while len(taken_up) < MOST:
-        strongest = _strongest(scores, taken_up, result)
+    while len(selected) < MOST_SELECTED:
+        strongest = _strongest(scores, selected, result)
         if strongest is None:
             break
-        next_scores = _scores(linear, (*taken_up, strongest), result, filtered)
-        rivals = _rivals(scores, next_scores, taken_up, strongest, result)
+        next_scores = _scores(linear, (*selected, strongest), result, filtered)
+        rivals = _rivals(scores, next_scores, selected, strongest, result)
         if (derivative := derivative_instead(scores, strongest, rivals, result)) is not None:
             strongest = derivative
-            next_scores = _scores(linear, (*taken_up, strongest), result, filtered)
-            rivals = _rivals(scores, next_scores, taken_up, strongest, result)
+            next_scores = _scores(linear, (*selected, strongest), result, filtered)
+            rivals = _rivals(scores, next_scores, selected, strongest, result)
         differs = _differences(linear, strongest, rivals, scores)
-        apart = max(
+        largest_difference = max(
             (d / result.parameters[n].std_coloured for n, d in differs.items() if _has_bound(result, n)), default=0.0
         )
-        holdout = held_out(linear, taken_up, strongest)
+        holdout = _holdout_gain(linear, selected, strongest)
         can_be = _possible(scores[strongest], result)
-        lacks.append(Lack(scores[strongest], tuple(scores[k] for k in rivals), differs, apart, holdout, can_be))
-        taken_up.append(strongest)
+        lacks.append(
+            Lack(scores[strongest], tuple(scores[k] for k in rivals), differs, largest_difference, holdout, can_be)
+        )
+        selected.append(strongest)
         scores = next_scores
     return StructureTest(tuple(first), tuple(lacks))
 
 
 def _rivals(
-    scores: Sequence[Tested], next_scores: Sequence[Tested], taken_up: Sequence[int], strongest: int, result: Result
+    scores: Sequence[Tested], next_scores: Sequence[Tested], selected: Sequence[int], strongest: int, result: Result
 ) -> list[int]:
-    """What would have served as well as the strongest: nearly as high a score, and no more needed once that is in."""
+    """Candidates with nearly as high a score as the strongest that are no longer significant once that one is selected."""
     return [
         k
         for k, t in enumerate(scores)
-        if k not in (*taken_up, strongest)
+        if k not in (*selected, strongest)
         and abs(t.score) > RIVAL * abs(scores[strongest].score)
         and abs(next_scores[k].score) < THRESHOLD
         and _possible(t, result, as_rival=True)
@@ -194,8 +191,8 @@ def _rivals(
 
 
 def derivative_instead(scores: Sequence[Tested], strongest: int, rivals: Sequence[int], result: Result) -> int | None:
-    """A derivative that serves as well as a product of inertia: one that flights tell belongs to the model, an inertia to the
-    aircraft file; the bounds span what the other would make of the estimates."""
+    """The strongest derivative among the rivals of a product of inertia, or None. It is preferred because flights determine
+    derivatives, while inertia belongs to the aircraft file; the bounds span the estimates with either."""
     if scores[strongest].candidate.kind is not CandidateKind.INERTIA:
         return None
     linear = [k for k in rivals if scores[k].candidate.kind is CandidateKind.LINEAR]
@@ -203,11 +200,12 @@ def derivative_instead(scores: Sequence[Tested], strongest: int, rivals: Sequenc
     return max(derivatives, key=lambda k: abs(scores[k].score), default=None)
 
 
-def held_out(linear: LinearisedFit, taken_up: Sequence[int], candidate: int) -> float | None:
-    """What a candidate gains on each flight when it, the parameters and those already chosen are fitted to all the others."""
+def _holdout_gain(linear: LinearisedFit, selected: Sequence[int], candidate: int) -> float | None:
+    """Gain in twice the log likelihood that a candidate gives on each flight by a fit to all the others, summed; None with one
+    flight. selected: candidates that are in both fits."""
     if len(linear.flights) < 2:
         return None
-    base_columns = np.array([*range(linear.n), *(linear.n + k for k in taken_up)], np.intp)
+    base_columns = np.array([*range(linear.n), *(linear.n + k for k in selected)], np.intp)
     all_columns = np.append(base_columns, linear.n + candidate)
     gain = 0.0
     for i, flight in enumerate(linear.flights):
@@ -220,9 +218,9 @@ def held_out(linear: LinearisedFit, taken_up: Sequence[int], candidate: int) -> 
     return gain
 
 
-def _strongest(scores: Sequence[Tested], taken_up: Sequence[int], result: Result) -> int | None:
-    """The next candidate to take; None where no other is significant."""
-    significant = [k for k, t in enumerate(scores) if k not in taken_up and t.significant]
+def _strongest(scores: Sequence[Tested], selected: Sequence[int], result: Result) -> int | None:
+    """The next candidate to select; None where no other is significant."""
+    significant = [k for k, t in enumerate(scores) if k not in selected and t.significant]
     if not significant:
         return None
     possible = [k for k in significant if _possible(scores[k], result)] or significant
@@ -232,8 +230,8 @@ def _strongest(scores: Sequence[Tested], taken_up: Sequence[int], result: Result
 
 
 def _possible(tested: Tested, result: Result, *, as_rival: bool = False) -> bool:
-    """Whether a candidate of that size can be what it is called. as_rival: beside a likelier one, for a rolling tail or long
-    ailerons near the stall yaw by more than usual."""
+    """Whether a candidate of its kind can have that size. as_rival: beside a likelier candidate, where a large `Cn_da` is
+    allowed, since a rolling tail or long ailerons near the stall yaw more than usual."""
     c = tested.candidate
     if c.kind is CandidateKind.SCALE:
         low, high = FACTORS.get(c.channel, FACTORS_ELSE)
@@ -253,11 +251,11 @@ def _possible(tested: Tested, result: Result, *, as_rival: bool = False) -> bool
     return True
 
 
-def _scores(linear: LinearisedFit, taken_up: Sequence[int], result: Result, filtered: bool) -> list[Tested]:
-    """Every candidate with the parameters, and the candidates already taken, projected out."""
+def _scores(linear: LinearisedFit, selected: Sequence[int], result: Result, filtered: bool) -> list[Tested]:
+    """Every candidate tested with the parameters and the selected candidates projected out; zero scores for the selected."""
     n, k = linear.n, len(linear.tested)
     gram = linear.total()
-    projected_out = np.concatenate([np.arange(n), n + np.array(taken_up, int)]).astype(int)
+    projected_out = np.concatenate([np.arange(n), n + np.array(selected, int)]).astype(int)
     inverse = pseudo_inverse(gram[np.ix_(projected_out, projected_out)])[0]
     lever = gram[n : n + k][:, projected_out] @ inverse
     combine = np.zeros((k, len(gram)))
@@ -265,17 +263,17 @@ def _scores(linear: LinearisedFit, taken_up: Sequence[int], result: Result, filt
     combine[:, projected_out] -= lever
     rest = gram[n : n + k, -1] - lever @ gram[projected_out, -1]
     information = np.einsum("ij,ij->i", gram[n : n + k] - lever @ gram[projected_out], combine)
-    spread = np.diag(linear.by_inputs(combine))
+    spread = np.diag(linear.input_error_covariance(combine))
     bounds = _bounds(linear, result)
-    weigh = gram if filtered else linear.plain()
+    weigh = gram if filtered else linear.output_error_gram()
     shift = pseudo_inverse(weigh[:n, :n])[0] @ weigh[:n, n : n + k]
     tests = []
     for a, candidate in enumerate(linear.tested):
-        usable = a not in taken_up and information[a] > 0.0
+        usable = a not in selected and information[a] > 0.0
         score = float(rest[a] / np.sqrt(information[a] + spread[a])) if usable else 0.0
         size = float(rest[a] / information[a]) if usable else 0.0
         if candidate.kind is CandidateKind.DAMPER and size <= 0.0:
-            score = size = 0.0  # it acts against its rate, as signs of surfaces are here
+            score = size = 0.0  # a damper opposes its rate, which is a positive size with these signs of surfaces
         moves = dict(zip(linear.shared, np.abs(shift[:, a] * size) / bounds, strict=True))
         tests.append(Tested(candidate, score, candidate.null + size, _printed(moves, result)))
     return tests
@@ -288,15 +286,15 @@ def _bounds(linear: LinearisedFit, result: Result) -> Array:
 
 
 def _printed(moves: Mapping[str, float], result: Result) -> dict[str, float]:
-    """Moves of the values that are printed as told."""
+    """Moves of identifiable parameters, whose values are printed."""
     return {n: float(m) for n, m in moves.items() if result.parameters[n].identifiable}
 
 
 def _differences(
     linear: LinearisedFit, leading: int, rivals: Sequence[int], scores: Sequence[Tested]
 ) -> dict[str, float]:
-    """By how much the estimates with `leading` in the model differ, at most, from those with a rival in its place."""
-    n, weigh = linear.n, linear.plain()
+    """Parameter -> the largest difference between its estimates with `leading` in the model and with a rival instead."""
+    n, weigh = linear.n, linear.output_error_gram()
     inverse = pseudo_inverse(weigh[:n, :n])[0]
     change = {k: inverse @ weigh[:n, n + k] * (scores[k].value - scores[k].candidate.null) for k in (leading, *rivals)}
     differences = np.array([np.abs(change[leading] - change[k]) for k in rivals]).reshape(-1, n)

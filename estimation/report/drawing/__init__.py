@@ -1,1 +1,1 @@
-"""Figures of the pages: how they look, and each of them."""
+"""Figures of the pages, and their common style."""

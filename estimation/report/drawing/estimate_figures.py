@@ -1,5 +1,5 @@
 """Figures of an estimate's report: derivatives over flights, histories, proof of match (Figures 8 to 10 of the paper, for any
-flights), correlations of the estimates and their confidence ellipses."""
+flights), correlations and confidence ellipses of the estimates."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from estimation.session.session import EstimationSession, FlightEstimates
 
 PANELS_ACROSS = 4
-PUBLISHED = "#8b95a1"
+PUBLISHED = "#8b95a1"  # colour of published estimates
+WRITTEN, DARK = 0.5, 0.75  # correlations that are written as numbers, and that need white letters
 
 
 def scatter_figure(session: "EstimationSession") -> Picture:
@@ -98,7 +99,7 @@ def _scatter_panel(axis: Any, session: "EstimationSession", name: str) -> None:
 
 def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
     """Figure 9: measured and estimated histories with the controls below. of_paper: name the paper's figure in the caption."""
-    model = next(iter(f.results.values())).model  # without the outputs that this flight does not measure
+    model = next(iter(f.results.values())).model  # of a result, so without outputs that this flight does not measure
     fits = {m: r.flights[0] for m, r in f.results.items() if r.flights and r.model.output_names == model.output_names}
     first = next(iter(fits.values()))
     controls = [s for s in model.inputs if s.control and f.flight.measured(s.source)]
@@ -140,8 +141,8 @@ def _channels(axes: Any, model: "Model", first: "FlightFit | ProofOfMatch", curv
     axes[0].legend(ncols=1 + len(curves), **ABOVE)
 
 
-def correlation_figure(result: Result, whose: str) -> Picture:
-    """Correlation matrix of the estimates as a map."""
+def correlation_figure(result: Result, source: str) -> Picture:
+    """Correlation matrix of the estimates as a map. source: of the estimates, for the caption."""
     from matplotlib.figure import Figure
 
     names, rho = result.names, result.correlation
@@ -153,24 +154,17 @@ def correlation_figure(result: Result, whose: str) -> Picture:
         axis.set_xticks(range(len(names)), [f"${tex(n)}$" for n in names], rotation=90)
         axis.set_yticks(range(len(names)), [f"${tex(n)}$" for n in names])
         axis.grid(visible=False)
-        for i, j in zip(*np.nonzero(np.abs(rho) >= 0.5), strict=True):
+        for i, j in zip(*np.nonzero(np.abs(rho) >= WRITTEN), strict=True):
             if i != j:
-                axis.text(
-                    j,
-                    i,
-                    f"{rho[i, j]:.2f}".replace("0.", "."),
-                    ha="center",
-                    va="center",
-                    fontsize=6,
-                    color="w" if abs(rho[i, j]) > 0.75 else "k",
-                )
+                text, colour = f"{rho[i, j]:.2f}".replace("0.", "."), "w" if abs(rho[i, j]) > DARK else "k"
+                axis.text(j, i, text, ha="center", va="center", fontsize=6, color=colour)
         figure.colorbar(image, ax=axis, shrink=0.8)
-    return picture(figure, "correlations", f"Correlation of the estimates, {whose}; numbers from 0.5.")
+    return picture(figure, "correlations", f"Correlation of the estimates, {source}; numbers from {WRITTEN}.")
 
 
 def proof_figure(proofs: Sequence[tuple[str, "ProofOfMatch"]], refitted: str, of_paper: bool) -> Picture:
-    """Figure 10: flights predicted with the frozen parameters of another flight. proofs: (whose parameters, proof); refitted:
-    words for the parameters that were fitted again; of_paper: name the paper's figure in the caption."""
+    """Figure 10: flights predicted with the frozen parameters of another flight. proofs: (source of the parameters, proof);
+    refitted: the parameters that were refitted, in words; of_paper: name the paper's figure in the caption."""
     rows = max(len(proof.outputs) for _, proof in proofs)
     with styled():
         figure, axes = grid(rows, len(proofs), 1.25, own_scales=True, sharex="col")
@@ -184,13 +178,13 @@ def proof_figure(proofs: Sequence[tuple[str, "ProofOfMatch"]], refitted: str, of
     return picture(figure, "figure10", caption, points)
 
 
-MOST_PAIRS = 8  # of ellipses
+MOST_PAIRS = 8  # of parameters with an ellipse
 CHI_SQUARE_95 = 5.991
 """95 % point of chi-square with two degrees of freedom, -2 ln 0.05: the square of an ellipse's radius in standard deviations."""
 
 
 def ellipse(centre: tuple[float, float], covariance: Array, points: int = 90) -> Array:
-    """(points, 2) border of the 95 % region of two estimates with this (2, 2) covariance."""
+    """(points, 2) border of the 95 % region of two estimates with this covariance (2, 2)."""
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, points)
     circle = np.sqrt(np.maximum(values, 0.0) * CHI_SQUARE_95)[:, None] * np.array([np.cos(angle), np.sin(angle)])
@@ -208,8 +202,9 @@ def most_correlated(result: Result, count: int = MOST_PAIRS) -> list[tuple[str, 
     return sorted(pairs, key=lambda p: -float(np.nan_to_num(rho[index_by_name[p[0]], index_by_name[p[1]]])))[:count]
 
 
-def ellipse_figure(results: Sequence[Result], whose: str, truth: Mapping[str, float]) -> Picture | None:
-    """95 % ellipses of the most correlated pairs, one curve a method. results: of the same flights, the leading one first."""
+def ellipse_figure(results: Sequence[Result], source: str, truth: Mapping[str, float]) -> Picture | None:
+    """95 % ellipses of the most correlated pairs, one curve a method; None without pairs. results: of the same flights, the
+    leading one first; source: of the estimates, for the caption."""
     pairs = most_correlated(results[0]) if results else []
     if not pairs:
         return None
@@ -218,7 +213,7 @@ def ellipse_figure(results: Sequence[Result], whose: str, truth: Mapping[str, fl
         for axis, parameter_pair in zip(axes, pairs, strict=True):
             _ellipse_panel(axis, results, parameter_pair, truth)
         legend_above(figure, axes, 6)
-    caption = f"95 % confidence ellipses of the {len(pairs)} most correlated pairs, {whose}; "
+    caption = f"95 % confidence ellipses of the {len(pairs)} most correlated pairs, {source}; "
     caption += "from the covariance corrected for coloured residuals."
     return picture(figure, "ellipses", caption)
 

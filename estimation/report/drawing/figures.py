@@ -1,4 +1,4 @@
-"""Figures as pictures inside the page: vector; of a long record the curves alone are pixels, letters and axes never."""
+"""Figures as pictures inside the page. They are vector graphics; only the curves of long records are pixels."""
 
 import base64
 import io
@@ -24,10 +24,11 @@ if TYPE_CHECKING:
 
 
 MEASURED = "#9aa3ad"
-SPARE = Look("#000000", "P")  # of an estimator that brings none; Okabe and Ito's colours are told apart by all readers
-LARGE = 40_000  # points in one figure from which pixels are smaller than lines
-DOTS = 250  # dots of one series from which pixels are smaller: a dot is a hundred bytes of vectors
-CURVES = 2.2  # of matplotlib's drawing order: lines and dots are at 2 and below, letters and axes above
+SPARE = Look("#000000", "P")  # for an estimator without a look; the others have Okabe and Ito's colours
+LARGE = 40_000  # points in one figure from which pixels take fewer bytes than vectors
+DOTS = 250  # dots of one series from which pixels take fewer bytes: a dot takes a hundred as a vector
+CURVES = 2.2  # in matplotlib's drawing order: lines and dots are at 2 and below, letters and axes above
+GAP = 4.5  # median sampling intervals, across which no line is drawn
 STYLE: dict[str, Any] = {
     "font.size": 8.5, "axes.titlesize": 9.5, "axes.labelsize": 8.5, "axes.grid": True, "grid.alpha": 0.25, "grid.linewidth": 0.6,
     "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7, "xtick.major.width": 0.7,
@@ -35,14 +36,14 @@ STYLE: dict[str, Any] = {
     "lines.linewidth": 1.1, "mathtext.fontset": "dejavusans", "axes.formatter.useoffset": False,
 }  # fmt: skip
 
-WIDTH = 11.6  # inches of a figure as wide as the page; the margins of a grid's axes follow, in inches
-SIDES = (0.82, 0.12)  # a name and numbers of five digits; half a number
+WIDTH = 11.6  # of a figure as wide as the page [inches]; the margins of a grid's axes follow [inches]
+SIDES = (0.82, 0.12)  # left: a name and numbers of five digits; right: half a number
 ABOVE_ROWS, BELOW_ROWS = 0.32, 0.5  # a title or a legend; numbers and a name
-BETWEEN, BESIDE, BESIDE_SCALES = 0.16, 0.18, 0.72  # rows; columns, which write no numbers or write them
-BESIDE_NUMBERS, BELOW_NUMBERS = 0.58, 0.26  # where names begin, from the axes: clear of numbers of five digits
+BETWEEN, BESIDE, BESIDE_SCALES = 0.16, 0.18, 0.72  # between rows; between columns without and with numbers
+BESIDE_NUMBERS, BELOW_NUMBERS = 0.58, 0.26  # from axes to names, clear of numbers of five digits
 
 ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
-"""Where a legend stands clear of the curves."""
+"""Position of a legend above the curves."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -56,7 +57,7 @@ class Picture:
     height: int
 
     def save(self, path: str | Path) -> Path:
-        """Write the figure as the page has it, an SVG file (or PNG where it was made from one); gives its path."""
+        """Write the page's figure as an SVG file (PNG where it was made from one); returns its path."""
         path = Path(path)
         kind = self.uri.partition(";")[0].rpartition("/")[2].removesuffix("+xml")
         if path.suffix.lower() != f".{kind}":
@@ -73,13 +74,13 @@ class Picture:
 
 
 def look(method: str) -> Look:
-    """Colour and marker of a method, the same in every figure."""
+    """Colour and marker of a method, the same in all figures."""
     return (find_estimator(method).look if method in estimator_names() else None) or SPARE
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """The look of every figure, for the time of drawing it."""
+    """The style of all figures, while one is drawn."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -87,7 +88,7 @@ def styled() -> Iterator[None]:
 
 
 def panels(count: int, across: int, height: float, margin: float) -> "tuple[Figure, list[Any]]":
-    """(figure, axes of `count` panels), `across` beside each other. height: of a row, margin: beside all rows [inches]."""
+    """(figure, axes of `count` panels), `across` in a row. height: of a row, margin: in addition to all rows [inches]."""
     from matplotlib.figure import Figure
 
     rows = -(-count // across)
@@ -108,11 +109,11 @@ def grid(
     beside: float = BESIDE_NUMBERS,
     **shared: Any,
 ) -> "tuple[Figure, Any]":
-    """(figure, (rows, columns) axes) a page wide. height: of a row [inches]; own_scales: each axes writes its own ordinate, else
-    the first of a row does; sides: margins left and right, beside: from axes to names [inches]; shared: of `subplots`.
+    """(figure, (rows, columns) axes) a page wide. height: of a row [inches]; own_scales: each axes has its own ordinate numbers,
+    else only the first of a row; sides: margins left and right, beside: from axes to names [inches]; shared: of `subplots`.
 
-    Margins and places of names are lengths, so that nothing need be laid out: matplotlib's layouts draw every letter three times
-    before it is drawn, half of the time of a report, and a name that looks for its place measures every number of every row.
+    Margins and positions of names are fixed lengths. Matplotlib's automatic layouts draw every letter three times, half of the
+    time of a report, and an automatic position of a name measures every number of every row.
     """
     from matplotlib.figure import Figure
     from matplotlib.transforms import ScaledTranslation
@@ -137,16 +138,16 @@ def grid(
 
 
 def legend_above(figure: "Figure", axes: Iterable[Any], columns: int) -> None:
-    """Each symbol of any panel once, above them all."""
+    """A legend above all panels, with each label once."""
     handles = {label: h for axis in axes for h, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     if handles:
         figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=columns)
 
 
 def save_figure(figure: "Figure", path: Path, dpi: int) -> None:
-    """Write a figure as a file whose ending chooses the format, whole or not at all; its folder is made.
+    """Write a figure in the format of the name's ending, completely or not at all; its folder is created.
 
-    Raises EstimationError for an ending that matplotlib knows no format of.
+    Raises EstimationError for an ending without a format in matplotlib.
     """
     kind = path.suffix.lower().removeprefix(".")
     formats = figure.canvas.get_supported_filetypes()
@@ -160,7 +161,7 @@ def save_figure(figure: "Figure", path: Path, dpi: int) -> None:
 
 
 def picture(figure: "Figure", name: str, caption: str, points: int = 0) -> Picture:
-    """Draw a figure. points: how many it holds."""
+    """The figure as a picture. points: number of points that it contains."""
     buffer = io.BytesIO()
     width, height = (round(96 * float(inches)) for inches in figure.get_size_inches())
     for axis in figure.axes:
@@ -169,19 +170,19 @@ def picture(figure: "Figure", name: str, caption: str, points: int = 0) -> Pictu
         for line in axis.lines:
             if line.get_marker() not in ("None", None) and np.size(line.get_xdata()) > DOTS:
                 line.set_rasterized(True)
-    with styled():  # its salt makes the same figure the same bytes
+    with styled():  # its hash salt makes equal figures equal in bytes
         figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True, dpi=150)
     uri = f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"
     return Picture(name, caption, uri, width, height)
 
 
 def broken_at_gaps(time: Array, values: Array) -> Array:
-    """Values with NaN after each gap, so that no line is drawn across it."""
+    """Values (N,) with NaN after each gap in time (N,), so that no line is drawn across it."""
     finite = np.isfinite(time)
     if finite.sum() < 3:
         return values
     steps = np.diff(time, prepend=time[:1])
-    gaps = steps > 4.5 * np.nanmedian(steps[1:])
+    gaps = steps > GAP * np.nanmedian(steps[1:])
     return np.where(gaps, np.nan, values)
 
 
@@ -195,7 +196,7 @@ def file_picture(path: Path, name: str, caption: str) -> Picture:
 
 
 def _svg_size(data: bytes) -> tuple[int, int]:
-    """Width and height [CSS pixels] that the head of an SVG file gives in points."""
+    """Width and height [CSS pixels] of an SVG file, whose head has them in points."""
     side_matches = [re.search(rb'\b%s="([0-9.]+)pt"' % side, data[:2000]) for side in (b"width", b"height")]
     width, height = (round(float(f.group(1)) * 96 / 72) if f else 0 for f in side_matches)
     return width, height

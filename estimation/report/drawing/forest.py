@@ -1,4 +1,4 @@
-"""The answer in two pictures: every derivative with its bound beside what was believed, and the fit in a strip per channel."""
+"""The answer in two figures: every derivative with its bound and its belief, and the fit in a strip for each channel."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -14,43 +14,50 @@ if TYPE_CHECKING:
     from estimation.report.answer import AnswerRow
 
 INK, TRUTH = "#0b5c8e", "#1d7a46"
-REACH = 1.0  # times an estimate that a mark may be away from it; farther ones stand as arrows at the edge
+REACH = 1.0  # largest relative distance of a mark from its estimate; farther marks are arrows at the edge
 MARKS = (
     ("prior", "D", "0.35", "before flying"),
     ("published", "s", "#a35a00", "published"),
     ("truth", "*", TRUTH, "truth"),
 )
-STRIP, ROW = 0.46, 0.25  # inches of a channel, and of a derivative
+STRIP, ROW = 0.46, 0.25  # height of a channel, and of a derivative [inches]
 BESIDE_FEW = 0.38  # inches from axes to names, clear of numbers of three digits
-BESIDE_STRIP = (1.15, 0.62)  # inches, for a channel's name that lies and its r2
+BESIDE_STRIP = (1.15, 0.62)  # margins [inches] for a channel's horizontal name and for its r2
 
 
 def draw_forest(axis: Any, rows: "Sequence[AnswerRow]") -> Any:
-    """Each derivative on a line: the estimate at nought with 95 % of its bound, others by their distance from it, in per cent of
-    the estimate. One that the data could not tell shows what was believed alone, as a word. Gives the axes."""
-    shown = list(rows)
+    """Draw each derivative on a line: the estimate at zero with its 95 % interval, other values by their distance from it in per
+    cent of the estimate; for one that is not identifiable only "cannot tell". Returns the axes."""
+    identifiable = [(y, row) for y, row in enumerate(rows) if row.identifiable and row.value]
     for key, marker, colour, label in MARKS:
-        others = [(y, row, getattr(row, key)) for y, row in enumerate(shown) if row.told and row.value]
+        others = [(y, row, getattr(row, key)) for y, row in identifiable]
         pairs = [(y, (other - row.value) / abs(row.value)) for y, row, other in others if other is not None]
         inside = [(d, y) for y, d in pairs if abs(d) <= REACH]
         if pairs:
-            places = [100 * d for d, _ in inside], [y for _, y in inside]
-            axis.plot(*places, marker, color=colour, ms=5, mfc="none", label=label)
+            positions = [100 * d for d, _ in inside], [y for _, y in inside]
+            axis.plot(*positions, marker, color=colour, ms=5, mfc="none", label=label)
         for y, d in pairs:
             if abs(d) > REACH:
                 axis.plot(100 * REACH * np.sign(d), y, ">" if d > 0 else "<", color=colour, ms=5, mfc="none")
-    told = [(y, row) for y, row in enumerate(shown) if row.told and row.value and np.isfinite(row.bound)]
-    bars = [100 * min(NORMAL_95 * abs(row.bound / row.value), REACH) for _, row in told]
+    bounded = [(y, row) for y, row in identifiable if np.isfinite(row.bound)]
+    bars = [100 * min(NORMAL_95 * abs(row.bound / row.value), REACH) for _, row in bounded]
     axis.errorbar(
-        np.zeros(len(told)), [y for y, _ in told], xerr=bars, fmt="o", color=INK, ms=4, capsize=2.5, label="estimate"
+        np.zeros(len(bounded)),
+        [y for y, _ in bounded],
+        xerr=bars,
+        fmt="o",
+        color=INK,
+        ms=4,
+        capsize=2.5,
+        label="estimate",
     )
-    for y, row in enumerate(shown):
-        if not row.told:
+    for y, row in enumerate(rows):
+        if not row.identifiable:
             axis.text(0, y, "cannot tell", ha="center", va="center", color="0.45", style="italic", fontsize=7.5)
     axis.axvline(0, color="0.6", lw=0.7)
     axis.set_xlim(-105 * REACH, 105 * REACH)
-    axis.set_yticks(range(len(shown)), [f"${tex(row.name)}$" for row in shown])
-    axis.set_ylim(len(shown) - 0.4, -0.6)
+    axis.set_yticks(range(len(rows)), [f"${tex(row.name)}$" for row in rows])
+    axis.set_ylim(len(rows) - 0.4, -0.6)
     axis.set_xlabel("from the estimate [% of it]; bars: 95 %; arrows: beyond")
     axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, handletextpad=0.3, columnspacing=1.0)
     return axis
@@ -70,7 +77,7 @@ def forest_figure(rows: "Sequence[AnswerRow]") -> Picture | None:
 
 
 def strips_figure(result: "Result") -> Picture | None:
-    """Measured and estimated motion of the first flight of a result, one low strip a channel, with r2 at its end."""
+    """Measured and estimated motion of a result's first flight, a strip for each channel with its r2; None without outputs."""
     fit, outputs = result.flights[0], result.model.outputs
     if not outputs:
         return None

@@ -1,11 +1,11 @@
-"""Measured against estimated (or predicted) histories: figures, and flights that `sideslip view` shows both of."""
+"""Measured and estimated (or predicted) histories: as figures, and as flights with both for `sideslip view`."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.utilities.constants import RADIAN
 from estimation.report.drawing.figures import save_figure
+from estimation.report.names import face, literal
 from groundstation.flight import Array
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def write_histories(session: "EstimationSession", path: Path) -> None:
-    """Measured and estimated outputs of every flight, one curve for each method; format by the suffix of `path`."""
+    """Draw measured and estimated outputs of every flight, one curve for each method; format by the ending of `path`."""
     columns = []
     for f in session.flights:
         results = [r for r in f.results.values() if r.flights]
@@ -29,18 +29,19 @@ def write_histories(session: "EstimationSession", path: Path) -> None:
 
 
 def write_proof(proofs: Sequence["ProofOfMatch"], path: Path) -> None:
+    """Draw measured and predicted outputs of every flight; format by the ending of `path`."""
     columns = [(p.name, p.time, p.measured, {"predicted": p.predicted}) for p in proofs]
     _draw(proofs[0].result.model, columns, path)
 
 
 def write_flights(session: "EstimationSession", folder: Path, most: int | None = None) -> list[Path]:
-    """Each flight (the first `most`) with the outputs of its first method beside the measured ones; returns the files."""
+    """Write each flight (the first `most`) with the outputs of its first method beside the measured ones; returns the files."""
     estimated_flights = [f for f in session.flights if f.results][:most]
     return [write_beside(f.flight, next(iter(f.results.values())), folder) for f in estimated_flights]
 
 
 def write_beside(flight: "Flight", result: "Result", folder: Path) -> Path:
-    """folder/<name>.mcap: the flight with a column `<column>_model` for every output of the model."""
+    """Write folder/<name>.mcap: the flight with a column `<column>_model` for every output of the model; returns the file."""
     from groundstation.flight import write_flight
 
     model_outputs = result.flights[0].outputs
@@ -51,16 +52,15 @@ def write_beside(flight: "Flight", result: "Result", folder: Path) -> Path:
 
 
 def _draw(model: "Model", columns: Sequence[tuple[str, Array, Array, dict[str, Array]]], path: Path) -> None:
+    """Draw flights beside each other. columns: name, time (N,), measured (N, ny), label -> curve (N, ny)."""
     from matplotlib.figure import Figure
-
-    from estimation.report.names import literal
 
     rows = len(model.outputs)
     figure = Figure(figsize=(4.5 * len(columns) + 1.5, 1.7 * rows + 0.8), layout="constrained")
     axes: Any = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
     for j, (name, time, measured, fitted) in enumerate(columns):
         for i, signal in enumerate(model.outputs):
-            factor, unit = (RADIAN, signal.unit.replace("rad", "deg")) if "rad" in signal.unit else (1.0, signal.unit)
+            factor, unit = face(signal.name, signal.unit)
             axis = axes[i][j]
             axis.plot(time, measured[:, i] * factor, ".", color="0.6", markersize=2.5, label="measured")
             for label, outputs in fitted.items():

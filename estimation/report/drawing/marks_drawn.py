@@ -1,4 +1,4 @@
-"""Flight modes, events and messages of a log over a figure's panels, and two flights laid on one another in time."""
+"""Flight modes, events and messages of a log over a figure's panels, and two flights aligned in time."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,14 +12,14 @@ from groundstation.flight.beside import BESIDE, beside
 from groundstation.flight.marks import marks_of
 
 MOST_NAMED = 12
-"""Modes whose names stand over a figure: more lie on one another."""
+"""Modes, events or messages up to which their names are written: more would overlap."""
 MOST_LINES = 60
-"""Events and messages that are drawn: a log that talks all the time would hide its curves."""
-LONGEST_TEXT = 24
-SHADES = ("#f0e442", "#56b4e9")
-LAID = "#0072B2"
+"""Events and messages up to which they are drawn: more would hide the curves."""
+LONGEST_TEXT = 24  # characters of a name
+SHADES = ("#f0e442", "#56b4e9")  # of modes
+SECOND = "#0072B2"  # colour of the second flight
 COMPARED = ("delta_e", "delta_a", "delta_r", "V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")
-"""Columns that two flights are drawn with, those that both measured."""
+"""Columns in which two flights are compared, where both measure them."""
 
 
 def draw_marks(axes: Sequence[Any], flight: Flight) -> None:
@@ -50,9 +50,9 @@ def _name(axis: Any, time: float, text: str) -> None:
 
 
 def aligned_figures(flights: Sequence[Flight], by: str) -> list[Picture]:
-    """Each further flight laid on the first in time (`beside`), in a panel a column that both measured.
+    """Each further flight aligned with the first in time, with a panel for each column that both measure.
 
-    by: how, as of `groundstation.flight.beside.beside`. Raises FlightError where two cannot be laid on one another.
+    by: how, as in `groundstation.flight.beside.beside`. Raises FlightError where two flights cannot be aligned.
     """
     return [_aligned(flights[0], other, by, i) for i, other in enumerate(flights[1:], start=1)]
 
@@ -66,7 +66,7 @@ def _aligned(first: Flight, second: Flight, by: str, number: int) -> Picture:
         figure, axes = panels(len(names), 2, 1.35, 0.7)
         for axis, name in zip(axes, names, strict=True):
             factor, unit = face(name, "m/s" if name == "V" else "rad/s" if name in "pqr" else "rad")
-            for column, colour, flight in ((name, MEASURED, first), (name + BESIDE, LAID, second)):
+            for column, colour, flight in ((name, MEASURED, first), (name + BESIDE, SECOND, second)):
                 values = broken_at_gaps(first.time, factor * pair.flight[column])
                 axis.plot(first.time, values, color=colour, lw=0.9, label=literal(flight.name))
             axis.set_ylabel(axis_label(name, unit))

@@ -1,4 +1,4 @@
-"""What is left of a fit: residuals over time, autocorrelation, spectrum, and against incidence, sideslip and surfaces."""
+"""Residuals of a fit: over time, autocorrelation, spectrum, and against incidence, sideslip and surfaces."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -17,14 +17,15 @@ if TYPE_CHECKING:
 
 AGAINST = ("alpha", "beta", "delta_e", "delta_a", "delta_r")
 BINS = 10  # equally filled: enough to show a bend, and each mean is over a tenth of the flight
-FEWEST = 8  # samples from which a spectrum, a correlation or a bin says anything
-SPECTRUM = 256  # samples of a stretch of Welch's estimate: 0.08 Hz apart at 20 Hz
-ROW = 1.3  # inches of a channel
-MOVED = 1e-6  # of a quantity that stands still nothing is shown
+FEWEST = 8  # samples from which a spectrum, a correlation or a bin is shown
+MOST_LAGS = 100  # of an autocorrelation
+SPECTRUM = 256  # samples of a stretch in Welch's method: frequencies 0.08 Hz apart at 20 Hz
+ROW = 1.3  # height of a channel [inches]
+MOVED = 1e-6  # rad, least standard deviation of a quantity that is shown
 
 
 def residual_figure(model: "Model", result: Result) -> Picture:
-    """Residuals of one flight, their autocorrelation and their spectrum, with what white noise would show."""
+    """Residuals of one flight, their autocorrelation and their spectrum, beside those of white noise."""
     fit = result.flights[0]
     colour = look(result.method).colour
     with styled():
@@ -64,16 +65,15 @@ def _residual(fit: FlightFit, i: int) -> Array:
 
 
 def _correlation(axis: Any, residual: Array, step: float, colour: str) -> None:
-    lags = min(residual.size // 4, 100)
+    lags = min(residual.size // 4, MOST_LAGS)
     axis.vlines(step * np.arange(lags + 1), 0, autocorrelation(residual, lags), color=colour, lw=1.0)
     band = NORMAL_95 / np.sqrt(residual.size)
     axis.axhspan(-band, band, color="0.6", alpha=0.25, lw=0)
 
 
 def spectrum(residual: Array, step: float) -> tuple[Array, Array]:
-    """(frequency [Hz], power spectral density over its mean) of evenly sampled residuals (N,), `step` apart [s]; by Welch's
-    method without the frequency nought. White noise is one everywhere.
-    """
+    """(frequency [Hz], power spectral density over its mean) of residuals (N,) sampled every `step` [s]; by Welch's method,
+    without zero frequency. White noise has one everywhere."""
     from scipy.signal import welch
 
     frequency, density = welch(residual, 1.0 / step, nperseg=min(SPECTRUM, residual.size))
@@ -119,14 +119,14 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
 
 
 def moved_quantities(result: Result, flight: "Flight") -> list[str]:
-    """Which of incidence, sideslip and surfaces were measured and moved, at the samples of the fit."""
+    """Those of incidence, sideslip and surfaces that were measured and moved, at the samples of the fit."""
     same_samples = len(flight) == result.flights[0].time.size
     return [c for c in AGAINST if same_samples and flight.measured(c) and np.nanstd(flight[c]) > MOVED]
 
 
 def abscissa(model: "Model", fit: FlightFit, flight: "Flight", column: str) -> Array:
-    """(N,) what residuals are drawn against: as the model has it where the column is one of its outputs, else as measured. The
-    noise of a measured output stands in its own residual, and would bend a perfect model's."""
+    """(N,) abscissa of residuals: the model's output where the column is one, else the measured column. The noise of a measured
+    output is also in its residual, and would show a bend for a perfect model."""
     outputs = [i for i, signal in enumerate(model.outputs) if signal.source == column and i < fit.outputs.shape[1]]
     return fit.outputs[:, outputs[0]] if outputs else flight[column]
 

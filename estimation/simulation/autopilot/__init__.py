@@ -1,1 +1,1 @@
-"""A linear aircraft for the simulators of autopilots, ArduPilot's and Gazebo with PX4: written, proved, and read back."""
+"""A linear aircraft for autopilots' simulators, ArduPilot's SITL and Gazebo with PX4: written, proved, and read back."""

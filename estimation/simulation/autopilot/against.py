@@ -1,6 +1,7 @@
-"""What was written, read back and held against the model at random states, by our own statement of a simulator's equations.
+"""The proof of an export: the written file, read back and flown by our statement of the simulator's equations, against the model.
 
-Terms that a simulator has no word for are taken off before, and told apart with what they weigh.
+Both are compared at random states. Terms that the simulator cannot express are removed from the model first, and are reported
+with their size.
 """
 
 from collections.abc import Callable, Mapping
@@ -34,18 +35,16 @@ from estimation.simulation.autopilot.linear import (
 from estimation.simulation.autopilot.neutral import BuildUp, evaluated
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, Array
 
-SITL_LIMIT, GAZEBO_LIMIT, TEXT_LIMIT = (
-    1e-6,
-    1e-9,
-    1e-12,
-)  # of the largest on an axis: rounding of a float, and of a double
-LEAST_SHARE = 1e-12  # of what is left out, to be worth a word
+SITL_LIMIT, GAZEBO_LIMIT, TEXT_LIMIT = 1e-6, 1e-9, 1e-12
+"""Largest deviation over the largest value on an axis: rounding of a float, of a double, and of the same expression."""
+LEAST_SHARE = 1e-12  # of an axis, below which an omitted term is not reported
 Axes = Mapping[str, Array]
 
 
 @dataclass(frozen=True)
 class OmittedTerm:
-    """A term that the simulator lacks. value: the derivative, or NaN where it is none; share: of the largest on `axis`."""
+    """A term that the simulator lacks. value: of the derivative, NaN where it is none; share: largest effect over the largest
+    value on `axis`, NaN where it is not known."""
 
     name: str
     value: float
@@ -53,6 +52,7 @@ class OmittedTerm:
     axis: str
 
     def sentence(self) -> str:
+        """The term with its value and share."""
         value = "" if np.isnan(self.value) else f" = {self.value:.4g}"
         weighs = "" if np.isnan(self.share) else f", up to {100.0 * self.share:.3g} % of the largest {self.axis}"
         return f"{self.name}{value}{weighs}"
@@ -60,7 +60,8 @@ class OmittedTerm:
 
 @dataclass(frozen=True)
 class SimulatorProof:
-    """deviation: of each axis the largest difference over the largest value, without what is left out."""
+    """states: number of random states. deviation: axis -> largest difference over the largest value, without the terms in
+    `left_out`; limit: the largest that is allowed."""
 
     states: int
     deviation: Mapping[str, float]
@@ -69,12 +70,12 @@ class SimulatorProof:
 
     @property
     def failed(self) -> tuple[str, ...]:
+        """Axes beyond the limit."""
         return tuple(n for n, v in self.deviation.items() if not v <= self.limit)
 
     def sentence(self) -> str:
-        worst_axis = max(
-            self.deviation, key=lambda n: self.deviation[n] if self.deviation[n] == self.deviation[n] else np.inf
-        )
+        """The result of the proof."""
+        worst_axis = max(self.deviation, key=lambda n: np.inf if np.isnan(self.deviation[n]) else self.deviation[n])
         if not self.failed:
             return (
                 f"proof: at {self.states} random states every axis is the model's without what is left out, {worst_axis} to"
@@ -96,52 +97,55 @@ class SimulatorProof:
         }
 
 
-def against_sitl(plane: SitlPlane, craft: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()) -> SimulatorProof:
-    """SITL's accelerations by a file against the model's, both at sea level."""
+def against_sitl(
+    plane: SitlPlane, linear: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()
+) -> SimulatorProof:
+    """SITL's accelerations with a file against the model's, both at sea level. beyond: terms of the model outside its
+    coefficients, as (name, size)."""
     stall = plane.values["alpha_stall"]
     alpha_range = (ALPHAS[0], min(ALPHAS[1], max(stall - ardupilot.CLEAR, 0.0)))
-    motion = random_motion(craft, alpha_range)
-    omitted = ardupilot.left_out(craft)
-    omitted_terms = _omitted_terms(craft, motion, omitted, ardupilot.INDUCED, air_of_sitl)
-    omitted_terms += _gyroscopic(craft, motion)
+    motion = random_motion(linear, alpha_range)
+    omitted = ardupilot.left_out(linear)
+    omitted_terms = _omitted_terms(linear, motion, omitted, ardupilot.INDUCED, air_of_sitl)
+    omitted_terms += _gyroscopic(linear, motion)
 
     def model(m: FlightStates) -> Axes:
         return accelerations(
-            craft.aircraft, forces(craft.without(omitted), m.with_air(*air_of_sitl(m)), ardupilot.INDUCED)
+            linear.aircraft, forces(linear.without(omitted), m.with_air(*air_of_sitl(m)), ardupilot.INDUCED)
         )
 
     omitted_terms += _blend(
-        lambda m: sitl_accelerations(plane, m), model, random_motion(craft), alpha_range[1] < ALPHAS[1]
+        lambda m: sitl_accelerations(plane, m), model, random_motion(linear), alpha_range[1] < ALPHAS[1]
     )
     deviation = _axis_deviations(sitl_accelerations(plane, motion), model(motion))
     return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond_terms(beyond)), SITL_LIMIT)
 
 
 def against_gazebo(
-    plane: GazeboPlane, craft: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()
+    plane: GazeboPlane, linear: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()
 ) -> SimulatorProof:
-    """Gazebo's forces and moments by a model against the model's; mass and inertia of all links together."""
+    """Gazebo's forces and moments with a file against the model's, and the mass and inertia of all links together."""
     density = plane.values["air_density"]
-    motion = random_motion(craft, rho=density)
-    omitted = gazebo.left_out(craft)
+    motion = random_motion(linear, rho=density)
+    omitted = gazebo.left_out(linear)
     unstalled_plane = replace(plane, values={**plane.values, "alpha_stall": gazebo.STALL})
-    omitted_terms = _omitted_terms(craft, motion, omitted, gazebo.INDUCED, air_of_gazebo)
+    omitted_terms = _omitted_terms(linear, motion, omitted, gazebo.INDUCED, air_of_gazebo)
 
     def model(m: FlightStates) -> Axes:
-        return forces(craft.without(omitted), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
+        return forces(linear.without(omitted), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
 
     omitted_terms += _blend(
         lambda m: gazebo_forces(plane, m), model, motion, plane.values["alpha_stall"] < gazebo.STALL
     )
     deviation = {
         **_axis_deviations(gazebo_forces(unstalled_plane, motion), model(motion)),
-        **_off_of_body(plane, craft),
+        **_body_deviations(plane, linear),
     }
     return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond_terms(beyond)), GAZEBO_LIMIT)
 
 
 def against_text(content: Mapping[str, Any], model: BuildUp, body: Aircraft) -> SimulatorProof:
-    """The trees of a neutral file against the text of the model, coefficient by coefficient; nothing is left out."""
+    """The expression trees of a neutral file against the text of the model, coefficient by coefficient; nothing is left out."""
     motion = random_motion(LinearAircraft(model.name, model.title, body, {}))
     rng = np.random.default_rng(len(motion))
     extra_states = {"thrust": rng.uniform(0.0, 10.0, len(motion)), ALPHA_RATE: rng.uniform(-0.5, 0.5, len(motion))}
@@ -167,65 +171,64 @@ def _axis_deviations(measured: Axes, model: Axes) -> dict[str, float]:
 
 
 def _share(difference: Array, reference: Array) -> float:
+    """Largest difference over the largest reference value; the difference itself where all references are zero."""
     largest = float(np.max(np.abs(reference)))
     return float(np.max(np.abs(difference))) / largest if largest > 0.0 else float(np.max(np.abs(difference)))
 
 
-def _off_of_body(plane: GazeboPlane, craft: LinearAircraft) -> dict[str, float]:
-    a, b = plane.aircraft, craft.aircraft
+def _body_deviations(plane: GazeboPlane, linear: LinearAircraft) -> dict[str, float]:
+    """Relative deviations of mass and inertia."""
+    a, b = plane.aircraft, linear.aircraft
     size = max(b.Ixx, b.Iyy, b.Izz)
     inertia = max(abs(getattr(a, n) - getattr(b, n)) for n in ("Ixx", "Iyy", "Izz", "Ixz")) / size
     return {"mass": abs(a.mass / b.mass - 1.0), "inertia": inertia}
 
 
 def _omitted_terms(
-    craft: LinearAircraft,
+    linear: LinearAircraft,
     motion: FlightStates,
     omitted: tuple[str, ...],
     induced: tuple[str, ...],
     air: Callable[[FlightStates], tuple[Array, Array, Array]],
 ) -> list[OmittedTerm]:
-    """Derivatives without a key, parts of induced drag, and air data that are defined otherwise, each with what it weighs."""
-    full_axes = accelerations(craft.aircraft, forces(craft, motion))
+    """Derivatives without a key, missing parts of induced drag, and other definitions of air data, each with its size."""
+    full_axes = accelerations(linear.aircraft, forces(linear, motion))
     terms = []
     for name in omitted:
-        reduced_axes = accelerations(craft.aircraft, forces(craft.without((name,)), motion))
-        terms.append(_largest(name, craft[name], full_axes, reduced_axes))
-    expressible = craft.without(omitted)
+        reduced_axes = accelerations(linear.aircraft, forces(linear.without((name,)), motion))
+        terms.append(_largest(name, linear[name], full_axes, reduced_axes))
+    expressible = linear.without(omitted)
     for ending in ("beta", "p", "q", "r", "de", "da", "dr"):
         if ending not in induced and expressible[f"CL_{ending}"] != 0.0 and expressible["CD_k"] != 0.0:
-            full_drag = accelerations(craft.aircraft, forces(expressible, motion, (*induced, ending)))
-            reduced_axes = accelerations(craft.aircraft, forces(expressible, motion, induced))
+            full_drag = accelerations(linear.aircraft, forces(expressible, motion, (*induced, ending)))
+            reduced_axes = accelerations(linear.aircraft, forces(expressible, motion, induced))
             terms.append(_largest(f"induced drag of CL_{ending}", np.nan, full_drag, reduced_axes))
-    model_axes = accelerations(craft.aircraft, forces(expressible, motion, induced))
-    theirs = accelerations(craft.aircraft, forces(expressible, motion.with_air(*air(motion)), induced))
+    model_axes = accelerations(linear.aircraft, forces(expressible, motion, induced))
+    theirs = accelerations(linear.aircraft, forces(expressible, motion.with_air(*air(motion)), induced))
     terms.append(_largest("sideslip taken as atan2(v, u)", np.nan, model_axes, theirs))
     return [t for t in terms if t.share > LEAST_SHARE]
 
 
-def _gyroscopic(craft: LinearAircraft, motion: FlightStates) -> list[OmittedTerm]:
-    full_axes = accelerations(craft.aircraft, forces(craft, motion))
-    turning = gyroscopic(craft.aircraft, motion)
-    return [
-        _largest(
-            "gyroscopic terms", np.nan, full_axes, {**full_axes, **{n: full_axes[n] + v for n, v in turning.items()}}
-        )
-    ]
+def _gyroscopic(linear: LinearAircraft, motion: FlightStates) -> list[OmittedTerm]:
+    without = accelerations(linear.aircraft, forces(linear, motion))
+    with_terms = {**without, **{n: without[n] + v for n, v in gyroscopic(linear.aircraft, motion).items()}}
+    return [_largest("gyroscopic terms", np.nan, without, with_terms)]
 
 
 def _blend(
-    flown: Callable[[FlightStates], Axes], model: Callable[[FlightStates], Axes], motion: FlightStates, wanted: bool
+    simulator: Callable[[FlightStates], Axes], model: Callable[[FlightStates], Axes], motion: FlightStates, near: bool
 ) -> list[OmittedTerm]:
-    """What the stall, where it is near, changes at which the aircraft flies."""
-    return [_largest("blend into the stall", np.nan, model(motion), flown(motion))] if wanted else []
+    """The effect of a stall that is near on the states of flight."""
+    return [_largest("blend into the stall", np.nan, model(motion), simulator(motion))] if near else []
 
 
 def _largest(name: str, value: float, full: Axes, reduced: Axes) -> OmittedTerm:
+    """The term that makes the difference, with its share on the axis where that is largest."""
     shares = {axis: _share(full[axis] - reduced[axis], full[axis]) for axis in AXES}
     axis = max(shares, key=lambda n: shares[n])
     return OmittedTerm(name, value, shares[axis], axis)
 
 
 def _beyond_terms(beyond: tuple[tuple[str, float], ...]) -> list[OmittedTerm]:
-    """What of the model is in none of its coefficients: nothing more is known than its size."""
+    """Terms of the model outside its coefficients, of which only the size is known."""
     return [OmittedTerm(name, size, np.nan, "") for name, size in beyond]

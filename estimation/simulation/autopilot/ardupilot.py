@@ -1,8 +1,8 @@
-"""A linear aircraft as a file of ArduPilot's SITL model `plane`, mass and inertia absorbed, so that its accelerations are right
-with the 2 kg and 1 kg m2 that SITL flies with.
+"""A linear aircraft as a file of ArduPilot's SITL model `plane`. SITL flies 2 kg and 1 kg m2, so the coefficients absorb mass and
+inertia and give the real accelerations.
 
-With k = 2 kg / m the area is k S; rolling and yawing moments are solved for accelerations with Ixz. Forces in SITL's own log are
-then k times the real ones.
+With k = 2 kg / m the area is k S; rolling and yawing moments are solved for angular accelerations with Ixz. Forces in SITL's own
+log are then k times the real ones.
 """
 
 import json
@@ -23,54 +23,55 @@ OPTIONS = (
     "-heavy", "-jet", "-revthrust", "-elevon", "-vtail", "-dspoilers", "-redundant", "-elevrev", "-catapult", "-bungee", "-throw",
     "-tailsitter", "-steering", "-3d", "-ice", "-soaring",
 )  # fmt: skip
-"""What SITL looks for anywhere in the name of a model, files and folders included."""
-SAYS = {
+"""Options that SITL recognises anywhere in the name of a model, files and folders included."""
+HAS_KEY = {
     "CL": ("0", "alpha", "q", "de"), "CD": ("0", "q"), "CY": ("0", "beta", "p", "r", "da", "dr"),
     "Cl": ("0", "beta", "p", "r", "da", "dr"), "Cm": ("0", "alpha", "q", "de"), "Cn": ("0", "beta", "p", "r", "da", "dr"),
 }  # fmt: skip
-"""Endings of the derivatives that a file has keys for."""
+"""Endings of the derivatives for which a file has keys."""
 INDUCED = ("0", "alpha")
 """Endings of the terms of lift in its induced drag."""
-STALL = 0.55  # rad, where nobody says: as far as the clamp of 0.8 rad allows without holding -0.2 rad
-LEAST_STALL, MOST_STALL = 0.35, 0.6  # rad: below it lift is changed where the aircraft flies, above it the clamp is
-SHARPEST = 50.0  # 1/rad, SITL's own
-OVERFLOW = 85.0  # exponents of a float: sharpness times what alpha and stall come to, before it is infinite
+STALL = 0.55  # rad, where none is stated: as late as possible without clamping alpha above -0.2 rad
+LEAST_STALL, MOST_STALL = 0.35, 0.6  # rad: outside, the blend or the clamp changes lift where the aircraft flies
+SHARPEST = 50.0  # 1/rad, SITL's default
+LARGEST_EXPONENT = 85.0  # of the blend, in SITL's floats
 CLEAR = 0.33  # rad below the stall where the blend is less than 1e-6 of lift
-FULL_THROTTLE = 14.0  # m/s2, mass times g / 0.7 over mass
-POLAR_FAR = 1e12  # oswald of no induced drag
+FULL_THROTTLE = 14.0  # m/s2, SITL's thrust over mass at full throttle: g / 0.7
+NO_POLAR = 1e12  # oswald without induced drag
 
 
-def sitl_values(craft: LinearAircraft, stall: float | None) -> dict[str, float]:
-    """The keys of a file. stall: angle of attack [rad] or None. Raises SimulationError for throws that differ both ways."""
-    a, throw = craft.aircraft, symmetric_throws(craft, "ArduPilot's SITL")
+def sitl_values(linear: LinearAircraft, stall: float | None) -> dict[str, float]:
+    """Key -> value of a file. stall: angle of attack [rad] or None. Raises SimulationError for throws that are not symmetric."""
+    a, throw = linear.aircraft, symmetric_throws(linear, "ArduPilot's SITL")
     share = MASS / a.mass
     inertia = a.Ixx * a.Izz - a.Ixz**2
     stall_angle = STALL if stall is None else stall
-    polar = share * a.area / (math.pi * a.span**2 * craft["CD_k"]) if craft["CD_k"] else POLAR_FAR
-    lift = {"c_lift_0": craft["CL_0"], "c_lift_deltae": -craft["CL_de"] * throw["delta_e"],
-            "c_lift_a": craft["CL_alpha"], "c_lift_q": craft["CL_q"]}  # fmt: skip
-    drag = {"c_drag_q": craft["CD_q"], "c_drag_deltae": 0.0, "c_drag_p": craft["CD_0"]}
+    oswald = share * a.area / (math.pi * a.span**2 * linear["CD_k"]) if linear["CD_k"] else NO_POLAR
+    lift = {"c_lift_0": linear["CL_0"], "c_lift_deltae": -linear["CL_de"] * throw["delta_e"],
+            "c_lift_a": linear["CL_alpha"], "c_lift_q": linear["CL_q"]}  # fmt: skip
+    drag = {"c_drag_q": linear["CD_q"], "c_drag_deltae": 0.0, "c_drag_p": linear["CD_0"]}
     scale = {"0": 1.0, "b": 1.0, "p": 1.0, "r": 1.0, "deltaa": -throw["delta_a"], "deltar": -throw["delta_r"]}
     ending_by_key = {"0": "0", "b": "beta", "p": "p", "r": "r", "deltaa": "da", "deltar": "dr"}
     side, roll, yaw = {}, {}, {}
     for key, ending in ending_by_key.items():
-        CY, Cl, Cn = (craft[f"{c}_{ending}"] for c in ("CY", "Cl", "Cn"))
+        CY, Cl, Cn = (linear[f"{c}_{ending}"] for c in ("CY", "Cl", "Cn"))
         side[f"c_y_{key}"] = CY * scale[key]
         roll[f"c_l_{key}"] = (a.Izz * Cl + a.Ixz * Cn) / (share * inertia) * scale[key]
         yaw[f"c_n_{key}"] = (a.Ixx * Cn + a.Ixz * Cl) / (share * inertia) * scale[key]
-    pitch_values = {"c_m_0": craft["Cm_0"], "c_m_a": craft["Cm_alpha"], "c_m_q": craft["Cm_q"],
-           "c_m_deltae": -craft["Cm_de"] * throw["delta_e"]}  # fmt: skip
+    pitch_values = {"c_m_0": linear["Cm_0"], "c_m_a": linear["Cm_alpha"], "c_m_q": linear["Cm_q"],
+           "c_m_deltae": -linear["Cm_de"] * throw["delta_e"]}  # fmt: skip
     pitch = {key: value / (share * a.Iyy) for key, value in pitch_values.items()}
+    sharpness = min(SHARPEST, LARGEST_EXPONENT / (2.0 * stall_angle + CLAMP))
     return {
-        "s": share * a.area, "b": a.span, "c": a.chord, **lift, "mcoeff": min(SHARPEST, OVERFLOW / (2.0 * stall_angle + 0.8)),
-        "oswald": polar, "alpha_stall": stall_angle, **drag, **side, **roll, **pitch, **yaw,
+        "s": share * a.area, "b": a.span, "c": a.chord, **lift, "mcoeff": sharpness, "oswald": oswald,
+        "alpha_stall": stall_angle, **drag, **side, **roll, **pitch, **yaw,
         "deltaa_max": throw["delta_a"], "deltae_max": throw["delta_e"], "deltar_max": throw["delta_r"],
     }  # fmt: skip
 
 
-def left_out(craft: LinearAircraft) -> tuple[str, ...]:
-    """Names of the derivatives that no key says."""
-    return tuple(f"{c}_{e}" for c in LINES for e in ("0", *SLOPES) if e not in SAYS[c] and craft[f"{c}_{e}"] != 0.0)
+def left_out(linear: LinearAircraft) -> tuple[str, ...]:
+    """Names of the non-zero derivatives without a key."""
+    return tuple(f"{c}_{e}" for c in LINES for e in ("0", *SLOPES) if e not in HAS_KEY[c] and linear[f"{c}_{e}"] != 0.0)
 
 
 def check_stall(stall: float | None) -> None:
@@ -83,13 +84,13 @@ def check_stall(stall: float | None) -> None:
 
 
 def check_name(path: Path) -> None:
-    """Raise SimulationError for a name that SITL would not load, or read an option in."""
+    """Raise SimulationError for a name that SITL would not load, or in which it would recognise an option."""
     if path.suffix != ".json":
         raise SimulationError(
             f"{path}: SITL flies its built-in aircraft unless the name ends in .json; give such a name"
         )
-    read = f"{path.parent.name}/{path.name}" if path.is_absolute() else str(path)
-    options_in_name = [option for option in OPTIONS if option in read]
+    given_name = f"{path.parent.name}/{path.name}" if path.is_absolute() else str(path)
+    options_in_name = [option for option in OPTIONS if option in given_name]
     if options_in_name:
         raise SimulationError(
             f"{path}: SITL would read the option {options_in_name[0]} in this name and fly another aircraft; give a"
@@ -100,7 +101,7 @@ def check_name(path: Path) -> None:
 
 
 def command_lines(path: Path, thrust: float | None, mass: float) -> list[str]:
-    """How to fly it, as SITL takes the path: relative to the working directory."""
+    """How to fly the file with SITL, which takes its path relative to the working directory. thrust [N] or None; mass [kg]."""
     lines = []
     folder = path.resolve().parent
     lines.append(f"fly it: cd {shlex.quote(str(folder))} && sim_vehicle.py -v Plane --model plane:{path.name}"
@@ -114,8 +115,8 @@ def command_lines(path: Path, thrust: float | None, mass: float) -> list[str]:
         "  home at height 0, for SITL takes equivalent airspeed for true; YOURS.parm: the real aircraft's parameters"
     )
     if thrust is None:
-        lines.append(f"  thrust: nobody states it, so that SITL's own stands, {FULL_THROTTLE * mass:.3g} N for {mass:g} kg at"
-                     " full throttle; --thrust N tells what to limit it to")  # fmt: skip
+        lines.append(f"  thrust: not stated, so SITL has its own, {FULL_THROTTLE * mass:.3g} N for {mass:g} kg at"
+                     " full throttle; --thrust N says how to limit it")  # fmt: skip
     else:
         share = thrust / (FULL_THROTTLE * mass)
         throttle_advice = (f"limit the throttle to {share:.3f} of its range (THR_MAX {100.0 * share:.0f})" if share <= 1.0
@@ -124,40 +125,41 @@ def command_lines(path: Path, thrust: float | None, mass: float) -> list[str]:
     return lines
 
 
-def comments(craft: LinearAircraft, origin: str, left: list[tuple[str, float]], stall: float | None) -> list[str]:
-    """What stands above the object: real values, signs, what is left out."""
-    a = craft.aircraft
+def comments(linear: LinearAircraft, origin: str, omitted: list[tuple[str, float]], stall: float | None) -> list[str]:
+    """The comments above the object: real values, signs, omitted terms as (name, value)."""
+    a = linear.aircraft
     units = {"mass": "kg", "area": "m2", "span": "m", "chord": "m"}
     real = [f"real {n} = {getattr(a, n)!r} {units.get(n, 'kg m2')}" for n in
             ("mass", "area", "span", "chord", "Ixx", "Iyy", "Izz", "Ixz")]  # fmt: skip
     values = [
-        f"real {n} = {craft[n]!r}" + (f" ({craft.sources[n]})" if n in craft.sources else "") for n in craft.stated
+        f"real {n} = {linear[n]!r}" + (f" ({linear.sources[n]})" if n in linear.sources else "") for n in linear.stated
     ]
-    throws = [f"real throw {n} = {high!r} rad" for n, (_, high) in craft.throws.items()]
-    note = "nobody states the stall, so that it is as late as SITL allows" if stall is None else "stall as stated"
+    throws = [f"real throw {n} = {high!r} rad" for n, (_, high) in linear.throws.items()]
+    note = "the stall is not stated, so it is as late as SITL allows" if stall is None else "stall as stated"
     return [
-        f"ArduPilot SITL, model plane: {craft.title}, from {origin}, written by sideslip export --to ardupilot",
+        f"ArduPilot SITL, model plane: {linear.title}, from {origin}, written by sideslip export --to ardupilot",
         "Mass and inertia are absorbed: SITL flies 2 kg and 1 kg m2, the keys below make the real accelerations with these.",
         "Do not add aero_moment_inertia (it would divide twice). Coefficients per full throw; + is right, nose up, nose right.",
         *real, *throws, "Derivatives per rad, + trailing edge down (right minus left) or to port, rates as pb/2V, qc/2V, rb/2V:",
-        *values, *(f"left out: {n} ({v:.4g})" for n, v in left), f"alpha_stall: {note}",
-        *craft.notes,
+        *values, *(f"left out: {n} ({v:.4g})" for n, v in omitted), f"alpha_stall: {note}",
+        *linear.notes,
     ]  # fmt: skip
 
 
-# The coefficient file of ArduPilot's SITL model `plane`: written with the real values as comments, and read within bounds.
+# The coefficient file of ArduPilot's SITL model `plane`: written with the real values as comments, and read within limits.
 #
-# SITL takes JSON between the first `{` and the last `}` of a file, in which `#` begins a comment. A brace in a comment before the
-# object makes it stop, so that ours have none.
+# SITL reads the JSON between the first `{` and the last `}` of a file, in which `#` begins a comment. A brace in a comment before
+# the object would stop it, so our comments have none.
 
-FLOAT_EXPONENT = 88.0  # beyond it a float is infinite; SITL's own file has 87
-UNUSED = ("aero_moment_inertia",)  # read by nobody before ArduPilot's pull 34011
+FLOAT_EXPONENT = 88.0  # a larger exponent makes a float infinite; SITL's own file has 87
+UNUSED = ("aero_moment_inertia",)  # not read by ArduPilot before pull 34011
 MULTICOPTER = ("mass", "moment_inertia")  # of a quadplane's frame, in the same file
 ABOVE_ZERO = ("s", "b", "c", "mcoeff", *FULL.values())
 REAL = ("mass", "area", "span", "chord", "Ixx", "Iyy", "Izz", "Ixz")
 _REAL_LINE = re.compile(r"^# real (\w+) = (\S+)", re.MULTILINE)
-NUMBER_LIMIT = 1e9  # of a coefficient: SITL reads floats, and one beyond is a mistake
-SIZES = (1e-6, 1e6)  # of an area, length, sharpness or throw
+NUMBER_LIMIT = 1e9  # magnitude of a coefficient: more is a mistake
+SIZES = (1e-6, 1e6)  # least and greatest area, length, sharpness or throw
+MOST_SHOWN = 40  # characters of a value in a message
 
 
 def file_text(values: Mapping[str, float], comments: Sequence[str]) -> str:
@@ -175,7 +177,7 @@ def _number(value: float) -> str:
 
 
 def read_sitl_plane(path: Path) -> SitlPlane:
-    """A file as SITL takes it. Raises SimulationError where SITL would stop, or where it is longer or deeper than is read."""
+    """A file as SITL reads it. Raises SimulationError where SITL would stop, or where the file is beyond our limits."""
     text = read_bytes(path, "file of coefficients", SimulationError, LARGEST_TEXT).decode("utf-8", errors="replace")
     content = _object(text, path)
     unknown = [k for k in content if k not in BUILT_IN and k not in (*UNUSED, *MULTICOPTER, "CGOffset")]
@@ -209,6 +211,7 @@ def read_sitl_plane(path: Path) -> SitlPlane:
 
 
 def _object(text: str, path: Path) -> dict[str, Any]:
+    """The JSON object in a file's text. Raises SimulationError where there is none, or it is nested too deeply."""
     first, last = text.find("{"), text.rfind("}")
     if first < 0 or last < first:
         raise SimulationError(f"{path}: no JSON object between braces; SITL's plane is described by one")
@@ -251,7 +254,7 @@ def _offset(value: Any, path: Path) -> tuple[float, float, float]:
 
 
 def _real(text: str) -> dict[str, float]:
-    """Mass, geometry and inertia of the real aircraft, of comments that we wrote; nothing where they are not all there."""
+    """Mass, geometry and inertia of the real aircraft from comments that we wrote; empty unless all are there."""
     real_values: dict[str, float] = {}
     for name, number in _REAL_LINE.findall(text):
         try:
@@ -265,4 +268,4 @@ def _real(text: str) -> dict[str, float]:
 
 def _short(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."

@@ -1,4 +1,4 @@
-"""How two simulators fly: own statements of the equations of ArduPilot's SITL model `plane` and of Gazebo's AdvancedLiftDrag."""
+"""The equations of two simulators in our own statement: ArduPilot's SITL model `plane`, and Gazebo's AdvancedLiftDrag."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,14 +10,14 @@ from estimation.aircraft import Aircraft
 from estimation.simulation.autopilot.linear import FlightStates
 from estimation.simulation.oracle import Array
 
-# ArduPilot's SITL model `plane` as it flies: an own statement of `SIM_Plane`'s equations (ArduPilot master, December 2025).
+# ArduPilot's SITL model `plane`: our statement of `SIM_Plane`'s equations (ArduPilot master, December 2025).
 #
-# Inputs are full throws, -1 to 1; +aileron rolls right, +elevator nose up, +rudder nose right. Flow angles are atan2(w, u) and
-# atan2(v, u). Forces act on 2 kg; moments are taken as angular accelerations, of 1 kg m2 about each axis without products, and
-# nothing is gyroscopic. Airspeed is equivalent airspeed: true and dynamic pressure are right at sea level alone.
+# Inputs are -1 to 1 of full throw; +aileron rolls right, +elevator nose up, +rudder nose right. Flow angles are atan2(w, u) and
+# atan2(v, u). Forces act on 2 kg. Moments are taken as angular accelerations, for 1 kg m2 about each axis, without products of
+# inertia and gyroscopic terms. Airspeed is equivalent airspeed: true airspeed and dynamic pressure are right only at sea level.
 
 MASS = 2.0  # kg
-CLAMP = 0.8  # rad about the stall beyond which the angle of attack of lift is held
+CLAMP = 0.8  # rad from the stall, to which the angle of attack of lift is clamped
 BUILT_IN: Mapping[str, float] = MappingProxyType({
     "s": 0.45, "b": 1.88, "c": 0.24, "c_lift_0": 0.56, "c_lift_deltae": 0.0, "c_lift_a": 6.9, "c_lift_q": 0.0,
     "mcoeff": 50.0, "oswald": 0.9, "alpha_stall": 0.4712, "c_drag_q": 0.0, "c_drag_deltae": 0.0, "c_drag_p": 0.1,
@@ -27,16 +27,17 @@ BUILT_IN: Mapping[str, float] = MappingProxyType({
     "c_n_0": 0.0, "c_n_b": 0.25, "c_n_p": 0.022, "c_n_r": -1.0, "c_n_deltaa": 0.0, "c_n_deltar": 0.1,
     "deltaa_max": 0.3491, "deltae_max": 0.3491, "deltar_max": 0.3491,
 })  # fmt: skip
-"""What SITL flies with where a file says nothing (its skywalker_2013.json)."""
-OFFSET = (-0.15, 0.0, -0.05)  # m, CGOffset likewise
+"""SITL's values for keys that a file leaves out (its skywalker_2013.json)."""
+OFFSET = (-0.15, 0.0, -0.05)  # m, its CGOffset likewise
 FULL: Mapping[str, str] = {"delta_e": "deltae_max", "delta_a": "deltaa_max", "delta_r": "deltar_max"}
+"""Surface -> key of its full throw [rad]."""
 
 
 @dataclass(frozen=True)
 class SitlPlane:
-    """A file of coefficients. values: each key of BUILT_IN; offset: CGOffset, from the centre of gravity to the point that
-    coefficients refer to [m], body axes. real: what our own comments state of the real aircraft. notes: what a person should
-    know.
+    """A file of coefficients. values: each key of BUILT_IN; offset: CGOffset, from the centre of gravity to the reference point
+    of the coefficients [m], body axes. real: mass, geometry and inertia of the real aircraft from our own comments. notes:
+    sentences for the user.
     """
 
     values: Mapping[str, float]
@@ -54,7 +55,7 @@ def blend(alpha: Array, stall: float, sharpness: float) -> Array:
 
 
 def lift(plane: SitlPlane, alpha: Array) -> Array:
-    """CL of the angle of attack."""
+    """(N,) CL by angle of attack (N,) [rad], stall included."""
     k = plane.values
     clamped_alpha = np.clip(alpha, k["alpha_stall"] - CLAMP, k["alpha_stall"] + CLAMP)
     share = blend(clamped_alpha, k["alpha_stall"], k["mcoeff"])
@@ -63,7 +64,7 @@ def lift(plane: SitlPlane, alpha: Array) -> Array:
 
 
 def air_of_sitl(motion: FlightStates) -> tuple[Array, Array, Array]:
-    """Airspeed, angle of attack, sideslip as SITL takes them."""
+    """Airspeed, angle of attack, sideslip as SITL defines them."""
     u, v, w = motion.velocity()
     return np.sqrt(u**2 + v**2 + w**2), np.arctan2(w, u), np.arctan2(v, u)
 
@@ -80,33 +81,33 @@ def sitl_forces(plane: SitlPlane, motion: FlightStates) -> dict[str, Array]:
     sine, cosine = np.sin(alpha), np.cos(alpha)
     CL = lift(plane, alpha)
     CD = k["c_drag_p"] + (k["c_lift_0"] + k["c_lift_a"] * alpha) ** 2 / (np.pi * k["oswald"] * k["b"] ** 2 / k["s"])
-    more_lift = k["c_lift_q"] * q_hat + k["c_lift_deltae"] * e
-    more_drag = k["c_drag_q"] * q_hat + k["c_drag_deltae"] * np.abs(e)
-    X = qbar_s * (-CD * cosine + CL * sine - more_drag * cosine + more_lift * sine)
-    Z = qbar_s * (-CD * sine - CL * cosine - more_drag * sine - more_lift * cosine)
+    added_lift = k["c_lift_q"] * q_hat + k["c_lift_deltae"] * e
+    added_drag = k["c_drag_q"] * q_hat + k["c_drag_deltae"] * np.abs(e)
+    X = qbar_s * (-CD * cosine + CL * sine - added_drag * cosine + added_lift * sine)
+    Z = qbar_s * (-CD * sine - CL * cosine - added_drag * sine - added_lift * cosine)
 
-    def across(c: str) -> Array:
+    def lateral(c: str) -> Array:
         rates = k[f"{c}_p"] * p_hat + k[f"{c}_r"] * r_hat
         return np.asarray(k[f"{c}_0"] + k[f"{c}_b"] * beta + rates + k[f"{c}_deltaa"] * a + k[f"{c}_deltar"] * r)
 
-    Y = qbar_s * across("c_y")
-    L, N = qbar_s * k["b"] * across("c_l"), qbar_s * k["b"] * across("c_n")
+    Y = qbar_s * lateral("c_y")
+    L, N = qbar_s * k["b"] * lateral("c_l"), qbar_s * k["b"] * lateral("c_n")
     M = qbar_s * k["c"] * (k["c_m_0"] + k["c_m_a"] * alpha + k["c_m_q"] * q_hat + k["c_m_deltae"] * e)
     x, y, z = plane.offset
     return {"X": X, "Y": Y, "Z": Z, "L": L + y * Z - z * Y, "M": M + z * X - x * Z, "N": N + x * Y - y * X}
 
 
 def sitl_accelerations(plane: SitlPlane, motion: FlightStates) -> dict[str, Array]:
-    """Specific force [m/s2] and angular acceleration [rad/s2] that SITL moves by."""
+    """Axis -> (N,) SITL's specific force [m/s2] or angular acceleration [rad/s2]."""
     force = sitl_forces(plane, motion)
     return {axis: value / MASS if axis in "XYZ" else value for axis, value in force.items()}
 
 
-# Gazebo's AdvancedLiftDrag as it flies: an own statement of the plugin's equations (gz-sim, with pull 3817 of July 2026).
+# Gazebo's AdvancedLiftDrag: our statement of the plugin's equations (gz-sim, with pull 3817 of July 2026).
 #
-# Link axes x forward, y left, z up are turned to x forward, y right, z down. Air data are those at `cp`, airspeed is the speed in
-# the plane of symmetry; coefficients of surfaces are per degree of their joint. Without pull
-# 3817 Cem0 and Cema are read and not used.
+# Link axes x forward, y left, z up are converted to x forward, y right, z down. Air data are those at `cp`; airspeed is the speed
+# in the plane of symmetry; coefficients of surfaces are per degree of their joint. Without pull 3817, Cem0 and Cema are read but
+# not used.
 
 SHARPNESS = 15.0  # 1/rad, fixed in the plugin
 KEYS: Mapping[str, float] = {
@@ -116,14 +117,14 @@ KEYS: Mapping[str, float] = {
     **{f"{c}b": 0.0 for c in ("CL", "CY", "Cell", "Cem", "Cen")},
     **{f"{c}{rate}": 0.0 for rate in "pqr" for c in ("CD", "CY", "CL", "Cell", "Cem", "Cen")},
 }  # fmt: skip
-"""Numbers that the plugin reads, with what it takes where a file does not say."""
+"""Numbers that the plugin reads -> its default."""
 CONTROLS = ("CD_ctrl", "CY_ctrl", "CL_ctrl", "Cell_ctrl", "Cem_ctrl", "Cen_ctrl")
 
 
 @dataclass(frozen=True)
 class Hinged:
-    """A control surface. joint: its name; values: each of CONTROLS per degree, times the direction. moves: what a unit of
-    delta_e, delta_a, delta_r turns the joint by [rad/rad]; empty where nobody can tell."""
+    """A control surface. joint: its name; values: each of CONTROLS per degree, times the direction. moves: joint angle per unit
+    of delta_e, delta_a, delta_r [rad/rad]; empty where the surface's kind is not recognised."""
 
     joint: str
     values: Mapping[str, float]
@@ -132,8 +133,8 @@ class Hinged:
 
 @dataclass(frozen=True)
 class GazeboPlane:
-    """values: each of KEYS. cp: where the coefficients act, from the centre of gravity [m], x forward, y right, z down. aircraft:
-    mass and inertia of all links together, area, span and chord of the plugin. notes: what a person should know."""
+    """values: each of KEYS. cp: reference point of the coefficients from the centre of gravity [m], x forward, y right, z down.
+    aircraft: mass and inertia of all links together, area, span and chord of the plugin. notes: sentences for the user."""
 
     values: Mapping[str, float]
     cp: tuple[float, float, float]
@@ -164,11 +165,12 @@ def gazebo_forces(plane: GazeboPlane, motion: FlightStates) -> dict[str, Array]:
         return np.asarray(sum((s.values[f"{c}_ctrl"] * joint_angles[s.joint] for s in plane.surfaces), 0.0 * V))
 
     plate = 2.0 * np.sign(alpha) * sine**2 * cosine
-    lifting = (1.0 - share) * (k["CL0"] + k["CLa"] * alpha) + share * plate + k["CLb"] * beta + control("CL")
-    CL = lifting + rates("CL")
-    flat = 2.0 / (1.0 + np.exp(-0.224 - 0.115 * max(k["AR"], 1.0 / k["AR"])))
-    polar = k["CD0"] + lifting**2 / (np.pi * k["AR"] * k["eff"])
-    CD = (1.0 - share) * polar + share * np.abs(flat * (0.5 - 0.5 * np.cos(2.0 * alpha))) + control("CD") + rates("CD")
+    static_lift = (1.0 - share) * (k["CL0"] + k["CLa"] * alpha) + share * plate + k["CLb"] * beta + control("CL")
+    CL = static_lift + rates("CL")
+    plate_drag = 2.0 / (1.0 + np.exp(-0.224 - 0.115 * max(k["AR"], 1.0 / k["AR"])))  # of a flat plate across the flow
+    polar = k["CD0"] + static_lift**2 / (np.pi * k["AR"] * k["eff"])
+    stalled_drag = np.abs(plate_drag * (0.5 - 0.5 * np.cos(2.0 * alpha)))
+    CD = (1.0 - share) * polar + share * stalled_drag + control("CD") + rates("CD")
 
     def linear(c: str) -> Array:
         return np.asarray(k[f"{c}a"] * alpha + k[f"{c}b"] * beta + control(c) + rates(c))
@@ -182,6 +184,6 @@ def gazebo_forces(plane: GazeboPlane, motion: FlightStates) -> dict[str, Array]:
 
 
 def air_of_gazebo(motion: FlightStates) -> tuple[Array, Array, Array]:
-    """Airspeed, angle of attack and sideslip as the plugin takes them where cp is the centre of gravity."""
+    """Airspeed, angle of attack and sideslip as the plugin defines them, with cp at the centre of gravity."""
     u, v, w = motion.velocity()
     return np.sqrt(u**2 + w**2), np.arctan2(w, u), np.arctan2(v, u)

@@ -1,4 +1,4 @@
-"""All that a simulator needs of an aircraft, from a model file and what is stated beside it; what nobody states is asked for."""
+"""All that a simulator needs of an aircraft, from a model file and an aircraft file; missing values are listed, not invented."""
 
 import math
 from collections.abc import Mapping
@@ -18,12 +18,12 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "CL": ("CL_0", "CL_alpha"), "CD": ("CD_0", "CD_k"), "CY": ("CY_beta",), "Cl": ("Cl_beta", "Cl_p", "Cl_da"),
     "Cm": ("Cm_0", "Cm_alpha", "Cm_q", "Cm_de"), "Cn": ("Cn_beta", "Cn_r", "Cn_dr"),
 }  # fmt: skip
-"""Of each coefficient what an aircraft file must state before it is believed: without these it does not trim, damp or steer."""
+"""Coefficient -> derivatives that an aircraft file must state: without these the aircraft does not trim, damp or steer."""
 MINOR: Mapping[str, tuple[str, ...]] = {
     "CL": ("CL_q", "CL_de"), "CD": (), "CY": ("CY_0", "CY_p", "CY_r", "CY_da", "CY_dr"), "Cm": (),
     "Cl": ("Cl_0", "Cl_r", "Cl_dr"), "Cn": ("Cn_0", "Cn_p", "Cn_da"),
 }  # fmt: skip
-"""What may be left out of an aircraft file, and is then zero, and told."""
+"""Coefficient -> derivatives that an aircraft file may leave out; they are zero then, and a note says so."""
 STANDARD = frozenset(f"{line}_{ending}" for line in LINES for ending in (CONSTANT, *SLOPES)) | {POLAR}
 BODY = ("m", "S", "b", "c", "Ixx", "Iyy", "Izz", "Ixz")
 FIELDS = ("mass", "area", "span", "chord", "Ixx", "Iyy", "Izz", "Ixz")
@@ -31,12 +31,13 @@ KEYS = ("mass.mass", "geometry.area", "geometry.span", "geometry.chord", "mass.I
 
 
 class MissingPartsError(EstimationError):
-    """What a simulator needs of an aircraft, and nobody states."""
+    """Values that a simulator needs of an aircraft are not stated."""
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What is stated beside the file. throws: surface -> least and greatest deflection [rad]; thrust: static [N]."""
+    """Values stated beside the file. aircraft: an aircraft file or a built-in name; throws: surface -> least and greatest
+    deflection [rad]; thrust: static [N]."""
 
     aircraft: str | None = None
     throws: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -45,14 +46,14 @@ class Stated:
 
 @dataclass(frozen=True)
 class Gathered:
-    """craft: the linear aircraft. beyond: what of the model is in none of its coefficients, as (what, share of the largest)."""
+    """linear: the linear aircraft. beyond: terms of the model outside its coefficients, as (name, size)."""
 
-    craft: LinearAircraft
+    linear: LinearAircraft
     beyond: tuple[tuple[str, float], ...]
 
 
 def source_of(path: Path) -> Model | Aircraft:
-    """What a file is: a model, or an aircraft (a built-in name, too). Raises ModelError or AircraftError."""
+    """The model or aircraft in a file, or the built-in aircraft of that name. Raises ModelError or AircraftError."""
     if str(path) in built_in_aircraft():
         return load_aircraft(str(path))
     tables = parse_toml(read_text(path), str(path), EstimationError)
@@ -61,20 +62,28 @@ def source_of(path: Path) -> Model | Aircraft:
     return read_model(path)
 
 
-def gather_aircraft(path: Path, stated: Stated, target: str, *, needs_thrust: bool) -> Gathered:
-    """The aircraft of a model or aircraft file, whole. Raises MissingPartsError with the list of what is missing, SimulationError
-    for a model that is not linear."""
+def model_and_body(path: Path, stated: Stated) -> tuple[Model | None, Aircraft | None, Aircraft]:
+    """(model, None where the file is an aircraft's; aircraft that is stated, None where there is none; body: geometry, mass and
+    inertia). Raises EstimationError where an aircraft is stated beside an aircraft file."""
     source = source_of(path)
-    stated_aircraft = (
-        source if isinstance(source, Aircraft) else load_aircraft(stated.aircraft) if stated.aircraft else None
-    )
     if isinstance(source, Aircraft):
         if stated.aircraft is not None:
             raise EstimationError(f"{path}: is an aircraft file itself; leave --aircraft {stated.aircraft} away")
-        model, body = None, source
-    else:
-        model, body = source, body_of(source, stated_aircraft)
-    missing = [key for key, field_ in zip(KEYS, FIELDS, strict=True) if math.isnan(getattr(body, field_))]
+        return None, source, source
+    stated_aircraft = load_aircraft(stated.aircraft) if stated.aircraft else None
+    return source, stated_aircraft, body_of(source, stated_aircraft)
+
+
+def missing_body_keys(body: Aircraft) -> list[str]:
+    """Keys of an aircraft file for the geometry, mass and inertia that a body lacks."""
+    return [key for key, name in zip(KEYS, FIELDS, strict=True) if math.isnan(getattr(body, name))]
+
+
+def gather_aircraft(path: Path, stated: Stated, target: str, *, needs_thrust: bool) -> Gathered:
+    """The linear aircraft of a model or aircraft file. target: name of the simulator. Raises MissingPartsError with the list of
+    what is missing, SimulationError for a model that is not linear."""
+    model, stated_aircraft, body = model_and_body(path, stated)
+    missing = missing_body_keys(body)
     frame = LinearAircraft(body.name, body.title or body.name, body, {})
     lines = () if model is None else lines_named(path, model)
     derivatives, sources = {}, {}
@@ -83,21 +92,20 @@ def gather_aircraft(path: Path, stated: Stated, target: str, *, needs_thrust: bo
         sources = dict.fromkeys(derivatives, f"model {model.name}")
     notes = _add_beliefs(stated_aircraft, [c for c in LINES if c not in lines], derivatives, sources, missing)
     throws = _throws(stated_aircraft, stated, missing)
-    thrust = stated.thrust if stated.thrust is not None else _thrust(stated_aircraft)
+    thrust = static_thrust(stated_aircraft, stated)
     if thrust is None and needs_thrust:
         missing.append("static thrust ([engine] static_thrust, or --thrust; 0 for a glider)")
     if missing:
-        raise MissingPartsError(asked_for(path, target, missing, stated_aircraft))
-    craft = replace(frame, derivatives=derivatives, sources=sources, throws=throws, thrust=thrust, notes=tuple(notes))
-    unknown = (
-        []
-        if stated_aircraft is None
-        else [(n, d.value) for n, d in stated_aircraft.derivatives.items() if n not in STANDARD]
-    )
-    return Gathered(craft, tuple(unknown) if model is None else _beyond_coefficients(model, craft))
+        raise MissingPartsError(missing_parts_message(path, target, missing, stated_aircraft))
+    linear = replace(frame, derivatives=derivatives, sources=sources, throws=throws, thrust=thrust, notes=tuple(notes))
+    if model is not None:
+        return Gathered(linear, _beyond_coefficients(model, linear))
+    beliefs = {} if stated_aircraft is None else stated_aircraft.derivatives
+    return Gathered(linear, tuple((n, d.value) for n, d in beliefs.items() if n not in STANDARD))
 
 
 def lines_named(path: Path, model: Model) -> tuple[str, ...]:
+    """Names of the coefficients for which a model has lines. Raises SimulationError where it has none."""
     lines = tuple(lines_of(model))
     if not lines:
         raise SimulationError(
@@ -108,7 +116,7 @@ def lines_named(path: Path, model: Model) -> tuple[str, ...]:
 
 
 def body_of(model: Model, stated_aircraft: Aircraft | None) -> Aircraft:
-    """Geometry, mass and inertia: the model's own numbers, before those of the aircraft file."""
+    """Geometry, mass and inertia: the model's own numbers, else those of the aircraft file."""
     numbers = {**model.constants, **model.starts()}
     frame = stated_aircraft or unknown_aircraft(model.name)
     model_values = {f: float(numbers[n]) for n, f in zip(BODY, FIELDS, strict=True) if n in numbers}
@@ -124,7 +132,8 @@ def _add_beliefs(
     sources: dict[str, str],
     missing: list[str],
 ) -> list[str]:
-    """Take coefficients that the model has no line for from the beliefs of the aircraft file; what was assumed."""
+    """Add derivatives of coefficients without a line in the model from the beliefs of the aircraft file; returns notes on what
+    was taken or assumed zero."""
     beliefs = stated_aircraft.derivatives if stated_aircraft is not None else {}
     missing_beliefs = [n for line in lines for n in NEEDED[line] if n not in beliefs]
     missing += missing_beliefs
@@ -140,7 +149,7 @@ def _add_beliefs(
         belief_list = ", ".join(f"{n} = {derivatives[n]:.4g} ({sources[n]})" for n in believed_names)
         notes.append(f"not in the model, from the aircraft file: {belief_list}")
     if zero:
-        notes.append(f"nobody states, so zero: {', '.join(zero)}")
+        notes.append(f"not stated, so zero: {', '.join(zero)}")
     return notes
 
 
@@ -163,21 +172,26 @@ def _servo_limits(stated_aircraft: Aircraft | None) -> dict[str, tuple[float, fl
     return {"delta_e": (-elevon, elevon), "delta_a": (-elevon, elevon), "delta_r": (-rudder, rudder)}
 
 
-def _thrust(stated_aircraft: Aircraft | None) -> float | None:
-    return None if stated_aircraft is None or stated_aircraft.engine is None else stated_aircraft.engine.static_thrust
+def static_thrust(stated_aircraft: Aircraft | None, stated: Stated) -> float | None:
+    """Static thrust [N]: as stated, else of the aircraft's engine; None where neither is known."""
+    if stated.thrust is not None or stated_aircraft is None or stated_aircraft.engine is None:
+        return stated.thrust
+    return stated_aircraft.engine.static_thrust
 
 
-def asked_for(path: Path, target: str, missing: list[str], stated_aircraft: Aircraft | None) -> str:
+def missing_parts_message(path: Path, target: str, missing: list[str], stated_aircraft: Aircraft | None) -> str:
+    """What a target needs and is not stated, and where to state it."""
     place = "its file" if stated_aircraft is not None else "an aircraft file and give it with --aircraft FILE"
     return (
-        f"{path}: {target} needs what nobody states: {', '.join(missing)}; nothing is invented, so state them in {place}"
+        f"{path}: {target} needs values that are not stated: {', '.join(missing)}; state them in {place}"
         " (docs/aircraft.md), a derivative as 0 where the aircraft has none"
     )
 
 
-def _beyond_coefficients(model: Model, craft: LinearAircraft) -> tuple[tuple[str, float], ...]:
+def _beyond_coefficients(model: Model, linear: LinearAircraft) -> tuple[tuple[str, float], ...]:
+    """Terms of a model outside its coefficients, as (name, size)."""
     try:
-        accelerations = beyond_coefficients(model, craft)
+        accelerations = beyond_coefficients(model, linear)
     except SimulationError as error:
         raise SimulationError(f"{error}, and no simulator of an autopilot has that") from error
     beyond_terms = [(f"{line} beyond coefficients", share) for line, share in accelerations.items()]
@@ -186,13 +200,13 @@ def _beyond_coefficients(model: Model, craft: LinearAircraft) -> tuple[tuple[str
     return tuple(beyond_terms)
 
 
-def symmetric_throws(craft: LinearAircraft, target: str) -> dict[str, float]:
-    """Surface -> throw [rad]. Raises SimulationError for one that differs both ways."""
-    for name, (lowest, greatest) in craft.throws.items():
+def symmetric_throws(linear: LinearAircraft, target: str) -> dict[str, float]:
+    """Surface -> throw [rad]. Raises SimulationError for a throw that differs in the two directions."""
+    for name, (lowest, greatest) in linear.throws.items():
         if not math.isclose(-lowest, greatest, rel_tol=1e-6):
             raise SimulationError(
-                f"{craft.name}: {name} goes from {math.degrees(lowest):.3g} to {math.degrees(greatest):.3g} deg, and in {target}"
+                f"{linear.name}: {name} goes from {math.degrees(lowest):.3g} to {math.degrees(greatest):.3g} deg, and in {target}"
                 " a throw is the same both ways; limit it in the autopilot to the smaller one and state that,"
                 f" --throw {name}={min(-lowest, greatest):.4g}"
             )
-    return {name: greatest for name, (_, greatest) in craft.throws.items()}
+    return {name: greatest for name, (_, greatest) in linear.throws.items()}

@@ -1,7 +1,7 @@
-"""A linear aircraft as a model of Gazebo that PX4's airframe gz_advanced_plane flies: model.config, model.sdf, airframe of PX4.
+"""A linear aircraft as a Gazebo model (model.sdf) for PX4's airframe gz_advanced_plane.
 
-Links stand in x forward, y left, z up with the origin at the centre of gravity. Positions of surfaces and propeller are for the
-eye: neither forces nor moments depend on them; all links together have the aircraft's mass, centre and inertia.
+Links are placed in axes x forward, y left, z up with the origin at the centre of gravity. Positions of surfaces and propeller are
+only for the picture: neither forces nor moments depend on them. All links together have the aircraft's mass, centre and inertia.
 """
 
 import math
@@ -17,28 +17,30 @@ from estimation.simulation.autopilot.gathering import symmetric_throws
 from estimation.simulation.autopilot.linear import LINES, SLOPES, Body, LinearAircraft, remaining_body, rotation_matrix
 from estimation.simulation.oracle import Array
 
-STALL = 2.0  # rad, where nobody says: so far that the blend, of fixed width, changes nothing at which an aircraft flies
-NO_POLAR = 1e12  # eff of no induced drag
-SURFACE = Body(1e-8, np.zeros(3), 1e-6 * np.eye(3))  # of a surface: next to nothing, as PX4's own
-PROPELLER_SHARE, PROPELLER_MOST = 1e-3, 0.005  # of the mass, kg
+STALL = 2.0  # rad, where none is stated: so far that the blend, of fixed width, changes nothing in flight
+NO_POLAR = 1e12  # eff without induced drag
+SURFACE = Body(1e-8, np.zeros(3), 1e-6 * np.eye(3))  # a surface: negligible mass and inertia, like PX4's own
+PROPELLER_SHARE, PROPELLER_MOST = 1e-3, 0.005  # of the aircraft's mass; kg
+JOINT_LIMIT = 1e16  # rad: the propeller turns without limit
 FASTEST = 1600.0  # rad/s at full throttle, PX4's SIM_GZ_EC_MAX1 of this airframe
 FORWARD = (0.0, 0.5 * math.pi, 0.0)  # roll, pitch, yaw of a link whose z points ahead
 SERVO_GAIN, SERVO_DAMPING = 10.0, 1.0  # together a lag of 0.1 s
 NAMES = {"CL": "CL", "CD": "CD", "CY": "CY", "Cl": "Cell", "Cm": "Cem", "Cn": "Cen"}
 INDUCED = ("0", "alpha", "beta", "de", "da", "dr")
 """Endings of the terms of lift in its induced drag: all but rates."""
-SAYS = {
+HAS_KEY = {
     "CL": ("0", *SLOPES), "CD": ("0", "p", "q", "r", "de", "da", "dr"), "CY": tuple(SLOPES), "Cl": tuple(SLOPES),
     "Cm": ("0", *SLOPES), "Cn": tuple(SLOPES),
 }  # fmt: skip
-"""Endings of the derivatives that the plugin has keys for; alphadot is none of them."""
-RATES_OF_ALPHA = "alphadot"
+"""Endings of the derivatives for which the plugin has keys; it has none for alphadot."""
+ALPHADOT = "alphadot"
 NEEDS = "gz-sim with pull 3817 (July 2026): without it Cem0 and Cema are thrown away, and nothing holds it in pitch"
 
 
 @dataclass(frozen=True)
 class Flap:
-    """A surface: joint, name of its link, where it is (x, y, z over span) and the axis of its hinge, + by the right hand."""
+    """A surface: joint, name of its link, position (x, y, z over span), hinge axis (positive by the right-hand rule), and the
+    deflection that moves it."""
 
     joint: str
     link: str
@@ -55,66 +57,67 @@ FLAPS = (
     Flap("servo_2", "elevator", (-0.45, 0.0, 0.0), (0, 1, 0), "delta_e", -1.0),
     Flap("servo_3", "rudder", (-0.45, 0.0, 0.06), (0, 0, 1), "delta_r", -1.0),
 )
-"""As in advanced_plane: + turns a trailing edge up, or to starboard. delta_a is half of what right and left differ by."""
+"""As in advanced_plane: a positive joint angle moves the trailing edge up, or to starboard. delta_a is half of right minus
+left."""
 
 
-def left_out(craft: LinearAircraft) -> tuple[str, ...]:
-    """Names of the derivatives that no key says."""
+def left_out(linear: LinearAircraft) -> tuple[str, ...]:
+    """Names of the non-zero derivatives without a key."""
     return tuple(
         f"{c}_{e}" for c in LINES for e in ("0", *SLOPES)
-        if (e not in SAYS[c] or e == RATES_OF_ALPHA) and craft[f"{c}_{e}"] != 0.0
+        if (e not in HAS_KEY[c] or e == ALPHADOT) and linear[f"{c}_{e}"] != 0.0
     )  # fmt: skip
 
 
-def plugin_values(craft: LinearAircraft, stall: float | None) -> dict[str, float]:
-    """Numbers of the plugin but those of its surfaces. stall: angle of attack [rad] or None."""
-    a = craft.aircraft
+def plugin_values(linear: LinearAircraft, stall: float | None) -> dict[str, float]:
+    """Key -> number of the plugin, without those of its surfaces. stall: angle of attack [rad] or None."""
+    a = linear.aircraft
     aspect = a.span**2 / a.area
-    values = {"CL0": craft["CL_0"], "CD0": craft["CD_0"], "Cem0": craft["Cm_0"]}
+    values = {"CL0": linear["CL_0"], "CD0": linear["CD_0"], "Cem0": linear["Cm_0"]}
     for line, name in NAMES.items():
         letters = (
             {"p": "p", "q": "q", "r": "r"}
             if line == "CD"
             else {"a": "alpha", "b": "beta", "p": "p", "q": "q", "r": "r"}
         )
-        values |= {f"{name}{letter}": craft[f"{line}_{ending}"] for letter, ending in letters.items()}
-    eff = 1.0 / (math.pi * aspect * craft["CD_k"]) if craft["CD_k"] else NO_POLAR
+        values |= {f"{name}{letter}": linear[f"{line}_{ending}"] for letter, ending in letters.items()}
+    eff = 1.0 / (math.pi * aspect * linear["CD_k"]) if linear["CD_k"] else NO_POLAR
     return {
-        **values, "alpha_stall": STALL if stall is None else stall, "Cema_stall": craft["Cm_alpha"], "area": a.area,
+        **values, "alpha_stall": STALL if stall is None else stall, "Cema_stall": linear["Cm_alpha"], "area": a.area,
         "AR": aspect, "mac": a.chord, "eff": eff, "air_density": DENSITY,
     }  # fmt: skip
 
 
-def control_values(craft: LinearAircraft, flap: Flap) -> dict[str, float]:
-    """Numbers of a surface per degree of its joint: two ailerons share what delta_a does."""
+def control_values(linear: LinearAircraft, flap: Flap) -> dict[str, float]:
+    """Key -> number of a surface per degree of its joint. Each aileron has half the effect of delta_a."""
     ending = flap.delta.replace("delta_", "d")
     share = 0.5 if flap.delta == "delta_a" else 1.0
-    return {f"{name}_ctrl": craft[f"{line}_{ending}"] * share * DEGREE / flap.turns for line, name in NAMES.items()}
+    return {f"{name}_ctrl": linear[f"{line}_{ending}"] * share * DEGREE / flap.turns for line, name in NAMES.items()}
 
 
-def inertia_of(craft: LinearAircraft) -> Body:
-    """The whole aircraft about its centre of gravity, x forward, y left, z up: z turned over, Ixz stands as an element."""
-    a = craft.aircraft
+def inertia_of(linear: LinearAircraft) -> Body:
+    """The whole aircraft about its centre of gravity in axes x forward, y left, z up, where Ixz is the matrix element itself."""
+    a = linear.aircraft
     return Body(a.mass, np.zeros(3), np.array([[a.Ixx, 0.0, a.Ixz], [0.0, a.Iyy, 0.0], [a.Ixz, 0.0, a.Izz]]))
 
 
 def possible(inertia: Array) -> bool:
-    """Whether principal moments could be a body's: gz-sim loads no link of which one is above the sum of the others."""
+    """Whether a body can have this inertia: gz-sim refuses a link with one principal moment above the sum of the others."""
     principal = np.linalg.eigvalsh(inertia)
     return bool(principal[0] > 0.0 and principal[2] <= principal[0] + principal[1])
 
 
-def model_sdf(name: str, craft: LinearAircraft, stall: float | None) -> ET.Element:
-    """The whole of model.sdf. Raises SimulationError for throws that differ both ways."""
-    throws = symmetric_throws(craft, "PX4's simulated servos")
-    thrust = craft.thrust or 0.0
+def model_sdf(name: str, linear: LinearAircraft, stall: float | None) -> ET.Element:
+    """The XML of model.sdf. Raises SimulationError for throws that differ in the two directions."""
+    throws = symmetric_throws(linear, "PX4's simulated servos")
+    thrust = linear.thrust or 0.0
     root = ET.Element("sdf", version="1.9")
     model = ET.SubElement(root, "model", name=name)
-    a = craft.aircraft
+    a = linear.aircraft
     _text_element(model, "pose", f"0 0 {_number_text(0.1 * a.span)} 0 0 0")
     parts = [Body(SURFACE.mass, a.span * np.array(f.place), SURFACE.inertia) for f in FLAPS]
-    propeller = _propeller(craft)
-    base = remaining_body(inertia_of(craft), [*parts, *([propeller] if thrust else [])])
+    propeller = _propeller(linear)
+    base = remaining_body(inertia_of(linear), [*parts, *([propeller] if thrust else [])])
     model.append(_base_link(base, a.span, a.chord))
     for flap, body in zip(FLAPS, parts, strict=True):
         size = (
@@ -128,9 +131,9 @@ def model_sdf(name: str, craft: LinearAircraft, stall: float | None) -> ET.Eleme
         model.append(_servo(flap.joint))
     if thrust:
         model.append(_rotor(propeller, a.span))
-        model.append(_joint("rotor_puller_joint", "rotor_puller", (0, 0, 1), -1e16, 1e16, 0.0))
+        model.append(_joint("rotor_puller_joint", "rotor_puller", (0, 0, 1), -JOINT_LIMIT, JOINT_LIMIT, 0.0))
         model.append(_motor(thrust))
-    model.append(_aerodynamics(craft, stall))
+    model.append(_aerodynamics(linear, stall))
     ET.indent(root)
     return root
 
@@ -214,22 +217,22 @@ def _servo(joint: str) -> ET.Element:
     return _plugin("JointPositionController", {"joint_name": joint, "sub_topic": joint, **gains})
 
 
-def _propeller(craft: LinearAircraft) -> Body:
-    """A light disc ahead, so light that its gyroscopic moment is nothing that was identified."""
-    mass, radius = min(PROPELLER_SHARE * craft.aircraft.mass, PROPELLER_MOST), 0.05 * craft.aircraft.span
+def _propeller(linear: LinearAircraft) -> Body:
+    """A disc ahead, so light that its gyroscopic moment is negligible."""
+    mass, radius = min(PROPELLER_SHARE * linear.aircraft.mass, PROPELLER_MOST), 0.05 * linear.aircraft.span
     across = 0.25 * mass * radius**2
-    return Body(mass, np.array([0.2 * craft.aircraft.span, 0.0, 0.0]), np.diag([2.0 * across, across, across]))
+    return Body(mass, np.array([0.2 * linear.aircraft.span, 0.0, 0.0]), np.diag([2.0 * across, across, across]))
 
 
 def _rotor(propeller: Body, span: float) -> ET.Element:
-    """The link of the propeller, z along its shaft, as the plugin of the motor pushes."""
+    """The link of the propeller, with z along its shaft, the thrust axis of the motor plugin."""
     upright = rotation_matrix(*FORWARD)
     turned_body = Body(propeller.mass, np.zeros(3), upright.T @ propeller.inertia @ upright)
     return _link("rotor_puller", turned_body, (0.15 * span, 0.02 * span, 0.01 * span), propeller.centre, FORWARD)
 
 
 def _motor(thrust: float) -> ET.Element:
-    """Thrust along x at the centre of gravity's height, as the model has it: neither torque nor drag of its own."""
+    """Thrust along x at the height of the centre of gravity, as in our models: without torque or drag."""
     return _plugin("MulticopterMotorModel", {
         "jointName": "rotor_puller_joint", "linkName": "rotor_puller", "turningDirection": "cw", "timeConstantUp": "0.0125",
         "timeConstantDown": "0.025", "maxRotVelocity": _number_text(FASTEST), "motorConstant": _number_text(thrust / FASTEST**2),
@@ -238,14 +241,14 @@ def _motor(thrust: float) -> ET.Element:
     })  # fmt: skip
 
 
-def _aerodynamics(craft: LinearAircraft, stall: float | None) -> ET.Element:
-    numbers = {key: _number_text(value) for key, value in plugin_values(craft, stall).items()}
+def _aerodynamics(linear: LinearAircraft, stall: float | None) -> ET.Element:
+    numbers = {key: _number_text(value) for key, value in plugin_values(linear, stall).items()}
     plugin = _plugin("AdvancedLiftDrag", {"link_name": "base_link", **numbers, "cp": "0 0 0", "forward": "1 0 0",
                                           "upward": "0 0 1", "num_ctrl_surfaces": str(len(FLAPS))})  # fmt: skip
     for flap in FLAPS:
         surface = ET.SubElement(plugin, "control_surface")
         _text_element(surface, "name", flap.joint)
         _text_element(surface, "direction", "1")
-        for key, value in control_values(craft, flap).items():
+        for key, value in control_values(linear, flap).items():
             _text_element(surface, key, _number_text(value))
     return plugin

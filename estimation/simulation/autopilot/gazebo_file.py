@@ -1,4 +1,4 @@
-"""A model of Gazebo read back: the numbers of AdvancedLiftDrag, which joint is which surface, all links as one body."""
+"""Reads a Gazebo model: the numbers of AdvancedLiftDrag, which joint is which surface, all links as one body."""
 
 import math
 from collections.abc import Sequence
@@ -27,41 +27,37 @@ UNREAD = (
     "cda",
     "ref_pt",
 )
-"""Keys that files have and the plugin does not read."""
-OVER = np.diag([1.0, -1.0, -1.0])  # from x forward, y left, z up to x forward, y right, z down
-LARGEST = 1e9  # of a number in a file
-SURFACES_MOST = 64
-SIZES = (1e-6, 1e6)  # of an area, chord, aspect ratio or efficiency
-STALL_MOST = 10.0  # rad: out of reach, and no exponent beyond a double
+"""Keys that occur in files though the plugin does not read them."""
+TO_BODY_AXES = np.diag([1.0, -1.0, -1.0])  # from x forward, y left, z up to x forward, y right, z down
+LARGEST = 1e9  # magnitude of a number in a file: more is a mistake
+MOST_SURFACES = 64
+SIZES = (1e-6, 1e6)  # least and greatest area, chord, aspect ratio or efficiency
+MOST_STALL = 10.0  # rad: out of reach, and the blend's exponents stay within a double
+ALIGNED = 1e-6  # largest deviation of a link's rotation matrix from identity
 
 
 def read_gazebo_plane(path: Path) -> GazeboPlane:
-    """The aeroplane of a model.sdf. Raises SimulationError where Gazebo would not fly it, or it is beyond the bounds."""
+    """The aeroplane of a model.sdf. Raises SimulationError where Gazebo would not fly it, or a number is beyond its limits."""
     root = bounded_tree(path, "model of Gazebo")
     plugin = _plugin(root, path)
     model = next((m for m in root.iter("model") if plugin in list(m)), root)
     values = {key: _number(plugin, key, path, default) for key, default in KEYS.items()}
     _check(values, path)
-    link = next((e for e in model.iter("link") if e.get("name") == _word(plugin, "link_name")), None)
+    link = next((e for e in model.iter("link") if e.get("name") == _child_text(plugin, "link_name")), None)
     if link is None:
         raise SimulationError(
-            f"{path}: its AdvancedLiftDrag acts on link {_word(plugin, 'link_name')!r}, which the model has not"
+            f"{path}: its AdvancedLiftDrag acts on link {_child_text(plugin, 'link_name')!r}, which the model has not"
         )
-    if _vector(plugin, "forward", path, (1, 0, 0)) != (1, 0, 0) or _vector(plugin, "upward", path, (0, 0, 1)) != (
-        0,
-        0,
-        1,
-    ):
-        raise SimulationError(
-            f"{path}: forward and upward are not x and z of the link, which is read of an aeroplane alone"
-        )
+    axes = [_vector(plugin, key, path, default) for key, default in (("forward", (1, 0, 0)), ("upward", (0, 0, 1)))]
+    if axes != [(1, 0, 0), (0, 0, 1)]:
+        raise SimulationError(f"{path}: forward and upward are not x and z of the link; only such aeroplanes are read")
     place, upright = _pose(link, path)
-    if not np.allclose(upright, np.eye(3), atol=1e-6):
+    if not np.allclose(upright, np.eye(3), atol=ALIGNED):
         raise SimulationError(
             f"{path}: the link of its AdvancedLiftDrag is turned in the model; x forward, y left, z up is read"
         )
     total_body = combined_body([_body(e, path) for e in model.iter("link")])
-    cp = OVER @ (place + np.array(_vector(plugin, "cp", path, (0, 0, 0))) - total_body.centre)
+    cp = TO_BODY_AXES @ (place + np.array(_vector(plugin, "cp", path, (0, 0, 0))) - total_body.centre)
     surfaces, notes = _surfaces(model, plugin, path)
     unread = [k for k in UNREAD if plugin.find(k) is not None]
     if unread:
@@ -70,8 +66,8 @@ def read_gazebo_plane(path: Path) -> GazeboPlane:
         notes.append(
             f"{path.name}: Cem0 and Cema are taken as gz-sim with pull 3817 does; before it they are thrown away"
         )
-    craft = _aircraft(model.get("name") or path.parent.name, total_body, values, path)
-    return GazeboPlane(values, (float(cp[0]), float(cp[1]), float(cp[2])), surfaces, craft, tuple(notes))
+    aircraft = _aircraft(model.get("name") or path.parent.name, total_body, values, path)
+    return GazeboPlane(values, (float(cp[0]), float(cp[1]), float(cp[2])), surfaces, aircraft, tuple(notes))
 
 
 def _plugin(root: ET.Element, path: Path) -> ET.Element:
@@ -84,14 +80,15 @@ def _plugin(root: ET.Element, path: Path) -> ET.Element:
 
 
 def _check(values: dict[str, float], path: Path) -> None:
+    """Raise SimulationError for sizes beyond their limits; set `mac` where the file leaves it out."""
     for key in ("area", "AR"):
         if not SIZES[0] <= values[key] <= SIZES[1]:
             raise SimulationError(f"{path}: {key} is {values[key]:g}; give a number above zero, {SIZES[1]:g} at most")
     if abs(values["eff"]) < SIZES[0]:
         raise SimulationError(f"{path}: eff is {values['eff']:g}, by which the plugin divides; give it")
-    if not 0.0 < values["alpha_stall"] <= STALL_MOST:
+    if not 0.0 < values["alpha_stall"] <= MOST_STALL:
         raise SimulationError(
-            f"{path}: alpha_stall is {values['alpha_stall']:g} rad; give one from 0 to {STALL_MOST:g}"
+            f"{path}: alpha_stall is {values['alpha_stall']:g} rad; give one from 0 to {MOST_STALL:g}"
         )
     if values["mac"] == 0.0:
         values["mac"] = values["area"] / math.sqrt(values["area"] * values["AR"])
@@ -99,7 +96,7 @@ def _check(values: dict[str, float], path: Path) -> None:
         raise SimulationError(f"{path}: mac is {values['mac']:g}; give a number above zero, {SIZES[1]:g} at most")
 
 
-def _word(element: ET.Element, tag: str) -> str:
+def _child_text(element: ET.Element, tag: str) -> str:
     return (element.findtext(tag) or "").strip()
 
 
@@ -119,7 +116,7 @@ def _number(element: ET.Element, tag: str, path: Path, default: float | None = N
 
 
 def _vector(element: ET.Element, tag: str, path: Path, default: tuple[float, ...]) -> tuple[float, ...]:
-    words = _word(element, tag).split()
+    words = _child_text(element, tag).split()
     if not words:
         return default
     try:
@@ -132,7 +129,7 @@ def _vector(element: ET.Element, tag: str, path: Path, default: tuple[float, ...
 
 
 def _pose(element: ET.Element | None, path: Path) -> tuple[Array, Array]:
-    """(3,) place and (3, 3) rotation of an element's pose."""
+    """(3,) position and (3, 3) rotation matrix of an element's pose."""
     if element is None:
         return np.zeros(3), np.eye(3)
     x, y, z, *angles = _vector(element, "pose", path, (0.0,) * 6)
@@ -140,7 +137,7 @@ def _pose(element: ET.Element | None, path: Path) -> tuple[Array, Array]:
 
 
 def _body(link: ET.Element, path: Path) -> Body:
-    """A link's mass and inertia along the model's axes."""
+    """A link's mass, centre and inertia in the model's axes."""
     inertial = link.find("inertial")
     if inertial is None:
         raise SimulationError(
@@ -161,7 +158,7 @@ def _body(link: ET.Element, path: Path) -> Body:
 def _surfaces(model: ET.Element, plugin: ET.Element, path: Path) -> tuple[tuple, list[str]]:  # type: ignore[type-arg]
     listed = plugin.findall("control_surface")
     count = _number(plugin, "num_ctrl_surfaces", path, 0.0)
-    if count > len(listed) or len(listed) > SURFACES_MOST:
+    if count > len(listed) or len(listed) > MOST_SURFACES:
         raise SimulationError(
             f"{path}: num_ctrl_surfaces is {count:g} and {len(listed)} <control_surface> are given; Gazebo crashes there"
         )
@@ -169,18 +166,18 @@ def _surfaces(model: ET.Element, plugin: ET.Element, path: Path) -> tuple[tuple,
     for element in listed[: int(count)]:
         direction = _number(element, "direction", path)
         values = {key: direction * _number(element, key, path) for key in CONTROLS}
-        read.append((_word(element, "name"), values, _hinge(model, _word(element, "name"), path)))
+        read.append((_child_text(element, "name"), values, _hinge(model, _child_text(element, "name"), path)))
     return hinged(read, path)
 
 
 def _hinge(model: ET.Element, name: str, path: Path) -> tuple[Array, float]:
-    """(3,) axis of a joint in the model, + by the right hand, and how far to the left it is [m]."""
+    """(3,) axis of a joint in the model's axes, positive by the right-hand rule, and its position to the left [m]."""
     joint = next((j for j in model.iter("joint") if j.get("name") == name), None)
     if joint is None:
         raise SimulationError(f"{path}: control surface {name!r} is no joint of the model")
     axis = joint.find("axis")
     axis_direction = np.array(_vector(axis, "xyz", path, (0, 0, 1)) if axis is not None else (0, 0, 1), float)
-    child = next((e for e in model.iter("link") if e.get("name") == _word(joint, "child")), None)
+    child = next((e for e in model.iter("link") if e.get("name") == _child_text(joint, "child")), None)
     link_place, link_axes = _pose(child, path)
     position, rotation = _pose(joint, path)
     size = float(np.linalg.norm(axis_direction))
@@ -191,7 +188,7 @@ def _hinge(model: ET.Element, name: str, path: Path) -> tuple[Array, float]:
 
 
 def _aircraft(name: str, body: Body, values: dict[str, float], path: Path) -> Aircraft:
-    inertia = OVER @ body.inertia @ OVER
+    inertia = TO_BODY_AXES @ body.inertia @ TO_BODY_AXES
     aircraft = Aircraft(
         name, span=math.sqrt(values["area"] * values["AR"]), area=values["area"], chord=values["mac"], mass=body.mass,
         Ixx=float(inertia[0, 0]), Iyy=float(inertia[1, 1]), Izz=float(inertia[2, 2]), Ixz=float(-inertia[0, 2]),
@@ -204,33 +201,31 @@ def _aircraft(name: str, body: Body, values: dict[str, float], path: Path) -> Ai
     return aircraft
 
 
-UPRIGHT = 0.5  # share of an axis across from which a surface counts as lying flat, or standing up
-CENTRE = 1e-3  # m beside the plane of symmetry
-Read = tuple[str, dict[str, float], tuple[Array, float]]
-"""Joint, numbers per degree, axis and place to the left [m]."""
+MOSTLY = 0.5  # component of a unit hinge axis from which a surface counts as horizontal, or as vertical
+CENTRE = 1e-3  # m from the plane of symmetry, within which a surface lies in it
+HingeData = tuple[str, dict[str, float], tuple[Array, float]]
+"""Joint, numbers per degree, and (hinge axis, position to the left [m])."""
 
 
-def hinged(read: Sequence[Read], path: Path) -> tuple[tuple[Hinged, ...], list[str]]:
-    """Surfaces with what our deflections turn each joint by, and notes of those that stand still.
+def hinged(surface_data: Sequence[HingeData], path: Path) -> tuple[tuple[Hinged, ...], list[str]]:
+    """Surfaces with the joint angles that our deflections cause, and notes on those that do not move.
 
-    A trailing edge lies behind its hinge: turning by the axis a moves it up by a_y and to port by -a_z. Flat surfaces in the
-    plane of symmetry are elevators; beside it those that roll more than they pitch are ailerons, the others elevators, or, where
-    none is left to be one, all are both.
+    A trailing edge lies behind its hinge: turning by the axis a moves it up by a_y and to port by -a_z. Horizontal surfaces in
+    the plane of symmetry are elevators. Off that plane, those that roll more than they pitch are ailerons and the others
+    elevators; if there is no elevator, all of them are both.
     """
     surfaces, notes = [], []
-    flat = [(name, values, axis, edge_side) for name, values, (axis, edge_side) in read if abs(axis[1]) > UPRIGHT]
-    elevators = [name for name, values, _, edge_side in flat if abs(edge_side) < CENTRE or not _rolls(values)]
-    for name, values, (axis, edge_side) in read:
+    horizontal = [(name, values, left) for name, values, (axis, left) in surface_data if abs(axis[1]) > MOSTLY]
+    elevators = [name for name, values, left in horizontal if abs(left) < CENTRE or not _rolls(values)]
+    for name, values, (axis, left) in surface_data:
         vertical, port = float(axis[1]), float(-axis[2])
-        if abs(vertical) > UPRIGHT:
-            side = (
-                -np.sign(edge_side) if abs(edge_side) >= CENTRE else 0.0
-            )  # +1 on the right, whose edge goes down with delta_a
+        if abs(vertical) > MOSTLY:
+            side = -np.sign(left) if abs(left) >= CENTRE else 0.0  # +1 on the right, whose edge moves down with delta_a
             moves_both = not elevators and side != 0.0
             moves = {"delta_e": -1.0 / vertical} if name in elevators or moves_both else {}
             if side != 0.0 and (name not in elevators or moves_both):
                 moves["delta_a"] = -float(side) / vertical
-        elif abs(port) > UPRIGHT:
+        elif abs(port) > MOSTLY:
             moves = {"delta_r": 1.0 / port}
         else:
             moves = {}
@@ -245,4 +240,5 @@ def hinged(read: Sequence[Read], path: Path) -> tuple[tuple[Hinged, ...], list[s
 
 
 def _rolls(values: dict[str, float]) -> bool:
+    """Whether a surface rolls more than it pitches."""
     return abs(values["Cell_ctrl"]) > abs(values["Cem_ctrl"])

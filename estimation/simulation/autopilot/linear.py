@@ -93,9 +93,9 @@ def coefficients(
         constant = linear[f"{name}_{CONSTANT}"] if CONSTANT in endings else 0.0
         return np.asarray(sum(terms, np.full(len(motion), constant)))
 
-    every = (CONSTANT, *SLOPES)
-    values = {name: sum_of_terms(name, every) for name in LINES}
-    values["CD"] = values["CD"] + linear[POLAR] * sum_of_terms("CL", induced or every) ** 2
+    all_endings = (CONSTANT, *SLOPES)
+    values = {name: sum_of_terms(name, all_endings) for name in LINES}
+    values["CD"] = values["CD"] + linear[POLAR] * sum_of_terms("CL", induced or all_endings) ** 2
     return values
 
 
@@ -136,13 +136,13 @@ def gyroscopic(aircraft: Aircraft, motion: FlightStates) -> dict[str, Array]:
     return {axis: angular_rates[axis] for axis in ("L", "M", "N")}
 
 
-STATES = 200  # random ones, at which two descriptions of an aircraft are compared
+STATES = 200  # random ones, at which two forms of an aircraft are compared
 SEED = 20261127  # fixed, so that a comparison is repeatable
 ALPHAS = (-0.1, 0.2)  # rad: the range in which an aircraft is linear
 LARGEST = {"beta": 0.2, "p": 1.0, "q": 0.6, "r": 0.6}  # rad, rad/s
 DEFLECTION = 0.3  # rad, or the throw if that is less
-CRUISE = 0.4  # lift coefficient of the speed about which states are drawn
-SPEEDS = (0.7, 1.8)  # times that speed
+CRUISE = 0.4  # lift coefficient that sets the cruise speed
+SPEEDS = (0.7, 1.8)  # range of speeds over the cruise speed
 
 
 def random_motion(

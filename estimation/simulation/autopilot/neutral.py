@@ -1,12 +1,11 @@
-"""An aircraft's whole build-up, nonlinear as it is, as plain JSON for a simulator of one's own (docs/export.md has every key).
+"""An aircraft's full aerodynamic model, nonlinear terms included, as JSON for the user's own simulator (keys: docs/export.md).
 
-Expressions are trees, `["+", "CL_0", ["*", "CL_alpha", "alpha"]]`: twenty lines read them in any language, and none has to be run
+Expressions are trees, `["+", "CL_0", ["*", "CL_alpha", "alpha"]]`: twenty lines read them in any language, without running text
 as code.
 """
 
 import ast
 import json
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,22 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from estimation.aircraft import Aircraft, load_aircraft
+from estimation.aircraft import Aircraft
 from estimation.models.base import Model
 from estimation.models.expressions import NUMBERS, names_in, parse
 from estimation.models.library import not_in_model, six_dof, stated_terms
 from estimation.models.numeric import FUNCTIONS
 from estimation.simulation.autopilot.gathering import (
     FIELDS,
-    KEYS,
     MINOR,
     NEEDED,
     MissingPartsError,
     Stated,
-    asked_for,
-    body_of,
     lines_named,
-    source_of,
+    missing_body_keys,
+    missing_parts_message,
+    model_and_body,
+    static_thrust,
 )
 from estimation.simulation.autopilot.linear import LINES
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, Array, SimulationError
@@ -64,6 +63,7 @@ Tree = float | str | list[Any]
 
 
 def tree_of(expression: str) -> Tree:
+    """The tree of an expression. Raises SimulationError for an operation without a place in a tree."""
     return _tree(parse(expression))
 
 
@@ -95,7 +95,7 @@ def value_of(tree: Any, known: Mapping[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class BuildUp:
-    """Lines by name, in text; numbers: of constants and parameters; units of those that have one."""
+    """An aerodynamic model. definitions: line -> text; numbers: constants and parameters -> value; units: of those with one."""
 
     name: str
     title: str
@@ -104,22 +104,22 @@ class BuildUp:
     units: Mapping[str, str]
 
 
-def neutral(model: BuildUp, craft: Aircraft, more: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of a file. more: what is told beside it (throws, thrust, sources, notes). Raises SimulationError where the
-    coefficients depend on what no aircraft's motion is."""
+def neutral(model: BuildUp, body: Aircraft, more: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of a file. more: further keys (throws, thrust, sources, notes). Raises SimulationError where coefficients
+    depend on more than VARIABLES and constants."""
     outputs = [c for c in ("CL", "CD") if c in model.definitions] + list(COEFFICIENTS)
     lines = _in_order(model, outputs)
     numbers = model.numbers
     used_names = frozenset[str]().union(*(names_in(text) for text in lines.values())) - set(lines)
-    strange = sorted(used_names - set(numbers) - set(VARIABLES))
-    if strange:
+    unknown = sorted(used_names - set(numbers) - set(VARIABLES))
+    if unknown:
         raise SimulationError(
-            f"model {model.name}: its coefficients depend on {', '.join(strange)}; a build-up may depend on airspeed, flow"
+            f"model {model.name}: its coefficients depend on {', '.join(unknown)}; a build-up may depend on airspeed, flow"
             " angles, rates, surfaces, thrust and density"
         )
     return {
         "format": FORMAT, "version": VERSION, "name": model.name, "title": model.title, "about": ABOUT,
-        "body": {f: {"value": getattr(craft, f), "unit": UNITS.get(f, "kg m2")}
+        "body": {f: {"value": getattr(body, f), "unit": UNITS.get(f, "kg m2")}
                  for f in ("mass", "Ixx", "Iyy", "Izz", "Ixz", "area", "span", "chord")},
         "variables": [{"name": n, "unit": unit, "meaning": meaning} for n, (unit, meaning) in VARIABLES.items()],
         "constants": {n: {"value": numbers[n], "unit": model.units.get(n, "")} for n in sorted(used_names & set(numbers))},
@@ -129,7 +129,7 @@ def neutral(model: BuildUp, craft: Aircraft, more: Mapping[str, Any]) -> dict[st
 
 
 def _in_order(model: BuildUp, outputs: Iterable[str]) -> dict[str, str]:
-    """The lines that the outputs need, each behind those it needs."""
+    """The lines that the outputs need, each after those it depends on."""
     ordered_lines: dict[str, str] = {}
     pending = list(outputs)[::-1]
     while pending:
@@ -145,7 +145,7 @@ def _in_order(model: BuildUp, outputs: Iterable[str]) -> dict[str, str]:
 
 
 def evaluated(content: Mapping[str, Any], motion: Mapping[str, Array]) -> dict[str, Array]:
-    """Each output -> (N,), as a reader of the file has it."""
+    """Output -> (N,) value, computed from the file's content alone."""
     symbols: dict[str, Any] = {**motion, **{n: c["value"] for n, c in content["constants"].items()}}
     for line in content["lines"]:
         symbols[line["name"]] = value_of(line["tree"], symbols)
@@ -164,53 +164,38 @@ def read_back(path: Path) -> dict[str, Any]:
 BODY_AXES = ("CX", "CZ")
 
 
-def whole_model(path: Path, stated: Stated) -> tuple[BuildUp, Aircraft, dict[str, Any]]:
-    """Build-up, body, and what is to be told beside them. Raises MissingPartsError with the list of what nobody states."""
-    source = source_of(path)
-    stated_aircraft = (
-        source if isinstance(source, Aircraft) else load_aircraft(stated.aircraft) if stated.aircraft else None
-    )
-    model = None if isinstance(source, Aircraft) else source
-    body = body_of(model, stated_aircraft) if model is not None else source
-    assert isinstance(body, Aircraft)
-    has = lines_named(path, model) if model is not None else ()
-    missing_coefficients = [c for c in LINES if c not in has]
+def full_model(path: Path, stated: Stated) -> tuple[BuildUp, Aircraft, dict[str, Any]]:
+    """Aerodynamic model, body, and further keys of the file. Raises MissingPartsError with the list of what is not stated,
+    SimulationError where names clash."""
+    model, stated_aircraft, body = model_and_body(path, stated)
+    named_lines = lines_named(path, model) if model is not None else ()
+    missing_coefficients = [c for c in LINES if c not in named_lines]
     beliefs = stated_aircraft.derivatives if stated_aircraft is not None else {}
-    missing = [key for key, field in zip(KEYS, FIELDS, strict=True) if math.isnan(getattr(body, field))]
+    missing = missing_body_keys(body)
     missing += [n for line in missing_coefficients for n in NEEDED[line] if n not in beliefs]
     if missing:
-        raise MissingPartsError(asked_for(path, "a whole aircraft", missing, stated_aircraft))
+        raise MissingPartsError(missing_parts_message(path, "a whole aircraft", missing, stated_aircraft))
     stated_by = (stated_aircraft or body).with_values(**{name: getattr(body, name) for name in FIELDS})
     base = stated_terms(six_dof(stated_by), stated_by)
     zero = [n for line in missing_coefficients for n in MINOR[line] if n not in beliefs]
-    added_numbers = {
-        "throws": {
-            n: list(t) for n, t in {**(stated_aircraft.throws if stated_aircraft else {}), **stated.throws}.items()
-        },
-        "thrust": _thrust(stated_aircraft, stated),
+    without_form = [n for n in not_in_model(base, stated_by) if n.partition("_")[0] in missing_coefficients]
+    throws = {**(stated_aircraft.throws if stated_aircraft else {}), **stated.throws}
+    more = {
+        "throws": {n: list(t) for n, t in throws.items()},
+        "thrust": static_thrust(stated_aircraft, stated),
         "sources": {n: beliefs[n].source for line in missing_coefficients for n in beliefs if n.split("_")[0] == line},
-        "notes": _notes(
-            zero, [n for n in not_in_model(base, stated_by) if n.partition("_")[0] in missing_coefficients]
-        ),
+        "notes": _notes(zero, without_form),
     }
-    return _joined(body, model, base, has), body, added_numbers
+    return _completed(body, model, base, missing_coefficients), body, more
 
 
-def _notes(zero: list[str], strange: list[str]) -> list[str]:
-    notes = [f"nobody states, so zero: {', '.join(zero)}"] if zero else []
-    return [*notes, f"left out, for no form of them is known: {', '.join(strange)}"] if strange else notes
+def _notes(zero: list[str], without_form: list[str]) -> list[str]:
+    notes = [f"not stated, so zero: {', '.join(zero)}"] if zero else []
+    return [*notes, f"left out, for no form of them is known: {', '.join(without_form)}"] if without_form else notes
 
 
-def _thrust(stated_aircraft: Aircraft | None, stated: Stated) -> float | None:
-    if stated.thrust is not None or stated_aircraft is None or stated_aircraft.engine is None:
-        return stated.thrust
-    return stated_aircraft.engine.static_thrust
-
-
-def _joined(body: Aircraft, model: Model | None, base: Model, has: tuple[str, ...]) -> BuildUp:
-    """The model's own lines and, beside them, those of the base for what it has none of. Raises SimulationError where a name
-    would mean two things."""
-    missing_coefficients = [c for c in LINES if c not in has]
+def _completed(body: Aircraft, model: Model | None, base: Model, missing_coefficients: list[str]) -> BuildUp:
+    """The model's own lines, and the base's for the coefficients that it lacks. Raises SimulationError where names clash."""
     body_lines = BODY_AXES if {"CL", "CD"} & set(missing_coefficients) else ()
     model_lines = model.definitions if model is not None else {}
     added_lines = {

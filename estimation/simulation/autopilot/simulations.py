@@ -1,8 +1,7 @@
 """Aircraft of autopilots' simulators as simulations: `ardupilot:FILE.json` and `gazebo:FILE.sdf`.
 
-What SITL flies are accelerations, of 2 kg and 1 kg m2; its coefficients are those that give the aircraft asked about, with its
-own mass, inertia and geometry, the same accelerations. A Gazebo model has mass and inertia of its own, and coefficients
-as they are.
+SITL flies accelerations, of 2 kg and 1 kg m2. Its coefficients are those that give an aircraft, with its own mass, inertia and
+geometry, the same accelerations. A Gazebo model has its own mass and inertia, so its coefficients are used unchanged.
 """
 
 from dataclasses import dataclass, replace
@@ -17,12 +16,12 @@ from estimation.simulation.autopilot.gazebo_file import read_gazebo_plane
 from estimation.simulation.autopilot.linear import FlightStates
 from estimation.simulation.oracle import Array, PolarOfAlpha, Simulation, SimulationError, States
 
-ARDUPILOT, GAZEBO = "ardupilot:", "gazebo:"  # before the file of a simulation
+ARDUPILOT, GAZEBO = "ardupilot:", "gazebo:"  # begin the text that names a simulation
 
 
 @dataclass(frozen=True)
 class SitlOracle:
-    """See `estimation.simulation.oracle.Oracle`. aircraft: whose mass, inertia and geometry coefficients are for."""
+    """The coefficients of a SITL plane; see `estimation.simulation.oracle.Oracle`. aircraft: the one to which they refer."""
 
     plane: SitlPlane
     aircraft: Aircraft
@@ -36,7 +35,7 @@ class SitlOracle:
 
 @dataclass(frozen=True)
 class GazeboOracle:
-    """See `estimation.simulation.oracle.Oracle`. Density is that of the state."""
+    """The coefficients of a Gazebo model; see `estimation.simulation.oracle.Oracle`. Density is that of the state."""
 
     plane: GazeboPlane
 
@@ -50,6 +49,7 @@ def _motion(states: States) -> FlightStates:
 
 
 def _over_pressure(states: States, a: Aircraft, force: list[Array]) -> Array:
+    """(N, 6) coefficients of three forces and three moments."""
     area = 0.5 * states.rho * states.values["V"] ** 2 * a.area
     return np.column_stack(
         [f / (area * size) for f, size in zip(force, (1, 1, 1, a.span, a.chord, a.span), strict=True)]
@@ -57,7 +57,7 @@ def _over_pressure(states: States, a: Aircraft, force: list[Array]) -> Array:
 
 
 def ardupilot_simulation(file: str) -> Simulation:
-    """SITL's plane by its file. Raises SimulationError."""
+    """SITL's plane from its file. Raises SimulationError."""
     path = Path(file)
     plane = read_sitl_plane(path)
     k = plane.values
@@ -77,7 +77,7 @@ def ardupilot_simulation(file: str) -> Simulation:
 
 
 def _polar_of_alpha(plane: SitlPlane, aircraft: Aircraft) -> PolarOfAlpha:
-    """SITL's induced drag in coefficients of the aircraft, whose mass and area are others than 2 kg and the file's."""
+    """SITL's induced drag in coefficients of the aircraft, whose mass and area differ from 2 kg and the file's."""
     k = plane.values
     scale = k["s"] * aircraft.mass / (MASS * aircraft.area)
     CD_k = 1.0 / (np.pi * k["oswald"] * k["b"] ** 2 / k["s"])
@@ -85,7 +85,7 @@ def _polar_of_alpha(plane: SitlPlane, aircraft: Aircraft) -> PolarOfAlpha:
 
 
 def gazebo_simulation(file: str) -> Simulation:
-    """A Gazebo aeroplane by its model.sdf, or the folder that has one. Raises SimulationError."""
+    """A Gazebo aeroplane from its model.sdf, or the folder that contains it. Raises SimulationError."""
     path = Path(file)
     if path.is_dir():
         path /= "model.sdf"

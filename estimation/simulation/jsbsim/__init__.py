@@ -1,1 +1,1 @@
-"""Aircraft of JSBSim: asked for their coefficients, written as models in our own text, and back with what was found in them."""
+"""JSBSim aircraft: their coefficients at any state, their conversion to model files, and models written back into aircraft."""

@@ -1,8 +1,8 @@
-"""A JSBSim aircraft as coefficients at any state: initial conditions set, `run_ic`, forces and moments read.
+"""Coefficients of a JSBSim aircraft at any state: set initial conditions, `run_ic`, read forces and moments.
 
-Its flight control is off (it would overwrite the surfaces) and no engine runs, so nothing but aerodynamics is asked. What
-JSBSim calls alphadot is that of its own last step; so each state is asked twice, at two attitudes, between which alphadot
-differs and the air does not, and the coefficients are taken on the straight line at the alphadot that is meant.
+Its flight control is off (it would overwrite the surfaces) and no engine runs, so forces are aerodynamic only. JSBSim's alphadot
+is that of its own last step and cannot be set. So each state is evaluated at two attitudes, which change alphadot but not the
+air, and the coefficients are interpolated linearly to the wanted alphadot.
 """
 
 import math
@@ -27,10 +27,11 @@ from estimation.simulation.oracle import COEFFICIENTS, SURFACES, Array, Simulati
 
 ATTITUDES = (0.0, 1.0)  # rad of pitch: gravity across the flow differs by 0.46 g, and alphadot by that over V
 GROUND = -30_000.0  # ft: far below, so that nothing flies in ground effect or stands on its wheels
-LARGEST = math.radians(85.0)  # of alpha and beta
+LARGEST_ANGLE = math.radians(85.0)  # of alpha and beta: JSBSim hangs near 90 deg
 HELD = "held as JSBSim starts"
-SETTLES = 10  # times `run_ic`: what forces take from the last step, and it from them, then stays to the last digit
-AGREES = 1e-6  # rad and relative: by which JSBSim's own alpha, beta, V may differ from what was set
+SETTLED_RUNS = 10  # of `run_ic`, after which forces and the last step that they depend on no longer change
+AGREES = 1e-6  # rad and relative: largest difference of JSBSim's alpha, beta, V from those that were set
+STANDARD_EXPONENT, STANDARD_LAPSE = 4.25588, 2.25577e-5  # of density, and 1/m, in the ICAO troposphere
 SWITCHED_OFF = tuple(f"simulation/models/{name}/enabled" for name in ("FGFCS", "FGPropulsion"))
 FORCES = tuple(f"forces/fb{axis}-aero-lbs" for axis in "xyz")
 MOMENTS = tuple(f"moments/{axis}-aero-lbsft" for axis in "lmn")
@@ -45,8 +46,8 @@ SETTINGS = {
 
 @dataclass(frozen=True)
 class JsbsimOracle:
-    """See `estimation.simulation.oracle.Oracle`. fdm: the executive, which remembers nothing from one state to the next but
-    alphadot."""
+    """The coefficients of a JSBSim aircraft; see `estimation.simulation.oracle.Oracle`. fdm: the executive, which keeps only
+    alphadot from one state to the next."""
 
     path: Path
     fdm: Any
@@ -55,39 +56,42 @@ class JsbsimOracle:
     def coefficients(self, states: States) -> Array:
         result = np.empty((len(states), len(COEFFICIENTS)))
         for i in range(len(states)):
-            result[i] = self._at({n: float(v[i]) for n, v in states.values.items()}, float(states.rho[i]),
+            result[i] = self._loads_at({n: float(v[i]) for n, v in states.values.items()}, float(states.rho[i]),
                                  float(states.alpha_dot[i])) / self._sizes()  # fmt: skip
         return result
 
     def at_its_own_rate(self, state: dict[str, float], rho: float, attitude: float) -> tuple[Array, float]:
-        """(6,) coefficients of one state and the rate of alpha that JSBSim has there by itself, at an attitude [rad of pitch]."""
-        forces, rate = self._asked(state, rho, attitude, SETTLES)
-        return forces / self._sizes(), rate
+        """(6,) coefficients of one state and JSBSim's own rate of alpha [rad/s] there, at an attitude [rad of pitch]."""
+        loads, rate = self._loads_and_rate(state, rho, attitude, SETTLED_RUNS)
+        return loads / self._sizes(), rate
 
     def _sizes(self) -> Array:
-        """Area, times a length for moments."""
+        """(6,) area [ft2], for moments times a length [ft3]."""
         area, span, chord = (self.fdm[f"metrics/{n}"] for n in ("Sw-sqft", "bw-ft", "cbarw-ft"))
         return np.asarray(area * np.array([1.0, 1.0, 1.0, span, chord, span]))
 
-    def _at(self, state: dict[str, float], rho: float, alpha_dot: float) -> Array:
-        """Forces and moments over dynamic pressure [ft2, ft3] of one state."""
+    def _loads_at(self, state: dict[str, float], rho: float, alpha_dot: float) -> Array:
+        """(6,) forces and moments over dynamic pressure [ft2, ft3] at one state."""
         if not (
             state["V"] > 0.0
-            and max(abs(state["alpha"]), abs(state["beta"])) < LARGEST
+            and max(abs(state["alpha"]), abs(state["beta"])) < LARGEST_ANGLE
             and _finite(state, rho, alpha_dot)
         ):
-            self._refuse(state)  # before JSBSim is asked: it never comes back from such a state
-        first, slow = self._asked(state, rho, ATTITUDES[0])
+            self._refuse(state)  # here, because JSBSim would never return from such a state
+        loads, rate = self._loads_and_rate(state, rho, ATTITUDES[0])
         if not self.surfaces.rates:
-            return first
-        second, fast = self._asked(state, rho, ATTITUDES[1])
-        return np.asarray(first + (second - first) * (alpha_dot - slow) / (fast - slow))
+            return loads
+        other_loads, other_rate = self._loads_and_rate(state, rho, ATTITUDES[1])
+        return np.asarray(loads + (other_loads - loads) * (alpha_dot - rate) / (other_rate - rate))
 
     def _loads(self) -> Array:
-        """(6,) forces and moments over the dynamic pressure, as JSBSim has them at present."""
+        """(6,) JSBSim's present forces and moments over the dynamic pressure [ft2, ft3]."""
         return np.array([self.fdm[n] for n in (*FORCES, *MOMENTS)]) / self.fdm["aero/qbar-psf"]
 
-    def _asked(self, state: dict[str, float], rho: float, attitude: float, least: int = 1) -> tuple[Array, float]:
+    def _loads_and_rate(
+        self, state: dict[str, float], rho: float, attitude: float, runs: int = 1
+    ) -> tuple[Array, float]:
+        """(6,) loads over dynamic pressure and JSBSim's rate of alpha after at least so many runs of `run_ic`."""
         fdm = self.fdm
         fdm["ic/h-sl-ft"] = density_altitude(rho) / FOOT
         fdm["ic/vt-fps"] = state["V"] / FOOT
@@ -96,13 +100,12 @@ class JsbsimOracle:
             fdm[setting] = state[name]
         for name, (column, follows) in self.surfaces.writes.items():
             fdm[name] = follows(state[column])
-        for _ in range(max(least, 2 if self.surfaces.lift_squared else 1)):
+        for _ in range(max(runs, 2 if self.surfaces.lift_squared else 1)):
             fdm.run_ic()
         self._check(state)
         loads = self._loads()
         if not np.isfinite(loads).all():
-            # once in hundreds of processes JSBSim answers so what it answers when it is asked again
-            fdm.run_ic()
+            fdm.run_ic()  # once in hundreds of processes JSBSim gives NaN, and a number at the second run
             loads = self._loads()
         if not np.isfinite(loads).all():
             raise SimulationError(
@@ -132,11 +135,11 @@ def _finite(state: dict[str, float], rho: float, alpha_dot: float) -> bool:
 
 def density_altitude(rho: float) -> float:
     """Height [m] at which the standard atmosphere's troposphere has density `rho` [kg/m3] (ICAO Doc 7488)."""
-    return (1.0 - (rho / SEA_LEVEL_DENSITY) ** (1.0 / 4.25588)) / 2.25577e-5
+    return (1.0 - (rho / SEA_LEVEL_DENSITY) ** (1.0 / STANDARD_EXPONENT)) / STANDARD_LAPSE
 
 
 def jsbsim_simulation(which: str) -> Simulation:
-    """The aircraft `which` (a name of JSBSim's own, a folder or a file). Raises SimulationError."""
+    """The simulation of the aircraft `which`: a name of JSBSim's own, a folder or a file. Raises SimulationError."""
     path = aircraft_file(which)
     surfaces = surfaces_of(path)
     fdm = loaded(path)
@@ -164,10 +167,10 @@ def jsbsim_simulation(which: str) -> Simulation:
 
 
 def aircraft_as_loaded(fdm: Any, name: str) -> Aircraft:
-    """Geometry, mass and inertia as JSBSim has them after `run_ic`, with the fuel and loads of the file.
+    """Geometry, mass and inertia after `run_ic`, with the fuel and loads of the file.
 
-    JSBSim's property ixz is the element of the inertia matrix; ours stands in the equations, with the other sign. Raises
-    SimulationError for numbers that no aircraft has: JSBSim computes with them.
+    JSBSim's property ixz is the element of the inertia matrix; ours is the product of inertia, with the other sign. Raises
+    SimulationError for numbers that no aircraft has, with which JSBSim would compute.
     """
     fdm["ic/vt-fps"] = 100.0
     fdm.run_ic()

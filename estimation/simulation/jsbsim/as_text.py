@@ -1,8 +1,8 @@
-"""A JSBSim aircraft as a model in our own text: its functions as lines and parameters of the six degrees of freedom.
+"""A JSBSim aircraft as a model file: its functions become lines and parameters of the six-degree-of-freedom model.
 
-A function that is a number times one regressor becomes a parameter under the field's name (`Cl_p`); every other one a line under
-the name it has in JSBSim. Forces are in JSBSim's wind axes at AERORP: lines turn them and take their moment about the centre of
-gravity. Lift may depend on the rate of alpha that it makes itself; the line of that rate is solved for it.
+A function that is a number times one regressor becomes a parameter under its usual name (`Cl_p`), any other function a line under
+its name in JSBSim. JSBSim's forces are in wind axes at AERORP: lines rotate them and take their moment about the centre of
+gravity. Lift may depend on the rate of alpha, which depends on lift; the line of that rate is solved for it.
 """
 
 import math
@@ -18,22 +18,23 @@ from estimation.models.expressions import names_in
 from estimation.models.library import six_dof
 from estimation.simulation.jsbsim.coefficients import (
     AXES,
-    WHOLE,
+    SIZE_TEXTS,
     Text,
     coefficient_text,
     coefficients_of,
     named_terms,
     solved_lift,
 )
+from estimation.simulation.jsbsim.forces import ARM
 from estimation.simulation.jsbsim.library import Follows
 from estimation.simulation.jsbsim.reading import LIFT, Reader
 from estimation.simulation.jsbsim.terms import constant, number_text
 from estimation.simulation.oracle import ALPHA_RATE, SimulationError
 
-SUTHERLAND = 110.4  # K
-MADE_OF = ("LIFT", "DRAG", "SIDE")
-MOST_TOLD = 4  # functions named in one sentence
-SOLVED = (  # the equation of motion in alpha with that lift on its left side which goes with alpha_dot
+SUTHERLAND = 110.4  # K, of the viscosity of air
+FORCE_AXES = ("LIFT", "DRAG", "SIDE")
+MOST_NAMED = 4  # functions in one message
+SOLVED = (  # the equation of alpha, with the lift that is proportional to alpha_dot moved to its left side
     "(q - tan(beta)*(p*cos(alpha) + r*sin(alpha)) + (g*(cos(theta)*cos(phi)*cos(alpha) + sin(theta)*sin(alpha))"
     " - thrust/m*sin(alpha) - q_dyn*S/m*CL)/(V*cos(beta)))/(1 + q_dyn*S/(m*V*cos(beta))*CL_rate)"
 )
@@ -41,8 +42,8 @@ SOLVED = (  # the equation of motion in alpha with that lift on its left side wh
 
 @dataclass(frozen=True)
 class StandardTroposphere:
-    """A standard troposphere from one point of it. sound: its speed [m/s]; temperature [K]; rho: density [kg/m3]; power: that of
-    density with which the speed of sound goes, half of that of temperature; viscosity: Sutherland's constant [kg/(m s K^.5)]."""
+    """A standard troposphere by one point. sound: speed of sound [m/s]; temperature [K]; rho: density [kg/m3]; power: of density,
+    to which the speed of sound is proportional (temperature has twice that); viscosity: Sutherland's constant [kg/(m s K^.5)]."""
 
     sound: float
     temperature: float
@@ -53,8 +54,8 @@ class StandardTroposphere:
 
 @dataclass(frozen=True)
 class AircraftSource:
-    """What is known of an aircraft beside its XML. arm: of AERORP from the centre of gravity [m, body axes]. asked: see
-    `Reader`."""
+    """The aerodynamics section of an aircraft and what is needed beside it. arm: from the centre of gravity to AERORP [m, body
+    axes]. values_of: as in `Reader`."""
 
     name: str
     spec: str
@@ -63,13 +64,13 @@ class AircraftSource:
     surfaces: Mapping[str, tuple[str, Follows]]
     arm: tuple[float, float, float]
     air: StandardTroposphere
-    asked: Callable[[str], list[float] | None]
+    values_of: Callable[[str], list[float] | None]
 
 
 @dataclass(frozen=True)
 class Imported:
-    """model: see above. held: properties that stand in it as numbers, which the aircraft could change. standard, own: terms by
-    the field's names and by JSBSim's. tables: how many tables the aircraft has."""
+    """An aircraft as a model. held: properties that became numbers, though the aircraft could change them. standard, own: terms
+    under their usual names and under JSBSim's. tables: number of tables of the aircraft."""
 
     model: Model
     held: Mapping[str, float]
@@ -78,6 +79,7 @@ class Imported:
     tables: int
 
     def sentences(self) -> list[str]:
+        """What the model contains, for the terminal."""
         held_numbers = ", ".join(f"{n} {v:g}" if math.isfinite(v) else n for n, v in self.held.items())
         return [
             f"by the field's names: {', '.join(self.standard) or 'nothing'}",
@@ -88,23 +90,22 @@ class Imported:
 
 
 def import_aircraft(source: AircraftSource) -> Imported:
-    """The model. Raises SimulationError naming every function that has no exact form in our text."""
+    """The model. Raises SimulationError naming functions that have no exact form in our text."""
     skeleton = six_dof(source.aircraft)
     text = Text(taken=_reserved(skeleton))
-    reader = Reader(source.section, source.surfaces, source.asked, text.line)
+    reader = Reader(source.section, source.surfaces, source.values_of, text.line)
     parts, reasons = coefficients_of(source.section, reader)
     rate = constant(0.0)
     if not reasons:
-        parts["LIFT"], rate, problem = solved_lift(parts.get("LIFT", {}))
-        reasons = {**reasons, **problem}
+        parts["LIFT"], rate, reasons = solved_lift(parts.get("LIFT", {}))
     if reasons:
-        reason_list = "; ".join(f"{n} {reason}" for n, reason in list(reasons.items())[:MOST_TOLD])
-        reason_list += f"; and {len(reasons) - MOST_TOLD} more" if len(reasons) > MOST_TOLD else ""
+        reason_list = "; ".join(f"{n} {reason}" for n, reason in list(reasons.items())[:MOST_NAMED])
+        reason_list += f"; and {len(reasons) - MOST_NAMED} more" if len(reasons) > MOST_NAMED else ""
         raise SimulationError(
             f"{source.spec}: cannot be written exactly as text ({reason_list}); run it as it is with --simulation {source.spec}"
         )
     sums = {axis: named_terms(AXES[axis], functions, text, source.spec) for axis, functions in parts.items()}
-    force_terms = [t for axis in MADE_OF for t in sums.get(axis, [])]
+    force_terms = [t for axis in FORCE_AXES for t in sums.get(axis, [])]
     used_lines = _names_needed(text.lines, [*force_terms, *(n for t in force_terms for n in names_in(t))])
     rate_dependent = rate.products or any(ALPHA_RATE in t for t in (*force_terms, *(text.lines[n] for n in used_lines)))
     model = _model(skeleton, text, sums, coefficient_text(rate) if rate_dependent else "", source)
@@ -115,14 +116,15 @@ def import_aircraft(source: AircraftSource) -> Imported:
 
 
 def _reserved(skeleton: Model) -> set[str]:
-    """Names that no line or parameter of the aircraft's own may take."""
+    """Names that no line or parameter of the aircraft may have."""
     names = {*skeleton.state_names, *skeleton.input_names, *skeleton.output_names, *skeleton.constants}
-    ours = "drag side mach Re temperature_of_rho CL_rate CL_all x_rp y_rp z_rp pi pressure"
-    return {*names, *skeleton.definitions, *WHOLE, LIFT, *ours.split()}
+    added_lines = "drag side mach Re temperature_of_rho CL_rate CL_all x_rp y_rp z_rp pi pressure"
+    return {*names, *skeleton.definitions, *SIZE_TEXTS, LIFT, *added_lines.split()}
 
 
 def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str, source: AircraftSource) -> Model:
-    """rate: lift over the rate of alpha, `0` where only other forces go with that, nothing where none does."""
+    """The model of six degrees of freedom with these terms. rate: text of lift over the rate of alpha, `0` where only other
+    forces depend on that rate, empty where none does."""
     lines = {n: t for n, t in skeleton.definitions.items() if n not in (*AXES.values(), "CX", "CZ")}
     total = {AXES[axis]: " + ".join(terms).replace("+ -", "- ") or "0" for axis, terms in sums.items()}
     lift = "CL_all" if rate else "CL"
@@ -139,9 +141,10 @@ def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str
     for name, (arm, length) in moment_arms.items():
         aircraft_lines[name] = f"{total.get(name, '0')} + ({arm})/{length}"
     air = source.air
-    thinner = f"(rho/{number_text(air.rho)})"
-    aircraft_lines["mach"] = f"V/({number_text(air.sound)}*{thinner}^{number_text(air.power)})"
-    aircraft_lines["temperature_of_rho"] = f"{number_text(air.temperature)}*{thinner}^{number_text(2.0 * air.power)}"
+    relative_density = f"(rho/{number_text(air.rho)})"
+    temperature_power = number_text(2.0 * air.power)
+    aircraft_lines["mach"] = f"V/({number_text(air.sound)}*{relative_density}^{number_text(air.power)})"
+    aircraft_lines["temperature_of_rho"] = f"{number_text(air.temperature)}*{relative_density}^{temperature_power}"
     aircraft_lines["Re"] = (
         f"rho*V*c*(temperature_of_rho + {SUTHERLAND})/({number_text(air.viscosity)}*temperature_of_rho^1.5)"
     )
@@ -160,19 +163,19 @@ def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str
     )
 
 
-def _names_needed(lines: Mapping[str, str], todo: list[str]) -> set[str]:
-    used_names: set[str] = set()
-    while todo:
-        name = todo.pop()
-        if name in lines and name not in used_names:
-            used_names.add(name)
-            todo += names_in(lines[name])
-    return used_names
+def _names_needed(lines: Mapping[str, str], names: list[str]) -> set[str]:
+    """Names of the lines that `names` depend on, themselves included."""
+    needed: set[str] = set()
+    pending = list(names)
+    while pending:
+        name = pending.pop()
+        if name in lines and name not in needed:
+            needed.add(name)
+            pending += names_in(lines[name])
+    return needed
 
 
-def arm_of(of: Callable[[str], float]) -> tuple[float, float, float]:
-    """AERORP from the centre of gravity [m], body axes; structural inches run aft, right and up."""
-    x = of("inertia/cg-x-in") - of("metrics/aero-rp-x-in")
-    y = of("metrics/aero-rp-y-in") - of("inertia/cg-y-in")
-    z = of("inertia/cg-z-in") - of("metrics/aero-rp-z-in")
-    return x * INCH, y * INCH, z * INCH
+def arm_of(value_of: Callable[[str], float]) -> tuple[float, float, float]:
+    """Arm from the centre of gravity to AERORP [m], body axes. value_of: name of a property -> value [in]."""
+    x, y, z = (INCH * (value_of(a) - value_of(b)) for a, b in ARM)
+    return x, y, z

@@ -1,7 +1,7 @@
-"""Functions of a JSBSim aircraft as terms of coefficients: each divided by what makes it a coefficient, and named.
+"""Functions of a JSBSim aircraft as terms of coefficients: made non-dimensional, and named.
 
-A number times one regressor becomes a parameter under the field's name where that is free, else under JSBSim's; anything longer a
-line under JSBSim's name.
+A number times one regressor becomes a parameter under its usual name (`Cl_p`) where that is free, else under JSBSim's. Any longer
+function becomes a line under JSBSim's name.
 """
 
 import re
@@ -18,7 +18,8 @@ from estimation.simulation.jsbsim.terms import Product, Sum, collected, factor, 
 from estimation.simulation.oracle import ALPHA_RATE
 
 AXES = {"LIFT": "CL", "DRAG": "CD", "SIDE": "CY", "ROLL": "Cl", "PITCH": "Cm", "YAW": "Cn"}
-OVER = {"CL": (), "CD": (), "CY": (), "Cl": ("span",), "Cm": ("chord",), "Cn": ("span",)}
+LENGTHS = {"CL": (), "CD": (), "CY": (), "Cl": ("span",), "Cm": ("chord",), "Cn": ("span",)}
+"""Coefficient -> length by which a moment is divided, beside pressure and area."""
 REGRESSORS: Mapping[frozenset[tuple[str, int]], tuple[str, str, str]] = {
     frozenset(factors.items()): (ending, text, unit)
     for factors, ending, text, unit in (
@@ -30,28 +31,29 @@ REGRESSORS: Mapping[frozenset[tuple[str, int]], tuple[str, str, str]] = {
         ({"alpha": 2}, "alpha2", "alpha^2", "1/rad2"), ({"beta": 2}, "beta2", "beta^2", "1/rad2"),
     )
 }  # fmt: skip
-"""Factors of a term -> ending of the field's name, regressor in our text, unit."""
-WHOLE = {
+"""Factors of a term -> ending of the usual name, regressor in our text, unit."""
+SIZE_TEXTS = {
     "spans": "(b/(2*V))",
     "chords": "(c/(2*V))",
     "span": f"(b/{FOOT})",
     "chord": f"(c/{FOOT})",
     "area": f"(S/{FOOT**2!r})",
 }
+"""Symbol of `reading` for a size in JSBSim's units -> our text for it."""
 PRESSURE = Product(0.5 * FOOT / SLUG, {"rho": 1, "V": 2})  # lbs/ft2
 
 
 @dataclass
 class Text:
-    """Lines and parameters as they are found."""
+    """Lines and parameters of the model under construction. taken: all names in use."""
 
     lines: dict[str, str] = field(default_factory=dict)
     parameters: dict[str, Parameter] = field(default_factory=dict)
     taken: set[str] = field(default_factory=set)
 
-    def name(self, wanted: str) -> str:
-        """A name that is free, made of `wanted`."""
-        base = re.sub(r"\W", "_", wanted.rpartition("/")[2]) or "term"
+    def name(self, preferred: str) -> str:
+        """A free name, made from `preferred`."""
+        base = re.sub(r"\W", "_", preferred.rpartition("/")[2]) or "term"
         base = f"f_{base}" if base[0].isdigit() or base in FUNCTIONS else base
         free_name, count = base, 1
         while free_name in self.taken:
@@ -60,15 +62,15 @@ class Text:
         self.taken.add(free_name)
         return free_name
 
-    def line(self, wanted: str, terms: Sum) -> Sum:
-        """A sum as a line; its symbol."""
-        name = self.name(wanted)
+    def line(self, preferred: str, terms: Sum) -> Sum:
+        """Add a sum as a line; returns the line's symbol."""
+        name = self.name(preferred)
         self.lines[name] = coefficient_text(terms)
         return factor(name)
 
 
 def coefficients_of(section: ET.Element, reader: Reader) -> tuple[dict[str, dict[str, Sum]], dict[str, str]]:
-    """Axis -> function -> coefficient, and function -> why it has no exact form."""
+    """Axis -> function -> coefficient; and function -> why it has no exact form."""
     parts: dict[str, dict[str, Sum]] = {axis: {} for axis in AXES}
     reasons: dict[str, str] = {}
     for shift in section.iter("aero_ref_pt_shift_x"):
@@ -78,7 +80,9 @@ def coefficients_of(section: ET.Element, reader: Reader) -> tuple[dict[str, dict
         if name not in AXES:
             reasons[f"axis {name}"] = "is none of wind axes and moments"
             continue
-        inverse_size = Sum((Product(1.0, {"pressure": 1, "area": 1} | dict.fromkeys(OVER[AXES[name]], 1)),)).inverse()
+        inverse_size = Sum(
+            (Product(1.0, {"pressure": 1, "area": 1} | dict.fromkeys(LENGTHS[AXES[name]], 1)),)
+        ).inverse()
         for function in axis.findall("function"):
             function_name = function.get("name", "") or f"a function of {name}"
             try:
@@ -91,7 +95,7 @@ def coefficients_of(section: ET.Element, reader: Reader) -> tuple[dict[str, dict
 
 
 def _without_pressure(value: Sum) -> Sum:
-    """The same with what is left of dynamic pressure written as density and speed, which may cancel."""
+    """A sum with any remaining dynamic pressure written as density and speed, which may cancel."""
     return collected(
         p.times(Product(1.0, {"pressure": -p.factors.get("pressure", 0)})).times(
             PRESSURE.to_power(p.factors.get("pressure", 0))
@@ -101,20 +105,21 @@ def _without_pressure(value: Sum) -> Sum:
 
 
 def solved_lift(lift: Mapping[str, Sum]) -> tuple[dict[str, Sum], Sum, dict[str, str]]:
-    """Lift without what goes with the rate of alpha; that, over the rate; and what of lift goes with it in another way."""
-    static_lift, rate, reasons = {}, Sum(), {}
+    """(function -> lift without the terms proportional to the rate of alpha; these terms over the rate; function -> why its lift
+    depends on the rate of alpha, or on lift, in another way)."""
+    static_lift, by_rate, reasons = {}, Sum(), {}
     for name, value in lift.items():
         rate_products = [p for p in value.products if p.factors.get(ALPHA_RATE) == 1]
         static_lift[name] = Sum(tuple(p for p in value.products if p not in rate_products))
-        one_less = Sum(tuple(rate_products)).times(factor(ALPHA_RATE).inverse())
-        rate = rate.plus(one_less)
-        if re.search(rf"\b({ALPHA_RATE}|{LIFT})\b", f"{text_of(static_lift[name])} {text_of(one_less)}"):
+        over_rate = Sum(tuple(rate_products)).times(factor(ALPHA_RATE).inverse())
+        by_rate = by_rate.plus(over_rate)
+        if re.search(rf"\b({ALPHA_RATE}|{LIFT})\b", f"{text_of(static_lift[name])} {text_of(over_rate)}"):
             reasons[name] = "is a lift that goes with the rate of alpha, or with lift, in another way than by a factor"
-    return static_lift, rate, reasons
+    return static_lift, by_rate, reasons
 
 
 def named_terms(coefficient: str, functions: Mapping[str, Sum], text: Text, spec: str) -> list[str]:
-    """The terms of one coefficient; parameters and lines that they need enter `text`."""
+    """The terms of one coefficient; the parameters and lines that they need are added to `text`."""
     terms = []
     for function_name, value in functions.items():
         single_product = value.single
@@ -124,7 +129,7 @@ def named_terms(coefficient: str, functions: Mapping[str, Sum], text: Text, spec
         ending, regressor, unit = REGRESSORS.get(
             single_product.key, ("", coefficient_text(Sum((replace(single_product, number=1.0),))), "")
         )
-        if text.lines.keys() & single_product.factors.keys():  # a table's line, whose size stands in it
+        if text.lines.keys() & single_product.factors.keys():  # the line of a table, which contains its size
             terms.append(coefficient_text(value))
             continue
         standard = f"{coefficient}_{ending}"
@@ -138,15 +143,15 @@ def named_terms(coefficient: str, functions: Mapping[str, Sum], text: Text, spec
 
 
 def coefficient_text(terms: Sum) -> str:
-    """Text with what stayed whole written out."""
-    text = text_of(collected(_hatted(p) for p in terms.products))
-    for name, meaning in WHOLE.items():
+    """Equation text of a sum, with its sizes in our symbols."""
+    text = text_of(collected(_with_hats(p) for p in terms.products))
+    for name, meaning in SIZE_TEXTS.items():
         text = re.sub(rf"\b{name}\b", meaning, text)
     return text
 
 
-def _hatted(p: Product) -> Product:
-    """Rates times lengths over twice the airspeed by their usual names."""
+def _with_hats(p: Product) -> Product:
+    """A product with rates times length over twice the airspeed as p_hat, q_hat, r_hat."""
     for rate, length in (("p", "spans"), ("q", "chords"), ("r", "spans")):
         if p.factors.get(rate, 0) > 0 and p.factors.get(length, 0) > 0:
             p = p.times(Product(1.0, {rate: -1, length: -1, f"{rate}_hat": 1}))

@@ -1,4 +1,4 @@
-"""What an effect does to a surface, or remembers of the motion, as components of a JSBSim flight control."""
+"""Effects on surfaces, and states of effects, as components of a JSBSim flight control."""
 
 import ast
 import math
@@ -17,10 +17,11 @@ from estimation.simulation.oracle import SURFACES, SimulationError
 
 Maker = Callable[..., ET.Element]
 USUAL = {"delta_e": "fcs/elevator-pos-rad", "delta_a": "fcs/left-aileron-pos-rad", "delta_r": "fcs/rudder-pos-rad"}
+"""Positions that stand for a surface where the aerodynamics reads none."""
 
 
 def surfaces_read(source: Path, chains: Mapping[str, str]) -> dict[str, ET.Element]:
-    """Our surfaces as the aerodynamics reads them, with our signs."""
+    """Our column -> the position that the aerodynamics reads, with our sign."""
     chained_names = {old: new for new, old in chains.items()}
     read = surfaces_of(source).writes
     surface_properties = {}
@@ -36,7 +37,7 @@ def surfaces_read(source: Path, chains: Mapping[str, str]) -> dict[str, ET.Eleme
 def chains_of(
     increments: Increments, values: Mapping[str, float], source: Path, rate: float
 ) -> tuple[dict[str, str], list[ET.Element]]:
-    """Components behind the positions of surfaces that an effect changes; new property -> position."""
+    """(new property -> the position before the components, components) for all surfaces that an effect changes."""
     chains: dict[str, str] = {}
     components: list[ET.Element] = []
     for column in SURFACES:
@@ -45,7 +46,7 @@ def chains_of(
         for name in names if acting else ():
             if not name.endswith("-rad") or "mag-" in name:
                 raise SimulationError(
-                    f"{source}: its aerodynamics reads {name}, behind which {acting[0].kind} of {column} cannot be written; only"
+                    f"{source}: its aerodynamics reads {name}, after which a {acting[0].kind} of {column} cannot be written; only"
                     " positions in rad can"
                 )
             sign = SIGNS[name.removeprefix("fcs/").removesuffix("-pos-rad")][1]
@@ -65,9 +66,9 @@ def _changes_nothing(transform: InputTransform, values: Mapping[str, float]) -> 
 
 
 def _component(t: InputTransform, size: float, position: str, sign: float, name: str, rate: float) -> list[ET.Element]:
-    """Components that do to a position what a transform does to a column. A deadband's and a play's width are the whole ones."""
+    """Components that do to a position what a transform does to a column. Widths of a deadband and of a play are full widths."""
 
-    def made(tag: str, ending: str, *inside: ET.Element, inputs: tuple[str, ...] = (position,)) -> ET.Element:
+    def make(tag: str, ending: str, *inside: ET.Element, inputs: tuple[str, ...] = (position,)) -> ET.Element:
         element = ET.Element(tag, name=f"{name}{ending}")
         element.extend([node("input", i) for i in inputs])
         element.extend(inside)
@@ -75,50 +76,50 @@ def _component(t: InputTransform, size: float, position: str, sign: float, name:
 
     match t.kind:
         case "lag":
-            return [made("lag_filter", "", node("c1", repr(1.0 / size)))]
+            return [make("lag_filter", "", node("c1", repr(1.0 / size)))]
         case "deadzone":
-            return [made("deadband", "", node("width", repr(2.0 * abs(size))), node("gain", "1"))]
+            return [make("deadband", "", node("width", repr(2.0 * abs(size))), node("gain", "1"))]
         case "backlash":
-            return [made("actuator", "", node("hysteresis_width", repr(abs(size))))]
+            return [make("actuator", "", node("hysteresis_width", repr(abs(size))))]
         case "scale":
-            return [made("pure_gain", "", node("gain", repr(size)))]
+            return [make("pure_gain", "", node("gain", repr(size)))]
         case "bias":
-            return [made("summer", "", node("bias", repr(sign * size)))]
+            return [make("summer", "", node("bias", repr(sign * size)))]
     if size < 0.0:
         raise SimulationError(f"{t.input}: a delay of {size:g} s is none that a simulation can have")
     whole_frames, part = divmod(size * rate, 1.0)
-    delays = [_frame_delay(made, "-early", int(whole_frames)), _frame_delay(made, "-late", int(whole_frames) + 1)]
+    delays = [_frame_delay(make, "-early", int(whole_frames)), _frame_delay(make, "-late", int(whole_frames) + 1)]
     gains = [
         _gain(f"{name}{end}-share", source.get("name", ""), share)
         for end, source, share in (("-early", delays[0], 1.0 - part), ("-late", delays[1], part))
     ]
-    return [*delays, *gains, made("summer", "", inputs=tuple(g.get("name", "") for g in gains))]
+    return [*delays, *gains, make("summer", "", inputs=tuple(g.get("name", "") for g in gains))]
 
 
-def _frame_delay(made: Maker, ending: str, frames: int) -> ET.Element:
-    """A whole number of frames; an actuator's delay of n is one of n - 1."""
+def _frame_delay(make: Maker, ending: str, frames: int) -> ET.Element:
+    """A delay by whole frames. JSBSim's actuator delays by one frame less than it is told."""
     if frames == 0:
-        return made("pure_gain", ending, node("gain", "1"))
+        return make("pure_gain", ending, node("gain", "1"))
     delay = node("delay", str(frames + 1))
     delay.set("type", "frames")
-    return made("actuator", ending, delay)
+    return make("actuator", ending, delay)
 
 
-def _gain(name: str, at: str, gain: float) -> ET.Element:
+def _gain(name: str, source: str, gain: float) -> ET.Element:
     element = ET.Element("pure_gain", name=name)
-    element.extend([node("input", at), node("gain", repr(gain))])
+    element.extend([node("input", source), node("gain", repr(gain))])
     return element
 
 
 def states_of(increments: Increments, translator: Translator, rate: float, known: dict[str, Term]) -> list[ET.Element]:
-    """Lag filters for states of effects of the form x_dot = (input - x)/tau; they enter `known`."""
+    """Lag filters for states of effects of the form x_dot = (input - x)/tau. Their properties are added to `known`."""
     filters: list[ET.Element] = []
-    # flight control sees the motion of the step before: it is carried on by its own rate
-    carried_states = {
+    # the flight control reads the motion of the step before, which is extrapolated by its rate
+    extrapolated = {
         n: total(prop(PROPERTIES[n][0]), product(1.0 / rate, prop(PROPERTIES[f"{n}_dot"][0])))
         for n in ("alpha", "beta", "p", "q", "r")
     }
-    carried_translator = replace(translator, known={**translator.known, **carried_states})
+    input_translator = replace(translator, known={**translator.known, **extrapolated})
     for state in increments.states:
         match parse(increments.physical.definitions[f"{state}_dot"]):
             case ast.BinOp(
@@ -133,7 +134,7 @@ def states_of(increments: Increments, translator: Translator, rate: float, known
                 " can be written for JSBSim"
             )
         function = ET.Element("fcs_function", name=f"fcs/{OURS}/{state}-input")
-        function.append(node("function", carried_translator.translated(given, ())))
+        function.append(node("function", input_translator.translated(given, ())))
         lag = ET.Element("lag_filter", name=f"fcs/{OURS}/{state}")
         lag.extend([node("input", f"fcs/{OURS}/{state}-input"), node("c1", repr(1.0 / seconds))])
         filters += [function, lag]

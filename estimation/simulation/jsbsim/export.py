@@ -1,8 +1,8 @@
-"""A model found on a JSBSim aircraft, written back: a folder with the aircraft and what was found in it.
+"""A model found on a JSBSim aircraft, written back as a copy of the aircraft with the model's increments.
 
-Each term of a moment is a function in its axis. Terms of forces act in body and stability axes at the centre of gravity; JSBSim's
-LIFT, DRAG and SIDE are wind axes and act at AERORP: so they are turned, and their moment about that point is taken off again.
-What an effect does to a surface stands as components behind its position, which the whole aerodynamics then reads.
+Each term of a moment becomes a function in its axis. Our force terms act in body and stability axes at the centre of gravity,
+while JSBSim's LIFT, DRAG and SIDE are wind axes and act at AERORP: forces are rotated, and their moment about that point is
+cancelled. An effect on a surface becomes components after its position, whose output the whole aerodynamics reads.
 """
 
 import shutil
@@ -26,7 +26,7 @@ SAME_MASS = 1e-3  # relative: by which the model's mass may differ from the airc
 
 @dataclass(frozen=True)
 class JsbsimExport:
-    """file: the aircraft's XML. terms: names of the functions and components that were added. left_out: what is no aircraft's."""
+    """file: the aircraft's XML. terms: names of the added functions and components. left_out: phrases on the rest."""
 
     file: Path
     terms: tuple[str, ...]
@@ -34,8 +34,8 @@ class JsbsimExport:
 
 
 @dataclass(frozen=True)
-class Written:
-    """An aircraft's XML with what was found. chains: property that the aerodynamics reads now -> the position behind it."""
+class WrittenAircraft:
+    """An aircraft's XML with the increments. chains: property that the aerodynamics now reads -> original position."""
 
     root: ET.Element
     terms: tuple[str, ...]
@@ -44,9 +44,9 @@ class Written:
 
 def export_aircraft(
     model: Model, source: Path, folder: Path, lineage: str, rate: float
-) -> tuple[JsbsimExport, Written, Increments]:
-    """Write NAME-sideslip/NAME-sideslip.xml into `folder`, NAME the aircraft `source`. rate: steps per second it is meant for, in
-    which delays are counted. Raises SimulationError for what cannot be written, before anything is."""
+) -> tuple[JsbsimExport, WrittenAircraft, Increments]:
+    """Write NAME-sideslip/NAME-sideslip.xml into `folder`, NAME the aircraft `source`. rate: JSBSim steps per second, the unit of
+    delays. Raises SimulationError, before anything is written, for what an aircraft cannot have."""
     increments = increments_of(model)
     written_aircraft = write_aircraft(increments, source, rate, lineage)
     name = f"{source.stem}-{OURS}"
@@ -67,20 +67,18 @@ def export_aircraft(
     )
 
 
-def write_aircraft(increments: Increments, source: Path, rate: float, lineage: str) -> Written:
+WIND_AXES = {"LIFT", "DRAG", "SIDE", "ROLL", "PITCH", "YAW"}
+
+
+def write_aircraft(increments: Increments, source: Path, rate: float, lineage: str) -> WrittenAircraft:
+    """The XML of the aircraft `source` with the increments. rate: JSBSim steps per second; lineage: a note for its header. Raises
+    SimulationError for what cannot be written."""
     root = inlined(source)
     aerodynamics = _child(root, "aerodynamics")
-    strange = {a.get("name", "").upper() for a in aerodynamics.iter("axis")} - {
-        "LIFT",
-        "DRAG",
-        "SIDE",
-        "ROLL",
-        "PITCH",
-        "YAW",
-    }
-    if strange:
+    other_axes = {a.get("name", "").upper() for a in aerodynamics.iter("axis")} - WIND_AXES
+    if other_axes:
         raise SimulationError(
-            f"{source}: its aerodynamics is in axes {', '.join(sorted(strange))}; only wind axes can be added to"
+            f"{source}: its aerodynamics is in axes {', '.join(sorted(other_axes))}; only wind axes can be added to"
         )
     values = _values(increments.physical)
     chains, channel = chains_of(increments, values, source, rate)
@@ -104,11 +102,11 @@ def write_aircraft(increments: Increments, source: Path, rate: float, lineage: s
     terms += _inertia(increments.physical, root, source)
     header = _child(root, "fileheader", first=True)
     ET.SubElement(header, "note").text = lineage
-    return Written(root, tuple(terms), chains)
+    return WrittenAircraft(root, tuple(terms), chains)
 
 
 def inlined(source: Path) -> ET.Element:
-    """The aircraft's XML with aerodynamics and flight control that stand in files of their own."""
+    """The aircraft's XML with aerodynamics and flight control included from their own files."""
     root = tree_of(source)
     for tag in ("aerodynamics", "flight_control"):
         section = root.find(tag)
@@ -122,6 +120,7 @@ def inlined(source: Path) -> ET.Element:
 
 
 def _child(root: ET.Element, tag: str, first: bool = False) -> ET.Element:
+    """The section `tag`, which is added where it is missing; first: before all others."""
     child = root.find(tag)
     if child is None:
         child = ET.Element(tag)
@@ -139,26 +138,28 @@ def _values(model: Model) -> dict[str, float]:
 
 
 def _inertia(model: Model, root: ET.Element, source: Path) -> list[str]:
-    """Moments of inertia of the model where they are not the aircraft's as loaded; SimulationError for another mass."""
+    """Write the model's moments of inertia where they differ from the aircraft's as loaded; returns their names. Raises
+    SimulationError where the mass differs."""
     values = _values(model)
-    craft = aircraft_as_loaded(loaded(source), source.stem)
-    if abs(values["m"] / craft.mass - 1.0) > SAME_MASS:
+    loaded_aircraft = aircraft_as_loaded(loaded(source), source.stem)
+    if abs(values["m"] / loaded_aircraft.mass - 1.0) > SAME_MASS:
         raise SimulationError(
-            f"model {model.name}: its mass is {values['m']:.5g} kg, that of {source.stem} as loaded {craft.mass:.5g} kg;"
-            " set weight, loads and fuel of the aircraft to what was flown, and start again from it"
+            f"model {model.name}: its mass is {values['m']:.5g} kg, that of {source.stem} as loaded"
+            f" {loaded_aircraft.mass:.5g} kg; set weight, loads and fuel of the aircraft to what was flown, and start again"
         )
     changed = []
     balance = _child(root, "mass_balance")
     for name, sign in (("Ixx", 1.0), ("Iyy", 1.0), ("Izz", 1.0), ("Ixz", -1.0)):
         if name not in values:
             continue
-        added_inertia = sign * (values[name] - getattr(craft, name)) / SLUG_FOOT2
-        if abs(added_inertia) * SLUG_FOOT2 > SAME_MASS * craft.Ixx:
-            changed.append(_shifted(balance, name.lower(), added_inertia))
+        added_inertia = sign * (values[name] - getattr(loaded_aircraft, name)) / SLUG_FOOT2
+        if abs(added_inertia) * SLUG_FOOT2 > SAME_MASS * loaded_aircraft.Ixx:
+            _add_inertia(balance, name.lower(), added_inertia)
+            changed.append(name.lower())
     return changed
 
 
-def _shifted(balance: ET.Element, tag: str, more: float) -> str:
+def _add_inertia(balance: ET.Element, tag: str, increment: float) -> None:
     """Add to a moment of inertia of the empty aircraft [slug ft2]. A file's ixz is the product unless it says otherwise."""
     element = balance.find(tag)
     if element is None:
@@ -167,5 +168,4 @@ def _shifted(balance: ET.Element, tag: str, more: float) -> str:
     unit = 1.0 if element.get("unit", "SLUG*FT2") == "SLUG*FT2" else SLUG_FOOT2
     negated = balance.get("negated_crossproduct_inertia", "true") == "true"
     sign = -1.0 if tag == "ixz" and not negated else 1.0
-    element.text = repr(float(element.text or 0.0) + sign * more * unit)
-    return tag
+    element.text = repr(float(element.text or 0.0) + sign * increment * unit)

@@ -1,11 +1,10 @@
-"""Forces and moments of a JSBSim aircraft: what it has itself as coefficients, and what is added to them in its axes."""
+"""Forces and moments of a JSBSim aircraft: its own as coefficients, and increments to them in JSBSim's axes."""
 
-import ast
 from collections.abc import Mapping
 from xml.etree import ElementTree as ET
 
 from daq.utilities.constants import FOOT, POUND
-from estimation.models.expressions import parse
+from estimation.models.expressions import names_in
 from estimation.simulation.jsbsim.functions import Term, Translator, copied, node, product, prop, total
 from estimation.simulation.jsbsim.increments import Addend, Increments
 
@@ -19,18 +18,17 @@ ARM = (
 
 
 class Base:
-    """The simulation's own coefficients as functions before the axes; only those that are asked for are written."""
+    """The aircraft's own coefficients as functions before the axes; only those that an increment uses are written."""
 
     def __init__(self, aerodynamics: ET.Element) -> None:
-        self.asked: dict[str, ET.Element] = {}
         self._sums = {a.get("name", "").upper(): _sum_of(a) for a in aerodynamics.iter("axis")}
 
     def coefficients(self) -> dict[str, ET.Element]:
-        """Symbol of the model -> property; the functions behind are made by `functions`."""
+        """Symbol of the model -> property; `functions` makes the functions that set these properties."""
         return {f"{c}_sim": prop(f"aero/{OURS}/base/{c}") for c in ("CL", "CD", "CY", "Cl", "Cm", "Cn")}
 
     def functions(self, used: set[str]) -> list[ET.Element]:
-        """Functions that make the coefficients in `used`, in the order in which they build on one another."""
+        """The functions of all coefficients, each after those it depends on; none where `used` is empty."""
         if not used:
             return []
         D, Y, L = (prop(f"aero/{OURS}/base/{n}") for n in ("drag", "side", "lift"))
@@ -54,7 +52,7 @@ class Base:
 
 
 def _sum_of(axis: ET.Element) -> Term:
-    """The sum of an axis' functions, nameless copies."""
+    """The sum of an axis' functions, as copies without names."""
     parts: list[Term] = []
     for function in axis.findall("function"):
         copy = ET.fromstring(ET.tostring(function))
@@ -104,7 +102,7 @@ def about_centre(force: tuple[Term, Term, Term]) -> tuple[Term, Term, Term]:
 
 
 def write_functions(increments: Increments, translator: Translator, aerodynamics: ET.Element, base: Base) -> list[str]:
-    """Write the terms into their axes; their names."""
+    """Write the increments into their axes; returns the names of their functions."""
     names: list[str] = []
     terms: list[tuple[Addend, str, Term]] = []
     for addend in increments.addends:
@@ -135,23 +133,20 @@ def write_functions(increments: Increments, translator: Translator, aerodynamics
     functions = [*base.functions(used_coefficients), *functions]
     if any(forces.values()):
         _write_forces(aerodynamics, functions, forces)
-    for place, function in enumerate(functions):
-        aerodynamics.insert(_first_axis(aerodynamics, place), function)
+    # before the first axis, and so after the aircraft's own functions, on which ours may depend
+    place = next((i for i, e in enumerate(aerodynamics) if e.tag == "axis"), len(aerodynamics))
+    aerodynamics[place:place] = functions
     return names
 
 
-def _first_axis(aerodynamics: ET.Element, place: int) -> int:
-    """Behind the functions that the aircraft has before its axes, which ours may build on."""
-    return next((i for i, e in enumerate(aerodynamics) if e.tag == "axis"), len(aerodynamics))
-
-
 def _value(addend: Addend, translator: Translator) -> Term:
-    """An addend without the simulation's own coefficient, which the aircraft has already."""
+    """An addend less the simulation's own coefficient, which the aircraft has already."""
     simulation_symbol = f"{addend.line}_sim"
-    tree = parse(addend.text)
-    if simulation_symbol not in {n.id for n in ast.walk(tree) if isinstance(n, ast.Name)}:
-        return translator.term(addend.text)
     full_term = translator.term(addend.text)
+    if simulation_symbol not in names_in(addend.text):
+        return full_term
+    if isinstance(full_term, ET.Element) and full_term.tag == "property":
+        return 0.0
     if (
         isinstance(full_term, ET.Element)
         and full_term.tag == "product"
@@ -159,11 +154,7 @@ def _value(addend: Addend, translator: Translator) -> Term:
         and full_term[0].tag == "value"
     ):
         return product(float(full_term[0].text or 0.0) - 1.0, full_term[1])
-    return (
-        0.0
-        if isinstance(full_term, ET.Element) and full_term.tag == "property"
-        else total(full_term, product(-1.0, translator.known[simulation_symbol]))
-    )
+    return total(full_term, product(-1.0, translator.known[simulation_symbol]))
 
 
 def _moments(addend: Addend, value: Term, constants: Mapping[str, float]) -> dict[str, Term]:
@@ -171,17 +162,18 @@ def _moments(addend: Addend, value: Term, constants: Mapping[str, float]) -> dic
     if addend.line in AXES:
         axis, length = AXES[addend.line]
         return {axis: product(prop("aero/qbar-psf"), prop("metrics/Sw-sqft"), prop(length), value)}
-    newton = 1.0 / (POUND * FOOT)
+    pound_feet = 1.0 / (POUND * FOOT)  # of one N m
     k = {n: constants.get(n, 0.0) for n in ("Ixx", "Iyy", "Izz", "Ixz")}
     rows = {
         "roll": {"ROLL": 1.0}, "yaw": {"YAW": 1.0}, "q_dot": {"PITCH": k["Iyy"]},
         "p_dot": {"ROLL": k["Ixx"], "YAW": -k["Ixz"]}, "r_dot": {"YAW": k["Izz"], "ROLL": -k["Ixz"]},
     }  # fmt: skip
-    moments = {axis: product(newton * size, copied(value)) for axis, size in rows[addend.line].items()}
+    moments = {axis: product(pound_feet * size, copied(value)) for axis, size in rows[addend.line].items()}
     return {axis: moment for axis, moment in moments.items() if moment != 0.0}
 
 
 def _axis(aerodynamics: ET.Element, name: str) -> ET.Element:
+    """The axis of that name, which is added where it is missing."""
     for axis in aerodynamics.iter("axis"):
         if axis.get("name", "").upper() == name:
             return axis
@@ -189,7 +181,8 @@ def _axis(aerodynamics: ET.Element, name: str) -> ET.Element:
 
 
 def _write_forces(aerodynamics: ET.Element, functions: list[ET.Element], forces: Mapping[str, list[Term]]) -> None:
-    """Increments of lift, drag (stability axes) and side force (body axes) into wind axes, their moment about AERORP off."""
+    """Write increments of lift, drag (stability axes) and side force (body axes) into wind axes, and cancel the moment that they
+    get by acting at AERORP."""
     for name, parts in forces.items():
         functions.append(_function(f"delta-{name}", "sum of what was found", total(*parts)))
     dL, dD, dY = (prop(f"aero/{OURS}/delta-{c}") for c in ("CL", "CD", "CY"))

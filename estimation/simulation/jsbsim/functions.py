@@ -1,7 +1,6 @@
 """Equation text of a model as functions of JSBSim: expressions become XML, symbols become properties in feet and pounds.
 
-Numbers are worked out where nothing in them moves, products with a zero vanish. Lines of the model that a symbol stands for are
-written out where they are used.
+Constant parts are computed, and products with zero vanish. Where a symbol is a line of the model, the line is written out.
 """
 
 import ast
@@ -26,14 +25,15 @@ PROPERTIES: Mapping[str, tuple[str, float]] = {
     "r_dot": ("accelerations/rdot-rad_sec2", 1.0), "rho": ("atmosphere/rho-slugs_ft3", SLUG / FOOT**3),
     "q_dyn": ("aero/qbar-psf", PASCAL), "thrust": ("forces/fbx-prop-lbs", POUND),
 }  # fmt: skip
-"""Symbol -> property, and what a unit of it is in SI."""
-SPECIFIC = {"ax": "forces/fbx-total-lbs", "ay": "forces/fby-total-lbs", "az": "forces/fbz-total-lbs"}
+"""Symbol -> property, and the property's unit in SI."""
+FORCES = {"ax": "forces/fbx-total-lbs", "ay": "forces/fby-total-lbs", "az": "forces/fbz-total-lbs"}
+"""Specific force -> the force that makes it, over mass."""
 NUMERIC: Mapping[str, Callable[..., float]] = {
     "sin": math.sin, "cos": math.cos, "tan": math.tan, "asin": math.asin, "acos": math.acos, "atan": math.atan,
     "atan2": math.atan2, "sinh": math.sinh, "cosh": math.cosh, "tanh": math.tanh, "sqrt": math.sqrt, "exp": math.exp,
     "log": math.log, "abs": abs, "min": min, "max": max, "sign": lambda x: math.copysign(1.0, x) if x else 0.0,
 }  # fmt: skip
-SAME_NAME = ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "abs", "exp", "min", "max")
+SAME_NAME = ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "abs", "exp", "min", "max")  # as ours in JSBSim
 
 Term = float | ET.Element
 
@@ -55,7 +55,7 @@ def prop(name: str, scale: float = 1.0) -> ET.Element:
 
 
 def product(*parts: Term) -> Term:
-    """Numbers gathered; nothing where one is zero."""
+    """A product with its numbers multiplied; 0 where one is zero."""
     number = math.prod(p for p in parts if isinstance(p, float | int))
     rest = [p for p in parts if isinstance(p, ET.Element)]
     if number == 0.0 or not rest:
@@ -78,8 +78,8 @@ def total(*parts: Term) -> Term:
 
 @dataclass(frozen=True)
 class Translator:
-    """Expressions of one model. known: symbol -> element, before everything else (surfaces, states of our own, the simulation's
-    own coefficients)."""
+    """Translates expressions of one model. known: symbol -> element, which precedes all other meanings (surfaces, states of
+    effects, the simulation's coefficients); values: symbol -> number."""
 
     model: Model
     known: Mapping[str, Term]
@@ -90,7 +90,7 @@ class Translator:
         return self.translated(parse(text), ())
 
     def translated(self, tree: ast.expr, path: tuple[str, ...]) -> Term:
-        """The same of a parsed expression. path: lines that are being written out."""
+        """The term of a parsed expression. path: names of the lines that are being written out."""
         match tree:
             case ast.Constant(value=value):
                 return float(value)  # type: ignore[arg-type]
@@ -121,15 +121,15 @@ class Translator:
             return float(self.values[name])
         if name in PROPERTIES:
             return prop(*PROPERTIES[name])
-        if name in SPECIFIC:
-            return product(FOOT, node("quotient", prop(SPECIFIC[name]), prop("inertia/mass-slugs")))
+        if name in FORCES:
+            return product(FOOT, node("quotient", prop(FORCES[name]), prop("inertia/mass-slugs")))
         if name in self.model.definitions and name not in path:
             return self.translated(parse(self.model.definitions[name]), (*path, name))
         raise SimulationError(f"model {self.model.name}: JSBSim has no property for {name}, on which an effect depends")
 
 
 def copied(term: Term) -> Term:
-    """An element may stand in one place of a tree only."""
+    """A copy, because an element may have only one place in a tree."""
     return ET.fromstring(ET.tostring(term)) if isinstance(term, ET.Element) else term
 
 
@@ -163,9 +163,9 @@ def _function(name: str, arguments: list[Term]) -> Term:
     if name == "sign":
         negative_branch = node("ifthen", node("lt", copied(x), 0.0), -1.0, 0.0)
         return node("ifthen", node("gt", x, 0.0), 1.0, negative_branch)
-    growing, falling = node("exp", x), node("exp", product(-1.0, copied(x)))
-    if name == "tanh":  # by exp(-2x): from 1 to a number that underflows, never one over another too large
-        size = node("exp", product(-2.0, node("abs", copied(x))))
-        tanh_size = node("quotient", node("difference", 1.0, size), node("sum", 1.0, copied(size)))
-        return node("ifthen", node("lt", copied(x), 0.0), product(-1.0, tanh_size), copied(tanh_size))
-    return product(0.5, node("sum" if name == "cosh" else "difference", growing, falling))
+    if name == "tanh":  # by exp(-2 |x|), which may underflow but never overflows
+        decay = node("exp", product(-2.0, node("abs", copied(x))))
+        magnitude = node("quotient", node("difference", 1.0, decay), node("sum", 1.0, copied(decay)))
+        return node("ifthen", node("lt", copied(x), 0.0), product(-1.0, magnitude), copied(magnitude))
+    growing, decaying = node("exp", x), node("exp", product(-1.0, copied(x)))
+    return product(0.5, node("sum" if name == "cosh" else "difference", growing, decaying))

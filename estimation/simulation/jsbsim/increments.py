@@ -1,4 +1,4 @@
-"""What a model has beyond the simulation it stands on, sorted by where it belongs: into an aircraft, or not."""
+"""The terms of a model beyond its simulation, sorted into those that belong into an aircraft and those that do not."""
 
 import ast
 from dataclasses import dataclass, replace
@@ -13,12 +13,12 @@ from estimation.simulation.oracle import SURFACES, SimulationError
 
 KINEMATIC = ("V_dot", "alpha_dot", "beta_dot", "phi_dot", "theta_dot")
 MOMENTS = ("roll", "yaw", "p_dot", "q_dot", "r_dot")
-NOWHERE = Aircraft("none", 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0)
+ANY_AIRCRAFT = Aircraft("none", 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0)  # to build the equations of built-in models
 
 
 @dataclass(frozen=True)
 class Addend:
-    """A term that a line has beyond the simulation's. name: of the parameters in it."""
+    """A term of a line beyond the simulation's. name: of the parameters in it, joined."""
 
     line: str
     text: str
@@ -27,10 +27,9 @@ class Addend:
 
 @dataclass(frozen=True)
 class Increments:
-    """plain: the built-in model underneath. addends: to coefficients and moments. transforms: of surfaces. states: of the
-    effects' own, with their rates. left_out: what is no aircraft's, in words. physical: the model without that."""
+    """addends: to coefficients and moments. transforms: of surfaces. states: names of the effects' own states. left_out: phrases
+    on what does not belong to an aircraft; physical: the model without that."""
 
-    plain: Model
     addends: tuple[Addend, ...]
     transforms: tuple[InputTransform, ...]
     states: tuple[str, ...]
@@ -39,12 +38,12 @@ class Increments:
 
 
 def increments_of(model: Model) -> Increments:
-    """Sort a model. Raises SimulationError where it stands on no simulation or changes what has no place in an aircraft."""
+    """The sorted terms of a model. Raises SimulationError without a simulation, or for a changed line that no aircraft has."""
     if not any(s.computed for s in model.inputs):
         raise SimulationError(
             f"model {model.name}: stands on no simulation; export one that 'sideslip gap --simulation jsbsim:...' wrote"
         )
-    built_in = _plain_of(model)
+    built_in = _built_in_beneath(model)
     coefficients = coefficients_in(built_in)
     lines, left_out, addends = dict(model.definitions), [], []
     for line in coefficients:
@@ -71,19 +70,18 @@ def increments_of(model: Model) -> Increments:
     ]
     left_out += [f"{n.removesuffix('_measured')} as shown ({lines.pop(n)}): of an instrument" for n in instrument_lines]
     left_out += [f"delay of {n}: of an instrument" for n in model.output_delays]
-    ours = tuple(t for t in model.transforms if t.input in SURFACES)
-    left_out += [f"{t.kind} of {t.input}: of an instrument" for t in model.transforms if t not in ours]
-    states = tuple(n for n in model.state_names if n not in built_in.state_names)
+    of_surfaces = tuple(t for t in model.transforms if t.input in SURFACES)
+    left_out += [f"{t.kind} of {t.input}: of an instrument" for t in model.transforms if t not in of_surfaces]
     physical = replace(
-        model, transforms=ours, output_delays={}, equations=tuple(f"{n} = {text}" for n, text in lines.items())
+        model, transforms=of_surfaces, output_delays={}, equations=tuple(f"{n} = {text}" for n, text in lines.items())
     )
-    used_states = _states_used(addends, physical)
-    states = tuple(n for n in states if n in used_states)
-    return Increments(built_in, tuple(addends), ours, states, tuple(left_out), physical)
+    used_names = _names_used(addends, physical)
+    states = tuple(n for n in model.state_names if n not in built_in.state_names and n in used_names)
+    return Increments(tuple(addends), of_surfaces, states, tuple(left_out), physical)
 
 
 def simulation_named(model: Model) -> str:
-    """The text after `--simulation` that a model was found with, or nothing."""
+    """The argument of `--simulation` that a model was found with; empty where it does not say."""
     begin = DESCRIPTION.format("")
     return model.description.removeprefix(begin).strip() if model.description.startswith(begin) else ""
 
@@ -102,9 +100,10 @@ def addends_of(text: str) -> list[str]:
     return [f"{'-' if sign < 0 else ''}({ast.unparse(part)})" for sign, part in split(parse(text), 1.0)]
 
 
-def _plain_of(model: Model) -> Model:
+def _built_in_beneath(model: Model) -> Model:
+    """The built-in model whose lines a model extends. Raises SimulationError where there is none."""
     for build in BUILDERS.values():
-        built_in = build(NOWHERE)
+        built_in = build(ANY_AIRCRAFT)
         other_lines = {n for n in built_in.definitions if n not in coefficients_in(built_in)}
         if set(built_in.state_names) <= set(model.state_names) and all(
             model.definitions.get(n, "").startswith(built_in.definitions[n]) for n in other_lines
@@ -116,23 +115,21 @@ def _plain_of(model: Model) -> Model:
 
 
 def _added_text(model: Model, line: str, text: str) -> str:
-    """What a line has beyond `text`."""
+    """The part of a line after `text`."""
     return model.definitions[line].removeprefix(text).strip().removeprefix("+").strip()
 
 
 def _named_addend(line: str, text: str, model: Model) -> Addend:
-    names = {n.id for n in ast.walk(parse(text)) if isinstance(n, ast.Name)}
-    own_parameters = [p for p in model.parameter_names if p in names]
-    return Addend(line, text, "_".join(own_parameters) or line)
+    names = names_in(text)
+    return Addend(line, text, "_".join(p for p in model.parameter_names if p in names) or line)
 
 
-def _states_used(addends: list[Addend], model: Model) -> set[str]:
-    """Symbols that addends are made of, through lines of the model."""
+def _names_used(addends: list[Addend], model: Model) -> set[str]:
+    """Names that addends depend on, directly or through lines of the model."""
     used_names: set[str] = set()
-    todo = [a.text for a in addends]
-    while todo:
-        for name in {n.id for n in ast.walk(parse(todo.pop())) if isinstance(n, ast.Name)} - used_names:
-            used_names.add(name)
-            if name in model.definitions:
-                todo.append(model.definitions[name])
+    pending = [a.text for a in addends]
+    while pending:
+        new_names = names_in(pending.pop()) - used_names
+        used_names |= new_names
+        pending += [model.definitions[n] for n in new_names if n in model.definitions]
     return used_names

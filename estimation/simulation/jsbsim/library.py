@@ -1,4 +1,4 @@
-"""The one place that imports JSBSim, an optional package, and silences it; which of an aircraft's properties are our surfaces."""
+"""JSBSim, an optional package that is imported only here; and which of an aircraft's properties are our surfaces."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -17,27 +17,25 @@ from daq.utilities.plain_words import one_line
 from estimation.simulation.oracle import SimulationError
 
 SLUG_FOOT2 = SLUG * FOOT**2
-RADIUS = 6.4e8  # m: a hundred earths, so that 20 s of flight do not see the curve
+RADIUS = 6.4e8  # m: a hundred earth radii, so that 20 s of flight do not show the curvature
 STILL_EARTH = f"""<planet name="still"><semimajor_axis unit="M">{RADIUS}</semimajor_axis>
 <semiminor_axis unit="M">{RADIUS}</semiminor_axis><rotation_rate unit="RAD/SEC">0.0</rotation_rate>
 <GM unit="M3/SEC2">{GRAVITY * RADIUS**2}</GM><J2>0.0</J2></planet>"""
 _PART = r"[A-Za-z_][\w.-]*(\[\d+\])?"
 _PROPERTY = re.compile(rf"/?{_PART}(/{_PART})*/?")
-PREFIX = "jsbsim:"  # of a simulation or an aircraft that is JSBSim's
+PREFIX = "jsbsim:"  # of the text that names a simulation or an aircraft of JSBSim
+MOST_SIMILAR = 6  # names that a message suggests
 
 
 def library() -> Any:
     """The package `jsbsim`. Raises MissingPackageError where it is not installed."""
     jsbsim = optional("jsbsim", "jsbsim:...")
-    jsbsim.FGJSBBase().debug_lvl = 0  # it talks on standard output otherwise, and that may be somebody's pipe
+    jsbsim.FGJSBBase().debug_lvl = 0  # otherwise it prints on standard output, which may be a pipe
     return jsbsim
 
 
 def aircraft_file(which: str) -> Path:
-    """The XML of an aircraft: of JSBSim's own by name, or of a folder or file that is named.
-
-    Raises SimulationError where there is none.
-    """
+    """The XML file of an aircraft: by name of JSBSim's own, or by folder or file. Raises SimulationError where there is none."""
     path = Path(which).expanduser()
     if path.suffix == ".xml" and path.is_file():
         if path.stem != path.parent.name:
@@ -51,7 +49,7 @@ def aircraft_file(which: str) -> Path:
     if (built_in := library_folder / which / f"{which}.xml").is_file():
         return built_in
     similar_names = ", ".join(
-        sorted(p.name for p in library_folder.iterdir() if p.name[:2].lower() == which[:2].lower())[:6]
+        sorted(p.name for p in library_folder.iterdir() if p.name[:2].lower() == which[:2].lower())[:MOST_SIMILAR]
     )
     raise SimulationError(
         f"jsbsim:{which}: neither an aircraft of JSBSim, nor a folder NAME with NAME.xml in it"
@@ -60,7 +58,7 @@ def aircraft_file(which: str) -> Path:
 
 
 def tree_of(path: Path) -> ET.Element:
-    """The root of an aircraft's XML. Raises SimulationError where it is none, or is declared in a way that could swell."""
+    """The root of an aircraft's XML. Raises SimulationError for no XML, or for declarations that could expand without limit."""
     return read_xml(path, "aircraft of JSBSim", SimulationError)
 
 
@@ -73,27 +71,27 @@ def loaded(
 ) -> Any:
     """An executive with the aircraft of `path` loaded, steps of 1/rate s, that writes no files and opens no ports.
 
-    root: another text in place of the file's. declared: properties of our own that are to exist before. still: over an earth that
-    neither turns nor curves, as our equations of motion have it. Raises SimulationError where JSBSim refuses it.
+    root: XML to use instead of the file's. declared: properties of ours that must exist before loading. still: over an earth that
+    neither rotates nor curves, as in our equations of motion. Raises SimulationError where JSBSim refuses the aircraft.
 
-    Loaded from a shadow of its folder in which the aircraft has no `output` and `input` sections: JSBSim would open their files
-    wherever we are, at every `run_ic` again whatever it was told, and listen on the ports that a stranger's file names.
+    It is loaded from a copy of its folder in which the aircraft has no `output` and `input` sections. With these, JSBSim would
+    write files into the working directory at every `run_ic`, and listen on ports that an untrusted file names.
     """
     jsbsim = library()
     library_root = Path(jsbsim.get_default_root_dir())
     root = tree_of(path) if root is None else root
-    for talk in [*root.findall("output"), *root.findall("input")]:  # files, and sockets that would listen for commands
-        root.remove(talk)
+    for section in [*root.findall("output"), *root.findall("input")]:  # files, and sockets for commands
+        root.remove(section)
     for name in properties_read(root):
         if not _PROPERTY.fullmatch(name):
             raise SimulationError(f"{path}: {name!r} is no name of a property of JSBSim")
     with TemporaryDirectory() as folder:
-        shadow = Path(folder) / path.stem
-        shadow.mkdir()
+        aircraft_copy = Path(folder) / path.stem
+        aircraft_copy.mkdir()
         for entry in path.parent.iterdir():
             if entry.name != path.name:
-                (shadow / entry.name).symlink_to(entry)
-        ET.ElementTree(root).write(shadow / path.name, encoding="utf-8")
+                (aircraft_copy / entry.name).symlink_to(entry)
+        ET.ElementTree(root).write(aircraft_copy / path.name, encoding="utf-8")
         fdm = jsbsim.FGFDMExec(None)
         for name in declared:
             fdm[name] = 0.0
@@ -103,32 +101,35 @@ def loaded(
         fdm.set_dt(1.0 / rate)
         fdm.set_aircraft_path(folder)
         aircraft_root = path.parent.parent.parent
-        for name, give in (("engine", fdm.set_engine_path), ("systems", fdm.set_systems_path)):
-            give(str(aircraft_root / name if (aircraft_root / name).is_dir() else library_root / name))
+        for name, set_path in (("engine", fdm.set_engine_path), ("systems", fdm.set_systems_path)):
+            set_path(str(aircraft_root / name if (aircraft_root / name).is_dir() else library_root / name))
         try:
             load_succeeded = fdm.load_model(path.stem)
         except (jsbsim.BaseError, RuntimeError, ValueError) as error:
             raise SimulationError(f"{path}: JSBSim cannot load it ({one_line(str(error)).strip()})") from error
     if not load_succeeded:
         raise SimulationError(f"{path}: JSBSim cannot load it; try it with JSBSim itself, which says why")
-    section = root.find("aerodynamics")
-    unknown = [] if section is None else [n for n in sorted(properties_read(section)) if not knows_property(fdm, n)]
+    aerodynamics = root.find("aerodynamics")
+    read = [] if aerodynamics is None else sorted(properties_read(aerodynamics))
+    unknown = [n for n in read if not knows_property(fdm, n)]
     for name in unknown:
-        fdm[name] = 0.0  # or JSBSim, which asks for its value once more as it ends, would end this process
+        fdm[name] = (
+            0.0  # JSBSim reads the value once more when it is destroyed, and would abort this process without it
+        )
     if unknown:
         raise SimulationError(f"{path}: JSBSim knows no property {unknown[0]}, which its aerodynamics reads")
     return fdm
 
 
 def knows_property(fdm: Any, name: str) -> bool:
-    """Whether a property exists. Asked before every first write: JSBSim creates an unknown one without a word."""
+    """Whether a property exists. To be checked before a first write, because JSBSim silently creates an unknown one."""
     return bool(fdm.get_property_manager().hasNode(name))
 
 
 # Which properties of a JSBSim aircraft's aerodynamics are our three surfaces, and how each follows from them.
 #
-# `fcs/elevator-pos-norm` does not follow a written `fcs/elevator-pos-rad`; so every property that the aerodynamics reads is
-# written by itself. A left aileron down (+) rolls right in JSBSim; our +delta_a rolls left.
+# With the flight control off, `fcs/elevator-pos-norm` does not follow a written `fcs/elevator-pos-rad`, so every property that
+# the aerodynamics reads is written separately. A left aileron down (+) rolls right in JSBSim; our +delta_a rolls left.
 
 Follows = Callable[[float], float]
 
@@ -139,16 +140,16 @@ SIGNS: Mapping[str, tuple[str, float]] = {
     "left-aileron": ("delta_a", -1.0),
     "right-aileron": ("delta_a", 1.0),
 }
-"""JSBSim's word for a surface -> our column, and its sign."""
+"""JSBSim's name of a surface -> our column, and its sign."""
 
 
-EXPORTED = "sideslip/"  # before positions behind what `sideslip export` found of an actuator
+EXPORTED = "sideslip/"  # begins positions after an actuator that `sideslip export` wrote
 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """writes: property -> (our column, its value from ours). held: other positions and flags that the aerodynamics reads.
-    rates, lift_squared: whether it reads alphadot or betadot, or the square of lift, which JSBSim has of its last step."""
+    """writes: property -> (our column, function from our value to its). held: other positions and flags that the aerodynamics
+    reads. rates, lift_squared: whether it reads alphadot or betadot, or the square of lift, all of JSBSim's last step."""
 
     writes: Mapping[str, tuple[str, Follows]]
     held: tuple[str, ...]
@@ -162,7 +163,7 @@ def aerodynamics_of(path: Path) -> ET.Element:
     if section is not None and section.get("file"):
         section = tree_of(path.parent / f"{section.get('file', '').removesuffix('.xml')}.xml")
     if section is None:
-        raise SimulationError(f"{path}: has no section <aerodynamics>; nothing can be asked of it")
+        raise SimulationError(f"{path}: has no section <aerodynamics>, so it has no coefficients")
     return section
 
 
@@ -173,21 +174,19 @@ def properties_read(section: ET.Element) -> set[str]:
 
 
 def surfaces_of(path: Path) -> Surfaces:
-    """The surfaces of an aircraft. Raises SimulationError for a normalised position whose travel the file does not say."""
+    """The surfaces of an aircraft. Raises SimulationError for a normalised position whose travel the file does not state."""
     read = properties_read(aerodynamics_of(path))
     writes: dict[str, tuple[str, Follows]] = {}
     held_properties = []
     for name in sorted(n for n in read if n.startswith(("fcs/", "gear/", "propulsion/"))):
         surface, _, unit = name.removeprefix("fcs/").partition("-pos-")
-        if surface.startswith(
-            EXPORTED
-        ):  # behind an actuator that is asked as if it were none: surfaces are where they act
+        if surface.startswith(EXPORTED):  # after an actuator, which is bypassed: surfaces are given as they act
             surface, unit = surface.removeprefix(EXPORTED), unit.partition("-")[0]
-        size = surface.startswith("mag-")
+        magnitude = surface.startswith("mag-")
         column, sign = SIGNS.get(surface.removeprefix("mag-"), ("", 0.0))
         if not column or unit not in ("rad", "deg", "norm"):
             held_properties.append(name)
-        elif size:
+        elif magnitude:
             scale = 1.0 if unit == "rad" else float(np.degrees(1.0))
             writes[name] = column, lambda value, k=scale: k * abs(value)  # type: ignore[misc]
         elif unit == "norm":
@@ -200,7 +199,7 @@ def surfaces_of(path: Path) -> Surfaces:
 
 
 def _normalised(path: Path, surface: str, sign: float) -> Follows:
-    """Normalised position from deflection, by the `aerosurface_scale` of the aircraft that makes it (zero stays zero)."""
+    """Function from deflection to normalised position, by the aircraft's `aerosurface_scale` for it (zero stays zero)."""
     for scale in tree_of(path).iter("aerosurface_scale"):
         inputs = [(e.text or "").strip() for e in scale.findall("input")]
         outputs = [(e.text or "").strip() for e in scale.findall("output")]

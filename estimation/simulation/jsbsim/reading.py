@@ -1,4 +1,4 @@
-"""Functions of a JSBSim aircraft as sums of products in our symbols, exactly or not at all."""
+"""Reads functions of a JSBSim aircraft as sums of products in our symbols, exactly or not at all."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -12,7 +12,6 @@ from estimation.simulation.jsbsim.terms import (
     Product,
     Sum,
     TableError,
-    collected,
     constant,
     factor,
     looked_up,
@@ -24,10 +23,10 @@ DEGREE = 180.0 / math.pi
 LENGTHS = {"metrics/Sw-sqft": "area", "metrics/bw-ft": "span", "metrics/cbarw-ft": "chord"}
 LIFT = "lift"
 STALL = "aero/stall-hyst-norm"
-UNTOLD = ("metrics/", "inertia/")  # constants of any aircraft
-FAR = ("aero/h_b-mac-ft", "aero/h_b-cg-ft")  # heights in spans
-LEAST = 1e-300  # what JSBSim leaves in a switch that never ran
-NEVER = 1e3  # spans above ground: where JSBSim is asked, far above
+CONSTANTS = ("metrics/", "inertia/")  # begin properties that are constant for any aircraft
+HEIGHTS = ("aero/h_b-mac-ft", "aero/h_b-cg-ft")  # above ground, in spans
+FAR_ABOVE = 1e3  # spans above ground: out of ground effect, where JSBSim is evaluated
+NEGLIGIBLE = 1e-300  # smaller values are what JSBSim leaves in a switch that never ran
 
 
 def _symbols() -> dict[str, Sum]:
@@ -45,61 +44,61 @@ def _symbols() -> dict[str, Sum]:
         "aero/qbar-area": Sum((Product(1.0, {"pressure": 1, "area": 1}),)),
         "aero/bi2vel": factor("spans"), "aero/ci2vel": factor("chords"), "aero/cl-squared": Sum((Product(1.0, {LIFT: 2}),)),
         "aero/alphadot-rad_sec": factor("alpha_dot"), "aero/alphadot-deg_sec": factor("alpha_dot", DEGREE),
-        STALL: Sum(), **dict.fromkeys(FAR, constant(NEVER)),
+        STALL: Sum(), **dict.fromkeys(HEIGHTS, constant(FAR_ABOVE)),
     }  # fmt: skip
 
 
 SYMBOLS: Mapping[str, Sum] = _symbols()
-"""Property -> itself in our symbols. `area`, `span`, `chord` [ft2, ft], `pressure` [lbs/ft2], `spans` and `chords` (b/2V, c/2V)
-stay whole until the end, so that they cancel."""
+"""Property -> its form in our symbols. `area`, `span`, `chord` [ft2, ft], `pressure` [lbs/ft2], `spans` (b/2V) and `chords`
+(c/2V) remain symbols until the end, so that they cancel."""
 CALLS: Mapping[str, tuple[str, Callable[..., float]]] = {
     "abs": ("abs", abs), "sin": ("sin", math.sin), "cos": ("cos", math.cos), "tan": ("tan", math.tan), "exp": ("exp", math.exp),
     "asin": ("asin", math.asin), "acos": ("acos", math.acos), "atan": ("atan", math.atan), "ln": ("log", math.log),
     "sqrt": ("sqrt", math.sqrt), "atan2": ("atan2", math.atan2), "min": ("min", min), "max": ("max", max),
 }  # fmt: skip
 OPERATIONS = ("sum", "difference", "product", "quotient", "pow", *CALLS)
-WORDS = ("description", "documentation")
+COMMENTS = ("description", "documentation")
 
 
 class NotExact(Exception):
-    """What has no exact form in our text: the reason, in words."""
+    """A function without an exact form in our text; the reason, in words."""
 
 
 @dataclass
 class Reader:
     """Reads functions of one aircraft.
 
-    section: its aerodynamics. surfaces: property -> (our column, its value from ours). asked: values of a property at several
-    states (None where there is none), by which one that never changes is a number. line: writes a sum as a line named after what
-    is being read.
+    section: its aerodynamics. surfaces: property -> (our column, function from our value to its). values_of: name of a property
+    -> its values at several states (None where it does not exist); one that never changes counts as a number. line: writes a sum
+    as a line of the given name and returns its symbol.
     """
 
     section: ET.Element
     surfaces: Mapping[str, tuple[str, Follows]]
-    asked: Callable[[str], list[float] | None]
+    values_of: Callable[[str], list[float] | None]
     line: Callable[[str, Sum], Sum]
     held: dict[str, float] = field(default_factory=dict)
-    """Properties taken as numbers, which nothing else tells."""
-    _done: dict[str, Sum] = field(default_factory=dict)
+    """Properties that were taken as numbers, though an aircraft could change them."""
+    _values: dict[str, Sum] = field(default_factory=dict)
     _path: tuple[str, ...] = ()
 
     def function(self, element: ET.Element) -> Sum:
         """The value of a <function>. Raises NotExact."""
         name = element.get("name", "")
-        if name in self._done:
-            return self._done[name]
+        if name in self._values:
+            return self._values[name]
         if name in self._path:
             raise NotExact("builds on itself")
         outer_path, self._path = self._path, (*self._path, name) if name else self._path
         try:
-            parts = [e for e in element if e.tag not in WORDS]
+            parts = [e for e in element if e.tag not in COMMENTS]
             if len(parts) != 1:
                 raise NotExact("is not made of one operation")
             value = self.sum_of(parts[0])
         finally:
             self._path = outer_path
         if name:
-            self._done[name] = value
+            self._values[name] = value
         return value
 
     def sum_of(self, element: ET.Element) -> Sum:
@@ -116,7 +115,7 @@ class Reader:
                 return self.function(element)
         if element.tag not in OPERATIONS:
             raise NotExact(f"has <{element.tag}>, which our text has no form for")
-        parts = [self.sum_of(e) for e in element if e.tag not in WORDS]
+        parts = [self.sum_of(e) for e in element if e.tag not in COMMENTS]
         if not parts:
             raise NotExact(f"has <{element.tag}> with nothing in it")
         return _operated(element.tag, parts)
@@ -131,19 +130,19 @@ class Reader:
         if name in self.surfaces:
             return _surface(*self.surfaces[name])
         if name in SYMBOLS:
-            if name in (STALL, *FAR):
+            if name in (STALL, *HEIGHTS):
                 self.held[name] = 0.0 if name == STALL else math.inf
             return SYMBOLS[name]
         for function in self.section.iter("function"):
             if function.get("name") == name:
                 return self.function(function)
-        values = self.asked(name)
+        values = self.values_of(name)
         if values is None:
             raise NotExact(f"reads {name}, which JSBSim does not know")
         if any(a != b for a, b in pairwise(values)) or not math.isfinite(values[0]):
             raise NotExact(f"reads {name}, which airspeed, flow angles, rates, surfaces and density do not say")
-        value = values[0] if abs(values[0]) > LEAST else 0.0
-        if not name.startswith(UNTOLD):
+        value = values[0] if abs(values[0]) > NEGLIGIBLE else 0.0
+        if not name.startswith(CONSTANTS):
             self.held[name] = value
         return constant(value)
 
@@ -166,7 +165,7 @@ def _number(text: str) -> float:
 
 
 def _surface(column: str, follows: Follows) -> Sum:
-    """A position from our column: the one times a number, its size, or two slopes that meet at zero."""
+    """A position in terms of our column: proportional to it, to its magnitude, or with two slopes that meet at zero."""
     positive, negative = follows(1.0), follows(-1.0)
     if positive == -negative:
         return factor(column, positive)
@@ -222,5 +221,5 @@ def _power(base: Sum, exponent: Sum) -> Sum:
     if power is not None and power == int(power):
         if base_product is not None and base.products:
             return Sum((base_product.to_power(int(power)),)) if power else constant(1.0)
-        return collected([Product(1.0, {f"({text_of(base)})": int(power)})])
+        return factor(f"({text_of(base)})", power=int(power)) if power else constant(1.0)
     return factor(f"(({text_of(base)})^({text_of(exponent)}))")

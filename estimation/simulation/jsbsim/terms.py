@@ -1,4 +1,4 @@
-"""Sums of products as data, and tables of JSBSim as such sums: what functions become on their way to our equation text."""
+"""Sums of products, and JSBSim's tables as such sums: the form between JSBSim's functions and our equation text."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -9,23 +9,22 @@ import numpy as np
 
 from estimation.simulation.oracle import Array
 
-# Sums of products as data: what functions of JSBSim become on their way to our equation text.
-#
-# A factor is a piece of text that stands by itself (a symbol, a call, a bracket) with a whole power; so that what is divided by
-# cancels exactly, and a term that is a number times a regressor is seen to be one.
+# A factor is a self-contained piece of text (a symbol, a call, a bracket) with an integer power. So divisors cancel exactly, and
+# a term that is a number times a regressor is recognised as one.
 
-DIGITS = 15  # significant, of a written number: what sixteen would add is the rounding of unit conversions
+DIGITS = 15  # significant digits of a written number: a sixteenth would only show the rounding of unit conversions
 
 
 @dataclass(frozen=True)
 class Product:
-    """A number times factors (text -> whole power, none of them zero)."""
+    """A number times factors (text -> integer power, none of them zero)."""
 
     number: float
     factors: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def key(self) -> frozenset[tuple[str, int]]:
+        """The factors, hashable."""
         return frozenset(self.factors.items())
 
     def times(self, other: "Product") -> "Product":
@@ -40,27 +39,27 @@ class Product:
 
 @dataclass(frozen=True)
 class Sum:
-    """Products, no two of the same factors, none of them zero."""
+    """A sum of products, no two with the same factors, none of them zero."""
 
     products: tuple[Product, ...] = ()
 
     @property
     def number(self) -> float | None:
-        """The number that it is, None where it is none."""
+        """The value of a sum without factors; else None."""
         if not self.products:
             return 0.0
         return self.products[0].number if len(self.products) == 1 and not self.products[0].factors else None
 
     @property
     def single(self) -> Product | None:
-        """The one product that it is, None where it is none or several."""
+        """The product of a sum of one; else None."""
         return self.products[0] if len(self.products) == 1 else None
 
     def plus(self, *others: "Sum") -> "Sum":
         return collected(p for part in (self, *others) for p in part.products)
 
     def times(self, other: "Sum") -> "Sum":
-        """The product; of two long sums one stays in brackets."""
+        """The product of two sums; where both are long, one stays in brackets."""
         a, b = (self, other) if len(self.products) <= len(other.products) else (other, self)
         if len(a.products) > 1:
             b = factor(f"({text_of(b)})")
@@ -70,33 +69,30 @@ class Sum:
         return collected(Product(p.number * number, p.factors) for p in self.products)
 
     def inverse(self) -> "Sum":
-        """One over it. Raises ZeroDivisionError for nothing."""
+        """One over the sum. Raises ZeroDivisionError for an empty sum."""
         if not self.products:
             raise ZeroDivisionError
-        single_product = self.single
-        return (
-            Sum((single_product.to_power(-1),))
-            if single_product is not None
-            else Sum((Product(1.0, {f"({text_of(self)})": -1}),))
-        )
+        if self.single is not None:
+            return Sum((self.single.to_power(-1),))
+        return factor(f"({text_of(self)})", power=-1)
 
 
 def collected(products: Iterable[Product]) -> Sum:
-    """A sum, equal products taken together and zeros left away."""
-    found: dict[frozenset[tuple[str, int]], Product] = {}
+    """The sum of products, with those of equal factors added and zeros dropped."""
+    by_factors: dict[frozenset[tuple[str, int]], Product] = {}
     for p in products:
-        same_product = found.get(p.key)
-        found[p.key] = p if same_product is None else Product(same_product.number + p.number, p.factors)
-    return Sum(tuple(p for p in found.values() if p.number != 0.0))
+        same = by_factors.get(p.key)
+        by_factors[p.key] = p if same is None else Product(same.number + p.number, p.factors)
+    return Sum(tuple(p for p in by_factors.values() if p.number != 0.0))
 
 
 def constant(number: float) -> Sum:
     return Sum((Product(float(number)),)) if number else Sum()
 
 
-def factor(text: str, number: float = 1.0) -> Sum:
-    """A number times one factor."""
-    return Sum((Product(number, {text: 1}),))
+def factor(text: str, number: float = 1.0, power: int = 1) -> Sum:
+    """A number times one factor with its power."""
+    return Sum((Product(number, {text: power}),))
 
 
 def number_text(value: float) -> str:
@@ -104,7 +100,7 @@ def number_text(value: float) -> str:
 
 
 def text_of(terms: Sum) -> str:
-    """Equation text; `0` for nothing."""
+    """Equation text; `0` for an empty sum."""
     text = "0"
     for i, p in enumerate(terms.products):
         sign = "-" if p.number < 0 else "" if i == 0 else "+"
@@ -126,23 +122,23 @@ def _power(text: str, power: int) -> str:
     return text if power == 1 else f"{text}^{power}"
 
 
-# Tables of JSBSim in our equation text: straight between their points and flat outside, as sums of `max(0, x - point)`.
+# JSBSim's tables are linear between their points and constant outside. In our text they are sums of `max(0, x - point)`.
 #
-# That is exact, not a fit: a table of one variable is its first value and, at every point, the change of its slope; one of
-# several is linear in each, and its values along one variable are tables of the others.
+# That is exact, not a fit: a table of one variable is its first value plus, at every point, the change of its slope; a table of
+# several variables is linear in each, and its values along one variable are tables of the others.
 
 Line = Callable[[Sum], Sum]
-"""Writes a sum as a line of its own and gives the symbol of that line."""
-MOST = 60  # terms in one line: an expression has 4000 characters and 200 operations within one another at most
+"""Writes a sum as its own line and returns the symbol of that line."""
+MOST_TERMS = 60  # terms in one line: an expression has at most 4000 characters and 200 nested operations
 
 
 class TableError(Exception):
-    """A table of a kind that our text has no form for; what of it, in words."""
+    """A table for which our text has no form; the reason, in words."""
 
 
 @dataclass(frozen=True)
 class LookupTable:
-    """Values at points of the last variable; what stands there are numbers, or tables of the variables before."""
+    """Values at points of the last variable: numbers, or tables of the other variables."""
 
     points: Array
     values: "tuple[float | LookupTable, ...]"
@@ -157,35 +153,38 @@ def table_of(element: ET.Element) -> tuple[LookupTable, list[str]]:
         raise TableError("a table looked up in a way that is not known here")
     if len(variables) == 3:
         breaks = [_number(d.get("breakPoint", "")) for d in data]
-        table = _risen(breaks, tuple(_of_two(d.text or "") for d in data))
+        table = _checked_table(breaks, tuple(_table_of_two(d.text or "") for d in data))
     else:
-        table = _of_two(data[0].text or "") if len(variables) == 2 else _of_one(data[0].text or "")
+        table = _table_of_two(data[0].text or "") if len(variables) == 2 else _table_of_one(data[0].text or "")
     return table, [variables[w] for w in reversed(lookups)]
 
 
-def _risen(points: list[float], values: "tuple[float | LookupTable, ...]") -> LookupTable:
+def _checked_table(points: list[float], values: "tuple[float | LookupTable, ...]") -> LookupTable:
+    """The table. Raises TableError unless its points rise."""
     if np.any(np.diff(points) <= 0.0):
         raise TableError("a table whose points do not rise")
     return LookupTable(np.array(points), values)
 
 
-def _of_one(text: str) -> LookupTable:
+def _table_of_one(text: str) -> LookupTable:
+    """A table of one variable: rows of point and value."""
     numbers = _numbers(text)
     if len(numbers) % 2 or not numbers:
         raise TableError("a table with a number missing")
     rows = np.array(numbers).reshape(-1, 2)
-    return _risen(rows[:, 0].tolist(), tuple(rows[:, 1].tolist()))
+    return _checked_table(rows[:, 0].tolist(), tuple(rows[:, 1].tolist()))
 
 
-def _of_two(text: str) -> LookupTable:
+def _table_of_two(text: str) -> LookupTable:
+    """A table of two variables: a row of column points, then rows of point and values."""
     lines = [line for line in text.splitlines() if line.strip()]
     columns = _numbers(lines[0]) if lines else []
     rest = [n for line in lines[1:] for n in _numbers(line)]
     if not columns or not rest or len(rest) % (len(columns) + 1):
         raise TableError("a table with a number missing")
     rows = np.array(rest).reshape(-1, len(columns) + 1)
-    parts = (_risen(rows[:, 0].tolist(), tuple(column)) for column in rows[:, 1:].T.tolist())
-    return _risen(columns, tuple(parts))
+    parts = (_checked_table(rows[:, 0].tolist(), tuple(column)) for column in rows[:, 1:].T.tolist())
+    return _checked_table(columns, tuple(parts))
 
 
 def _numbers(text: str) -> list[float]:
@@ -200,18 +199,16 @@ def _number(word: str) -> float:
 
 
 def looked_up(table: LookupTable, arguments: list[Sum], line: Line) -> Sum:
-    """The value of a table at variables, the last one first; where one is a number, the table is looked up there and then."""
+    """The value of a table at its variables, the last one first. A variable that is a number is interpolated here."""
     x, *further_arguments = arguments
     number = x.number
-    around = range(len(table.points)) if number is None else _around(table.points, number)
-    inner = {
-        i: v if isinstance(v, float) else looked_up(v, further_arguments, line)
-        for i, v in enumerate(table.values)
-        if i in around
-    }
-    values = {i: constant(v) if isinstance(v, float) else v for i, v in inner.items()}
+    needed = range(len(table.points)) if number is None else _bracketing(table.points, number)
+    values = {}
+    for i in needed:
+        value = table.values[i]
+        values[i] = constant(value) if isinstance(value, float) else looked_up(value, further_arguments, line)
     if number is not None:
-        low, high = around[0], around[-1]
+        low, high = needed[0], needed[-1]
         if low == high:
             return values[low]
         share = float((number - table.points[low]) / (table.points[high] - table.points[low]))
@@ -234,8 +231,8 @@ def looked_up(table: LookupTable, arguments: list[Sum], line: Line) -> Sum:
     return _in_lines(nodes[0].plus(*parts), line)
 
 
-def _around(points: Array, x: float) -> range:
-    """Places of the points between which x lies, or of the one where it is or beyond which it lies."""
+def _bracketing(points: Array, x: float) -> range:
+    """Indices of the two points around x, or of one: a point at x, or the last point before x outside the table."""
     if x <= points[0] or len(points) == 1:
         return range(1)
     if x >= points[-1]:
@@ -245,7 +242,7 @@ def _around(points: Array, x: float) -> range:
 
 
 def _kinked(points: Array, values: Array, x: Sum, line: Line) -> Sum:
-    """A table of one variable: its first value, and the change of slope at each point."""
+    """A table of one variable as its first value plus the changes of slope at its points."""
     if np.all(values == values[0]):
         return constant(float(values[0]))
     slopes = np.concatenate([[0.0], np.diff(values) / np.diff(points), [0.0]])
@@ -262,7 +259,9 @@ def _ramp_above(x: Sum, point: float) -> Sum:
 
 def _in_lines(terms: Sum, line: Line) -> Sum:
     """A long sum as several lines."""
-    if len(terms.products) <= MOST:
+    if len(terms.products) <= MOST_TERMS:
         return line(terms) if len(terms.products) > 1 else terms
-    parts: list[tuple[Product, ...]] = [terms.products[i : i + MOST] for i in range(0, len(terms.products), MOST)]
+    parts: list[tuple[Product, ...]] = [
+        terms.products[i : i + MOST_TERMS] for i in range(0, len(terms.products), MOST_TERMS)
+    ]
     return _in_lines(Sum().plus(*(line(Sum(p)) for p in parts)), line)

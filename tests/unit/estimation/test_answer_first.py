@@ -104,9 +104,9 @@ def test_a_forest_shows_estimates_at_nought_and_others_where_they_lie() -> None:
     from estimation.report.drawing.forest import draw_forest
 
     rows = [
-        AnswerRow("Cl_p", -0.5, 0.01, told=True, prior=-0.45),
-        AnswerRow("Cn_r", 0.2, 0.3, told=True, prior=-0.4),  # beyond the axis: an arrow
-        AnswerRow("Cn_dr", 0.7, 0.1, told=False, prior=0.1),
+        AnswerRow("Cl_p", -0.5, 0.01, identifiable=True, prior=-0.45),
+        AnswerRow("Cn_r", 0.2, 0.3, identifiable=True, prior=-0.4),  # beyond the axis: an arrow
+        AnswerRow("Cn_dr", 0.7, 0.1, identifiable=False, prior=0.1),
     ]
     axis = draw_forest(Figure().subplots(), rows)
     prior = next(line for line in axis.lines if line.get_label() == "before flying")

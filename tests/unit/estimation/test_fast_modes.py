@@ -37,6 +37,9 @@ def test_the_record_has_to_be_slower_than_the_roll(fitted: tuple[Flight, Result]
     rate = 0.25 * rho * float(np.median(flight["V"])) * c["S"] * c["b"] ** 2 * abs(Cl_p) / c["Ixx"]
     assert fast_modes(result, [recorded(flight, 0.8 / rate)]) == []
     assert fast_modes(result, [flight]) == []
+    assert (
+        fast_modes(result, [recorded(flight, 1.5 / rate), flight]) == []
+    )  # a measured deflection beside a slow record
     (mode,) = fast_modes(result, [recorded(flight, 1.5 / rate)])
     assert mode.time_constant == pytest.approx(1.0 / rate, rel=0.01)
     assert mode.ratio == pytest.approx(Cl_da / Cl_p)

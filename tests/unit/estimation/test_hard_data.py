@@ -18,7 +18,7 @@ from estimation.prepare.pipeline import prepare
 from estimation.prepare.stretches import flights_of_segments, select_segments
 from estimation.session import runner
 from estimation.session.sanity_checks import DoubtKind
-from estimation.session.verdict import NOBODY
+from estimation.session.verdict import NO_METHOD
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
 from groundstation.flight.contradictions.air import independent_density
 from groundstation.flight.findings import finding_texts
@@ -107,7 +107,7 @@ def test_a_left_handed_roll_is_told_by_the_record_itself(root: Path) -> None:
     left = one.with_columns(p=-one["p"], phi=-one["phi"])
     session = runner.estimate(LATERAL, [left, other], load_aircraft("cdfp"), joint=True)
     verdicts = [v for v in (*(f.verdict for f in session.flights), session.verdict) if v is not None]
-    assert [v.recommended.method for v in verdicts] == [NOBODY, "ml", NOBODY]
+    assert [v.recommended.method for v in verdicts] == [NO_METHOD, "ml", NO_METHOD]
     odd = [[d.to_json() for d in v.doubts if d.kind is DoubtKind.CHANNEL] for v in verdicts]
     assert odd[0][0]["kind"] == "unit or sign of a channel"
     assert odd[0][0]["text"].startswith("phi, p: turned, it would agree with the sideways motion")
@@ -135,7 +135,7 @@ def test_options_are_looked_at_before_any_work(
     options: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_flights: list[Flight]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(runner, "_each", lambda *_, **__: pytest.fail("the fit had begun"))
+    monkeypatch.setattr(runner, "_fit_each", lambda *_, **__: pytest.fail("the fit had begun"))
     write_flight(made_flights[0], "flight.csv")
     result = run("flight.csv", "--aircraft", "cdfp", *options)
     assert isinstance(result.exception, UserError)

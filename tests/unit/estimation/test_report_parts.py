@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from estimation.report.advice import Untold, grouped
+from estimation.report.advice import Unidentified, grouped
 from estimation.report.drawing.estimate_figures import ellipse
 from estimation.report.drawing.figures import LARGE, picture
 from estimation.report.drawing.residual_figures import abscissa, binned, spectrum
@@ -84,19 +84,21 @@ def test_pair_of_nothing_is_empty() -> None:
 
 def test_what_one_manoeuvre_would_tell_is_one_row() -> None:
     entries = [
-        Untold("CY_dr", "ml", ("f1",), "delta_r moved only 0.18 deg rms: this data cannot tell; move it", "rudder", ()),
-        Untold(
-            "CY_dr", "ml", ("f2",), "delta_r moved only 0.16 deg rms: this data cannot tell; move it", "rudder", ("ml",)
+        Unidentified(
+            "CY_dr", "ml", ("f1",), "delta_r moved only 0.18 deg rms: this data cannot tell; move it", "rudder", False
         ),
-        Untold(
-            "Cn_dr", "ngn", ("f1",), "delta_r moved only 0.18 deg rms: this data cannot tell; move it", "rudder", ()
+        Unidentified(
+            "CY_dr", "ml", ("f2",), "delta_r moved only 0.16 deg rms: this data cannot tell; move it", "rudder", True
         ),
-        Untold("CY_p", "ml", ("f1",), "bound 0.02 is wider than 0.015: this data cannot tell", "aileron", ()),
+        Unidentified(
+            "Cn_dr", "ngn", ("f1",), "delta_r moved only 0.18 deg rms: this data cannot tell; move it", "rudder", False
+        ),
+        Unidentified("CY_p", "ml", ("f1",), "bound 0.02 is wider than 0.015: this data cannot tell", "aileron", False),
     ]
     rudder, aileron = grouped(entries)
     assert (rudder.parameters, rudder.methods, rudder.where) == (("CY_dr", "Cn_dr"), ("ml", "ngn"), ("f1", "f2"))
     assert rudder.whys == ("delta_r moved only … deg rms",)
-    assert rudder.told == ("CY_dr",)
+    assert rudder.determined_jointly == ("CY_dr",)
     assert aileron.parameters == ("CY_p",)
 
 

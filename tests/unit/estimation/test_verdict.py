@@ -20,7 +20,7 @@ from estimation.models.base import joint_model
 from estimation.session import runner
 from estimation.session.evidence import driven_outputs, gain_of_filter
 from estimation.session.sanity_checks import DoubtKind
-from estimation.session.verdict import NOBODY, verdict
+from estimation.session.verdict import NO_METHOD, verdict
 from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
 from estimation.structure.score_test import Lack, StructureTest
 from estimation.structure.score_test import Tested as Score
@@ -66,7 +66,7 @@ def test_gusts_recommend_the_filter_and_output_error_alone_is_not_believed(rough
     assert found.recommended.method == "fem"
     assert DoubtKind.PROCESS_NOISE in {d.kind for d in found.doubts}
     alone = verdict({"ml": rough["ml"]})
-    assert alone.recommended.method == NOBODY
+    assert alone.recommended.method == NO_METHOD
     assert "--method ml,fem,ls" in alone.recommended.why
 
 
@@ -77,7 +77,7 @@ def test_a_filter_is_not_believed_beside_something_left_out(
     scale = Candidate("scale_beta", CandidateKind.SCALE, null=1.0, channel="beta", phrase="a wrong scale of beta")
     left = StructureTest((), (Lack(Score(scale, -6.5, 0.96, {"CY_r": 0.4})),), added=("delay_beta",))
     found = verdict(rough, structure=left).recommended
-    assert (found.method, found.lacks) == (NOBODY, ("scale_beta",))
+    assert (found.method, found.lacks) == (NO_METHOD, ("scale_beta",))
     assert "fem may take that for process noise" in found.why
     assert verdict(rough, structure=StructureTest((), ())).recommended.method == "fem"
     assert verdict(calm, structure=left).recommended.method == "ml"
@@ -94,15 +94,15 @@ def test_a_regression_is_no_witness_against_a_model_that_has_its_vane_late() -> 
     assert found.verdict.recommended.method == "ml"
     assert "agrees" not in found.verdict.recommended.why
     only = {"ml": replace(found.results["ml"], status=output_error_module.Status.DIVERGED), "ls": found.results["ls"]}
-    assert "takes records for the motion that delay_beta" in verdict(only).recommended.why
+    assert "takes records for the true motion, from which delay_beta" in verdict(only).recommended.why
 
 
 def test_a_filter_that_leaves_a_late_vane_aside_is_not_believed_in_rough_air(rough: Mapping[str, Result]) -> None:
     lag = [c for c in structure_candidates(LATERAL) if c.name == "delay_beta"]
     late = {m: replace(r, model=with_candidates(r.model, lag)) for m, r in rough.items()}
     found = verdict(late).recommended
-    assert found.method == NOBODY
-    assert "leaves the record that shows late aside" in found.why
+    assert found.method == NO_METHOD
+    assert "does not correct by the late record" in found.why
 
 
 def test_a_record_without_noise_has_no_process_noise(rough: Mapping[str, Result]) -> None:
@@ -148,7 +148,7 @@ def test_reconstructed_angles_leave_output_error_alone(rough: Mapping[str, Resul
     assert "reconstructed" in found.recommended.why
     against = {d.text.split(":")[0] for d in found.doubts if d.kind is DoubtKind.RECONSTRUCTED}
     assert against == {"fem", "ls"}
-    assert verdict({"ls": rough["ls"]}, reconstructed=("beta",)).recommended.method == NOBODY
+    assert verdict({"ls": rough["ls"]}, reconstructed=("beta",)).recommended.method == NO_METHOD
 
 
 def test_a_flight_says_which_of_its_angles_were_reconstructed() -> None:
@@ -183,14 +183,14 @@ def test_two_manoeuvres_of_a_jet_in_turbulence() -> None:
         e = best.parameters[name]
         assert abs(e.estimate - JET_TRUE[name]) < 3.0 * e.std_coloured
     alone = verdict({"ml": results["ml"]})
-    assert alone.recommended.method == NOBODY
+    assert alone.recommended.method == NO_METHOD
     assert {d.kind for d in alone.doubts} == {DoubtKind.PROCESS_NOISE}
 
 
 def test_methods_that_contradict_each_other_leave_nobody(calm: Mapping[str, Result]) -> None:
     other = moved(calm["ls"], CY_dr=1.9 * calm["ls"].parameters["CY_dr"].estimate)
     found = verdict({"ml": calm["ml"], "ls": other})
-    assert found.recommended.method == NOBODY
+    assert found.recommended.method == NO_METHOD
     assert any(d.kind is DoubtKind.DISAGREEMENT and "CY_dr" in d.text for d in found.doubts)
 
 
@@ -204,7 +204,7 @@ def test_a_bias_that_no_instrument_has(calm: Mapping[str, Result], bias: float) 
     found = verdict({"ml": result})
     kinds = {d.kind for d in found.doubts}
     assert (DoubtKind.INSTRUMENT in kinds) == (bias > 1.0)
-    assert found.recommended.method == (NOBODY if bias > 1.0 else "ml")
+    assert found.recommended.method == (NO_METHOD if bias > 1.0 else "ml")
 
 
 def test_a_joint_estimate_outside_its_members_is_doubted(calm: Mapping[str, Result]) -> None:
@@ -217,7 +217,7 @@ def test_a_joint_estimate_outside_its_members_is_doubted(calm: Mapping[str, Resu
     outside = verdict({"ml": far}, members={"ml": [ml, ml]})
     (doubt,) = [d for d in outside.doubts if d.kind is DoubtKind.JOINT]
     assert "CY_p" in doubt.text
-    assert outside.recommended.method == NOBODY
+    assert outside.recommended.method == NO_METHOD
 
 
 def test_what_tells_no_derivative_is_not_recommended(calm: Mapping[str, Result]) -> None:
@@ -227,7 +227,7 @@ def test_what_tells_no_derivative_is_not_recommended(calm: Mapping[str, Result])
         for n, e in calm["ml"].parameters.items()
     }
     answer = verdict({"ml": replace(calm["ml"], parameters=blind)}).recommended
-    assert answer.method == NOBODY
+    assert answer.method == NO_METHOD
     assert "none of the derivatives" in answer.why
 
 
@@ -238,7 +238,7 @@ def test_a_record_of_noise_alone_recommends_nothing() -> None:
     session = runner.estimate(load_model("lateral", "cdfp"), [flight.with_columns(**still)], load_aircraft("cdfp"))
     answer = session.flights[0].verdict
     assert answer is not None
-    assert answer.recommended.method == NOBODY
+    assert answer.recommended.method == NO_METHOD
     assert "none of the outputs" in answer.recommended.why
 
 
@@ -246,7 +246,7 @@ def test_a_method_that_did_not_converge_is_not_recommended(calm: Mapping[str, Re
     lost = replace(calm["ml"], status=output_error_module.Status.STALLED, text="stalled")
     found = verdict({"ml": lost, "fem": calm["fem"], "ls": calm["ls"]})
     assert found.recommended.method == "fem"
-    assert verdict({}, {"ml": "it failed"}).recommended.method == NOBODY
+    assert verdict({}, {"ml": "it failed"}).recommended.method == NO_METHOD
 
 
 # ------------------------------------------------------------------------------------------- failures lose nothing else

@@ -11,7 +11,7 @@ import pytest
 
 from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
 from estimation.aircraft import load_aircraft
-from estimation.answers.designs import _against_doublets, _known, with_effects, write_manoeuvre
+from estimation.answers.designs import _against_doublets, _from_estimate, with_effects, write_manoeuvre
 from estimation.design import measured_inputs
 from estimation.design.design import DesignTask, InputDesign, design
 from estimation.design.limits import Limits, load_limits, trimmed, usual_limits
@@ -245,7 +245,7 @@ def test_an_estimate_brings_the_aircraft_it_was_made_with(tmp_path: Path) -> Non
         "flights": [{"methods": methods}],
     }
     (tmp_path / "e.json").write_text(json.dumps(content))
-    craft = _known(tmp_path / "e.json")["aircraft"]
+    craft = _from_estimate(tmp_path / "e.json")["aircraft"]
     assert (craft.name, craft.span, craft.mass) == ("lark", 2.1, 4.0)
 
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from estimation.answers.gaps import never_asked
+from estimation.answers.gaps import untested_effects
 from estimation.engine.simulate import simulate
 from estimation.gap.effects import add_effect, catalogue, load_effects
 from estimation.gap.effects.base import EffectParameter, Form
@@ -218,6 +218,6 @@ def test_effects_of_ones_own_that_could_not_be_asked_are_named() -> None:
     """A misspelt signal had made an effect silently absent, and `no_gap` read as if it had been looked for."""
     details = {"cannot_tell": [{"effect": "b", "separate_by": ""}]}
     result = cast(Any, SimpleNamespace(scores={"a": 1.0}, steps=(), details=details))
-    assert never_asked({Path("mine.toml"): ["a", "b"]}, result) == []
-    (words,) = never_asked({Path("mine.toml"): ["a", "c", "d"], Path("more.toml"): ["b"]}, result)
-    assert words.startswith("effects mine.toml: c, d not asked: a term needs a signal")
+    assert untested_effects({Path("mine.toml"): ["a", "b"]}, result) == []
+    (words,) = untested_effects({Path("mine.toml"): ["a", "c", "d"], Path("more.toml"): ["b"]}, result)
+    assert words.startswith("effects mine.toml: c, d not tested: a term needs a signal")

@@ -23,7 +23,7 @@ from estimation.simulation.attach import Attached, attach, simulation_of
 from estimation.simulation.conversion import export_to_jsbsim
 from estimation.simulation.jsbsim import flying
 from estimation.simulation.jsbsim.components import chains_of
-from estimation.simulation.jsbsim.export import Written, export_aircraft, inlined
+from estimation.simulation.jsbsim.export import WrittenAircraft, export_aircraft, inlined
 from estimation.simulation.jsbsim.flying import fly_aircraft
 from estimation.simulation.jsbsim.functions import Translator
 from estimation.simulation.jsbsim.increments import increments_of
@@ -161,7 +161,7 @@ def test_the_written_aircraft_flies_like_the_model_and_the_unchanged_one_does_no
     record = json.loads((done.exported.file.parent / "sideslip.json").read_text(encoding="utf-8"))
     assert record["proved"]
     assert record["simulation"] == "jsbsim:c172p"
-    unchanged = Written(inlined(CESSNA), (), {})
+    unchanged = WrittenAircraft(inlined(CESSNA), (), {})
     model = increments_of(FLOWN[name](attached.model))
     assert len(proof_of(CESSNA, remembering, unchanged, replace(model, transforms=()), 120.0).failed) > 2
 

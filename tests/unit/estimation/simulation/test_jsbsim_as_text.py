@@ -116,7 +116,7 @@ def test_derivatives_have_the_field_s_names_and_the_file_s_numbers(cessna: Prove
 # tables of one, two and three variables; Mach number; Reynolds number; the square of lift with lift by the rate of alpha
 @pytest.mark.parametrize("name", ["c172p", "f16", "wrightFlyer1903", "737", "pc7", "dr1"])
 def test_coefficients_are_jsbsim_s_own(name: str) -> None:
-    assert max(imported_exactly(f"jsbsim:{name}").off.values()) < 1e-12
+    assert max(imported_exactly(f"jsbsim:{name}").deviation.values()) < 1e-12
 
 
 def test_the_text_moves_as_jsbsim_flies_the_aircraft(cessna: ProvedImport) -> None:

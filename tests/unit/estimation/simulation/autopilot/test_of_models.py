@@ -68,6 +68,14 @@ def test_a_lateral_model_alone_is_refused_with_the_list(target: str, aircraft: P
     assert "\n" not in str(done.exception)
 
 
+@pytest.mark.parametrize("target", ["ardupilot", "gazebo", "neutral"])
+def test_an_aircraft_beside_an_aircraft_file_is_refused(target: str, aircraft: Path, tmp_path: Path) -> None:
+    out = tmp_path / ("x" if target == "gazebo" else "x.json")
+    done = export(aircraft, "--to", target, "-o", out, "--aircraft", "cdfp", *THROWS)
+    assert "leave --aircraft cdfp away" in str(done.exception)
+    assert not out.exists()
+
+
 @pytest.mark.parametrize(
     ("term", "line"),
     [("0.3*beta^3", "Cn"), ("0.1*alpha*delta_a", "Cl"), ("0.001*V", "CY"), ("0.2*alpha^4", "CD"),
