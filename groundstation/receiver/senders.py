@@ -22,7 +22,7 @@ SAVE_NS = NS
 duration of a save, can be replayed."""
 SIGNING_STATE = "signing state"
 SILENCE_NS = 3 * NS
-"""Without a frame of the first sender, after which another is accepted: three heartbeats."""
+"""Silence of the first sender, after which another is accepted: three heartbeats."""
 _LOGGER = None  # role of the logger's own messages; the other roles are component ids
 _MAX_CONFIRMED = 64  # senders, so that strangers cannot fill the memory
 
@@ -105,7 +105,7 @@ class Senders:
         self.contested = 0
 
     def confirmed(self, sender: Sender, component: int, is_own_message: bool, now_ns: int) -> bool:
-        """Whether a frame is of the accepted sender in its roles, by the cache; else ask `allows`."""
+        """Whether the cache shows a frame's sender to be accepted in its roles; where it does not, `allows` decides."""
         speakers = self._confirmed.get((sender, component, is_own_message), ())
         for speaker in speakers:
             speaker.heard_ns = now_ns
@@ -134,7 +134,7 @@ class Senders:
         return True
 
     def speaks(self, sender: Sender, now_ns: int) -> None:
-        """Accept a sender of the logger's messages by its signature."""
+        """Accept a sender of the logger's messages, whose signature is valid."""
         self._speakers[_LOGGER, sender.port] = _Speaker(sender, now_ns)
         self._confirmed.clear()
 

@@ -58,10 +58,12 @@ class Papers(BaseModel):
         return session
 
     def info(self, attachments: Mapping[str, bytes]) -> RecordingInfo:
+        """Identity of the received recording, with these attachments by name."""
         identity = self.model_dump(exclude={"events", "archive_bytes", "archive_sha256"})
         return RecordingInfo(**identity, role="received", attachments=attachments)
 
     def marks(self) -> list[EventMessage]:
+        """The recording's events."""
         return [EventMessage(*row) for row in self.events]
 
 
