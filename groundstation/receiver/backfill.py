@@ -152,9 +152,9 @@ class BackfillClient:
             return [(0, 0)]
         if self.mode == "all" and now_ns >= self._papers_ns and self._archive_tries < _ARCHIVE_TRIES:
             parts = (self._recorder.archive_bytes + PAPERS_PART_BYTES - 1) // PAPERS_PART_BYTES
-            missing = [(i + 1, 0) for i in range(parts) if i + 1 not in self._archive]
+            missing = [(part, 0) for part in range(1, parts + 1) if part not in self._archive]
             if missing:
-                return missing[:room]
+                return [key for key in missing if key not in self._open][:room]
         if self.mode == "off":
             return []
         pending = {first + i for first, mask in self._open for i in range(SPAN) if mask >> i & 1}
