@@ -57,8 +57,8 @@ def with_attitudes(series: Mapping[str, TimeSeries]) -> dict[str, TimeSeries]:
 
 
 def _gyro_correlation(log: Log, mapping: Map, names: Sequence[str]) -> float:
-    """Correlation of the body rates of a quaternion with the gyros, whose unit is not needed; 0 without gyros. names: series of
-    the elements, scalar first."""
+    """Correlation of a quaternion's body rates with the gyros, whose unit does not matter; 0 without gyros. names: series of the
+    elements (w, v), scalar first. Rates: 2 (w dv/dt - dw/dt v - v x dv/dt)."""
     gyros = [log.series.get(mapping.columns[n][0].column or "") for n in "pqr" if n in mapping.columns]
     parts = [log.series[n] for n in names]
     time = parts[0].time

@@ -125,7 +125,7 @@ def _convert_to_true_airspeed(
     measured = {n: v for n, v in values.items() if np.isfinite(v).any()}
     air = air_density(measured)
     if air is None:
-        notes.append(f"{words}, and nothing tells the density: taken for true airspeed")
+        notes.append(f"{words}, and the density is not known: taken as true airspeed")
         return
     density, columns = air.values, air.source
     if "rho" not in measured:

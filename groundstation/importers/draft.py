@@ -58,7 +58,7 @@ def draft_map(paths: Sequence[Path]) -> str:
 def _head(path: Path) -> list[str]:
     """The first lines of a draft."""
     return [
-        f"# Drafted for {one_line(path.name)}. Read each line: UNKNOWN is what the log cannot tell and a person must write down.",
+        f"# Drafted for {one_line(path.name)}. Read each line: UNKNOWN is not in the log, and a person must write it down.",
         "format = 1",
         f'title = "{EXAMPLE}drafted from a log: write down what is UNKNOWN, then take this line out"',
     ]
@@ -135,7 +135,7 @@ def _recognised_lines(
         guess = unit_of(column, columns, values, time)
         header_unit = header_units.get(column)
         name_unit = unit_in_name(name)
-        bare = name == column and guess.sure  # a flight column's bare name states no unit, and the values tell it
+        bare = name == column and guess.sure  # a flight column's bare name states no unit, but its values show it
         if header_unit and not bare:
             guess = UnitGuess(header_unit, f"by its header; {guess.why}", True)
         elif row_units.get(name):

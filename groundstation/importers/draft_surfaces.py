@@ -30,7 +30,7 @@ _TURN = 0.08
 
 @dataclass(frozen=True, slots=True)
 class OutputFunction:
-    """The effect of one SERVOn_FUNCTION. rate: that shows its sign; rate_sign: of that rate's change for trailing edge down
+    """The effect of one SERVOn_FUNCTION. rate: whose response shows the sign; rate_sign: of its change for trailing edge down
     (rudder: to port); shares: surface -> factor of this output in it."""
 
     name: str
@@ -134,7 +134,7 @@ def sign_of(output: TimeSeries, trim: float, rate: TimeSeries | None, rate_sign:
     `OutputFunction`; name: of the rate. The sign is 1 where it is not known.
     """
     if rate is None or rate.time.size < FEWEST_RATES or native_rate(output) <= 0:
-        return 1, "sign UNKNOWN: no rate to tell it from"
+        return 1, "sign UNKNOWN: no rate that shows it"
     start, stop = max(output.time[0], rate.time[0]), min(output.time[-1], rate.time[-1])
     time = np.arange(start, stop, 1 / _RATE)
     if time.size < SHORTEST_COMMON_S * _RATE:
@@ -181,4 +181,4 @@ def surface_lines(shares: Shares, missing: Sequence[str]) -> list[str]:
         single = next(iter(parts))
         source = f'column = "servo.{single}"' if parts == {single: 1.0} else f"terms = [{terms}]"
         lines.append(f"{surface} = {{ {source} }}")
-    return [*lines, *(f"# {s} = UNKNOWN: no output is said to move it" for s in missing)]
+    return [*lines, *(f"# {s} = UNKNOWN: no output has such a function" for s in missing)]

@@ -16,7 +16,7 @@ MAJORITY = 0.5  # share of its samples, above which a flag counts as set for the
 COMPARED: Mapping[str, str] = {"ARSP": "DiffPress", "BARO": "Press"}
 """Message -> field that is compared between instances."""
 LEAST_SHARE = 0.5  # of the median, from which samples are compared as a ratio
-_NO_EVIDENCE = "nothing in the log says which is in use"
+_NO_EVIDENCE = "nothing in the log shows which is in use"
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from groundstation.importers.series import CLOCK_BACK_S, MESSAGE, RECORD_GAP, Lo
 
 LEAST_OVERLAP = 0.5  # of two tables' times, over the shorter one, for both to be of one flight
 SPIKE_STEPS, SHORTEST_STEP = 100.0, 1e-3
-"""A last step of more than so many median steps, of at least so many seconds each, leads to a damaged time."""
+"""A last step of more than SPIKE_STEPS median steps leads to a damaged time; a median step is at least SHORTEST_STEP [s]."""
 _STAMP = b"timestamp,"  # first bytes of a table of ulog2csv
 
 
@@ -54,7 +54,10 @@ def by_boot(log: Log) -> list[Log]:
             for n, s in log.series.items()
             if id(s.time) in times
         }
-        notes = (f"boot {number + 1} of {count} in this log: a record of its own", *((words,) if partial else ()))
+        notes = (
+            f"boot {number + 1} of {count} in this log: imported as a separate record",
+            *((words,) if partial else ()),
+        )
         boots.append(replace(log, series=series, notes=(*(log.notes if number == 0 else ()), *notes)))
     return boots
 
@@ -187,9 +190,9 @@ def joined_flights(flights: Sequence[Flight]) -> Flight:
     names = list(dict.fromkeys(n for f in flights for n in f.columns))
     columns = {n: np.concatenate([f.columns[n] if n in f else np.full(len(f), np.nan) for f in flights]) for n in names}
     notes: list[Finding | str] = [n for f in flights for n in f.notes]
-    notes.append(f"{len(flights)} records in a row, each with segments of its own")
+    notes.append(f"{len(flights)} records in a row, each with its own segments")
     if shifted:
-        notes.append(f"{shifted} of them begin anew in time: moved to {RECORD_GAP:g} s after the one before")
+        notes.append(f"{shifted} of them begin before the end of the previous one: moved to {RECORD_GAP:g} s after it")
     provenance = flights[0].provenance
     files = {f.provenance.path: f.provenance.sha256 for f in flights}
     detail = {**provenance.detail, **joined_marks(marks).to_json(), **({"files": files} if len(files) > 1 else {})}

@@ -26,7 +26,7 @@ _PX4_TOPIC = re.compile(r".*/fmu/(?:in|out)/(\w+?)(?:_v\d+)?")
 """A topic of PX4's bridge, named by its uORB topic; the kind of message may have another name (SensorGps in
 vehicle_gps_position)."""
 PX4_US = 1e-6  # [s] of PX4's time stamps
-_SIDE = {"x": 1, "y": -1, "z": -1}  # ROS body axis -> its sign in our axes
+_SIDE = {"x": 1, "y": -1, "z": -1}  # ROS body axis -> its sign in x forward, y right, z down
 _UNIT_TOLERANCE = 0.1  # of a quaternion's norm about 1, in at least one message
 _ORIENTATIONS: Mapping[str, str] = {
     "geometry_msgs/PoseStamped": "pose.orientation",
@@ -35,7 +35,7 @@ _ORIENTATIONS: Mapping[str, str] = {
     "geometry_msgs/QuaternionStamped": "quaternion",
 }
 """Kind of message -> its field with an attitude."""
-TURNED = "messages of ROS: axes turned from x forward, y left, z up and east, north, up to ours (REP 103)"
+TURNED = "messages of ROS: axes turned from x forward, y left, z up to x forward, y right, z down (REP 103)"
 _BY_FIELDS: Mapping[str, frozenset[str]] = {
     "sensor_msgs/msg/Imu": frozenset({"angular_velocity.x", "linear_acceleration.x"}),
     "geometry_msgs/msg/TwistStamped": frozenset({"twist.linear.x", "twist.linear.z"}),
@@ -202,7 +202,7 @@ def _add_columns(
 def _add_attitude(
     name: str, field: str, series: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
 ) -> None:
-    """Add roll, pitch and yaw [rad] in our axes from a topic's quaternion in ROS axes. field: of the quaternion."""
+    """Add roll, pitch and yaw [rad], north-east-down to body, from a topic's quaternion in ROS axes. field: of the quaternion."""
     names = [f"{name}.{field}.{axis}" for axis in "wxyz"]
     if not all(n in series for n in names):
         return

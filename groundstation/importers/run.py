@@ -1,7 +1,7 @@
 """From a foreign file to a flight: reading, mapping, time base, plausibility, provenance."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -167,6 +167,16 @@ def _flight(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
         notes.append(f"servo outputs named in the mapping and not in the file: {listed(no_output)}")
     notes += outputs_elsewhere(log, mapping.servos)
     notes += _averaging_notes(imported, rate)
+    notes += _plausibility_notes(path, time, columns, accept_implausible)
+    provenance = _provenance(path, log, mapping, imported, time, resampled)
+    segment = _segment(log, mapping, rate)
+    return Flight.build(path.stem, time, columns, segment=segment, provenance=provenance, notes=notes)
+
+
+def _plausibility_notes(
+    path: Path, time: Array, columns: Mapping[str, Array], accept_implausible: bool
+) -> list[Finding | str]:
+    """Notes on implausible values (N,). Raises ImportDataError for those of columns in use, unless they are accepted."""
     suspected = suspicions(time, columns)
     harmless = [s for s in suspected if set(s.columns) <= _UNUSED]
     serious = [s.text for s in suspected if s not in harmless]
@@ -174,10 +184,7 @@ def _flight(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
         raise ImportDataError(
             f"{path}: {'; '.join(serious)}; if the data are right as they are, add --accept-implausible"
         )
-    notes += [*(Finding(FindingKind.UNLIKELY, s.text) for s in harmless), *serious]
-    provenance = _provenance(path, log, mapping, imported, time, resampled)
-    segment = _segment(log, mapping, rate)
-    return Flight.build(path.stem, time, columns, segment=segment, provenance=provenance, notes=notes)
+    return [*(Finding(FindingKind.UNLIKELY, s.text) for s in harmless), *serious]
 
 
 def _averaging_notes(imported: ImportedColumns, rate: float | None) -> list[str]:

@@ -19,7 +19,7 @@ from groundstation.receiver.timeline import NS, Allowance
 _TEXTS, _TEXT_PIECES = 32, 32  # incomplete long texts, and pieces of one, at most
 _PIECE_LENGTH = 50  # letters of a piece of STATUSTEXT; a shorter one is the last
 _TEXTS_AT_ONCE, _TEXTS_PER_S = 100, 5.0
-"""Texts and events that are accepted: so many at once, and then a second. Each is a line in the log."""
+"""Texts and events that are accepted at once, and then in a second: each is a line in the log."""
 _CLAIMS, _CLAIM_NS = 3, 8 * NS
 """Reports that prove a new run without scans, and the time that they span: they come every five seconds."""
 _MAX_CLAIMS = 8  # runs that may be claimed at a time

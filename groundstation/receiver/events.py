@@ -221,7 +221,7 @@ class ReceptionFinding:
         use = "both are used" if self.used else f"{self.count} frames not used"
         return (
             f"second sender: {self.subject} speaks for aircraft {self.system}, which is heard from {self.detail}; "
-            f"{use} (a key on both ends tells who is genuine)"
+            f"{use} (a key on both ends shows which is genuine)"
         )
 
 

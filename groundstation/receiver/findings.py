@@ -25,15 +25,15 @@ RESTARTS = "restarts, more than an aircraft makes"
 AIRCRAFT = "frames of further aircraft, more than can be served"
 BYTES = "bytes of strangers, more than they are allowed"
 DATAGRAMS = "datagrams dropped by this computer, because more came than it could take"
-PAPERS = "papers of a recording that are none"
-TEXTS = "texts and events, more than there is time to read"
+PAPERS = "invalid papers of a recording"
+TEXTS = "texts and events, more than a person can read"
 EVENTS = "events, more than a flight has"
 
 NOBODY = 0
 """System id of findings that concern no aircraft in particular."""
 MAX_NAMES = 200
 """Quarantined subjects, of all senders, that are reported by name, a line in the log each; further ones count as OTHERS."""
-OTHERS = "further things of senders"
+OTHERS = "further data of senders"
 LONGEST_REASON = 300  # characters of a subject or reason
 _MAX_REFUSED = 256  # subjects, so that strangers cannot fill the memory
 _MAX_SECOND_SENDERS = 16  # of one aircraft, for the same reason

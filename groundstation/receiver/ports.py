@@ -146,7 +146,7 @@ class UdpListener(UdpPort):
                 size, address = connection.recvfrom_into(self._buffer)
             except OSError as error:
                 if error.errno in _REFUSED:
-                    continue  # the answer to an earlier datagram of ours that was not delivered
+                    continue  # an earlier datagram from here was not delivered
                 if error.errno in _QUIET:
                     return
                 raise

@@ -103,7 +103,7 @@ class Receiver:
                 *self._second_sender_reports(now_ns),
             ]
             self._record(events)
-            with self.findings.guard(findings.NOBODY, "what is due to be sent and told"):
+            with self.findings.guard(findings.NOBODY, "due messages and reports"):
                 self._send_due(now_ns, events)
             events += self.findings.reports(now_ns, ReceptionFindingKind.DOUBTED, ReceptionFindingKind.QUARANTINED)
             return events + self.faults.changes(now_ns)

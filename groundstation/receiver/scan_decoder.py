@@ -56,7 +56,7 @@ class ScanDecoder:
 
     @property
     def tracker(self) -> SequenceTracker:
-        """The tracker that stands for the link: of the component that sends the scans; before the first scan, of the one that
+        """The tracker that represents the link: of the component that sends the scans; before the first scan, of the one that
         sends most."""
         if self._scan_component in self.trackers:
             return self.trackers[self._scan_component]
@@ -201,7 +201,7 @@ class ScanDecoder:
         return None
 
     def _new_session(self, boot: int, now_ns: int) -> SessionAccounting:
-        """Begin a session, with an event Restarted; the clocks are related anew."""
+        """Begin a session, with an event Restarted, and reset the clock relation."""
         previous = self.sessions[-1].session if self.sessions else None
         session = SessionAccounting(ev.Session(self.system, boot, 0 if previous is None else previous.turn + 1))
         self.sessions.append(session)

@@ -138,7 +138,7 @@ def _read_binary(path: Path, data: bytes) -> Log:
     if headless and not messages:
         raise ImportDataError(
             f"{path}: the beginning of this ArduPilot log is lost, and with it the descriptions of its messages (FMT): nothing "
-            "of the rest can be read; copy the log from the card anew"
+            "of the rest can be read; copy the log from the card again"
         )
     headless_note = "; its first bytes are lost, and messages described only there" if headless else ""
     notes = (f"{skipped} bytes of the log are damaged and left out{headless_note}",) if skipped or headless_note else ()

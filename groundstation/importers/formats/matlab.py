@@ -55,17 +55,17 @@ def read_variables(path: Path) -> tuple[dict[str, Any], int]:
         process = subprocess.run(child, capture_output=True, timeout=LONGEST_READING, check=False)
     except subprocess.TimeoutExpired:
         raise ImportDataError(
-            f"{path}: damaged MATLAB {version} file (no end after {LONGEST_READING} s); save it anew"
+            f"{path}: damaged MATLAB {version} file (no end after {LONGEST_READING} s); save it again"
         ) from None
     if process.returncode == _NO_PACKAGE:
         raise ImportDataError(
             f"{path}: reading MATLAB 7.3 files needs the package h5py; pip install 'sideslip[ground]'"
         )
     if process.returncode < 0 and version == "5":
-        raise ImportDataError(f"{path}: damaged MATLAB 5 file, at which its reader crashes; save it anew")
+        raise ImportDataError(f"{path}: damaged MATLAB 5 file, at which its reader crashes; save it again")
     if process.returncode:
         raise ImportDataError(
-            f"{path}: damaged MATLAB {version} file, or larger than {most_bytes} bytes when unpacked; save it anew with -v7"
+            f"{path}: damaged MATLAB {version} file, or larger than {most_bytes} bytes when unpacked; save it again with -v7"
         )
     with np.load(io.BytesIO(process.stdout), allow_pickle=False) as arrays:
         tree = json.loads(str(arrays["tree"]))

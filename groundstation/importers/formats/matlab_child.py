@@ -6,7 +6,7 @@ process contains that.
 
 Format: MathWorks, "MAT-File Format" (level 5) and "MAT-File Versions" (7.3: HDF5). In HDF5 as MATLAB uses it a struct is a group,
 an array of structs a group of arrays of references, a cell an array of references, all into `#refs#`; arrays are transposed;
-MATLAB_class tells which is which.
+the attribute MATLAB_class distinguishes them.
 """
 
 import contextlib

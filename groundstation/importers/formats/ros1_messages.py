@@ -107,5 +107,5 @@ def _field(line: str, owner: str, kinds: Mapping[str, str]) -> _MessageField:
     candidates = (kind, f"{package}/{kind}", *(["std_msgs/Header"] if kind == "Header" else []))
     full = next((c for c in candidates if c in kinds), None)
     if full is None:
-        raise ValueError(f"nothing says what {kind} is")
+        raise ValueError(f"no definition of {kind}")
     return _MessageField(name, full, count)

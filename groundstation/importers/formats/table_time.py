@@ -355,7 +355,7 @@ def _records_where_set_back(stamps: Stamps) -> Stamps:
     repeats = f", and {len(runs) - 2} times more" if len(runs) > 2 else ""
     text = (
         f"the clock falls back by {seconds[row - 1] - seconds[row]:.4g} s after row {row} (t = {seconds[row - 1]:.4g} s)"
-        f"{repeats}: what follows is a record of its own"
+        f"{repeats}: the rows after it are a separate record"
     )
     return _records_in_sequence(replace(stamps, notes=(*stamps.notes, text)), falls)
 

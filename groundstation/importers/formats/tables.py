@@ -139,8 +139,8 @@ def _check_time_column(path: Path, header: list[str], can_be_time: Callable[[str
         )
     if len(header) == 1:
         raise ImportDataError(
-            f"{path}: one column only, {header[0]!r}, and nothing beside it; if the cells are parted by a character that was not "
-            'seen, say which in a mapping file: [file] delimiter = "|"'
+            f"{path}: one column only, {header[0]!r}; if another character separates the cells, "
+            'name it in a mapping file: [file] delimiter = "|"'
         )
 
 
@@ -195,7 +195,7 @@ class _MixedColumns:
             line, cells = self._uneven[0] if self._uneven else (self._first, width)
             raise ImportDataError(
                 f"{self._path}: table line {line} has {cells} cells, the header has {width}; if the column names stand further "
-                "down, say in which line in a mapping file: [file] header_line"
+                "down, state their line in a mapping file: [file] header_line"
             )
         return complete
 
@@ -299,7 +299,7 @@ def header_map(table: ImportedTable, mapped: Container[str] = ()) -> tuple[Map, 
 
 
 def table_log(path: Path, table: ImportedTable, time: Time | None) -> Log:
-    """The table as series over its time column [s]. Raises ImportDataError when there is none."""
+    """The table as series over its time [s]. Raises ImportDataError for one without time."""
     if time is None:
         columns = listed([*table.numeric, *table.words, *table.dates], 12)
         raise ImportDataError(f"{path}: no column 'time'; found {columns}; {NAME_THE_TIME}")
@@ -317,6 +317,6 @@ def table_log(path: Path, table: ImportedTable, time: Time | None) -> Log:
 
 
 def _header_units(names: Iterable[str]) -> dict[str, str]:
-    """Units that stand in brackets behind a name."""
+    """Name -> the unit in brackets after it."""
     matches = {name: _HEADER_UNIT.match(name) for name in names}
     return {name: match["unit"] for name, match in matches.items() if match}

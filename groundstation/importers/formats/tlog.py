@@ -26,7 +26,7 @@ _V1, _V2 = 0xFE, 0xFD  # first byte of a frame of MAVLink 1 and 2
 _NEXT = re.compile(rb"\0[\x00-\x0e](?s:.{6})[\xfd\xfe]")
 """Beginning of a record: a stamp before the year 2100, whose first two bytes are small, and the first byte of a frame."""
 _STAMP = 8  # bytes before each frame
-_OUR_FRAME = 44100  # message id of Sideslip's downlink
+_DOWNLINK_FRAME = 44100  # message id of Sideslip's downlink
 _GROUND_STATION = 255  # system id
 _V1_EXTRA, _V2_EXTRA, _SIGNATURE = 8, 12, 13  # bytes of header and checksum, and of a signature
 
@@ -56,7 +56,7 @@ def read_tlog(path: Path) -> list[Log]:
     logs = []
     for number, boot in enumerate(boots, start=1):
         notes = scan.notes(sorted(set(aircraft) - {system}), system) if number == 1 else []
-        notes += [f"boot {number} of {len(boots)} in this log: a record of its own"] if len(boots) > 1 else []
+        notes += [f"boot {number} of {len(boots)} in this log: imported as a separate record"] if len(boots) > 1 else []
         detail = {"system": str(system), "component": str(boot.component)}
         log = Log("tlog", boot.series, notes=(*notes, *boot.notes), detail=detail, parameters=parameters)
         logs.append(replace(log, contradictions=boot.contradictions, marks=boot.marks))
@@ -112,12 +112,12 @@ class TlogScan:
     """Every message of a log with a valid checksum. Messages that are not in the dialect are skipped where another frame follows.
     After damage the scan continues at the next bytes that can begin a record.
 
-    rows: by system, component and message id; ours: frames of Sideslip's downlink; skipped: damaged bytes.
+    rows: by system, component and message id; downlink_frames: number of those of Sideslip's downlink; skipped: damaged bytes.
     """
 
     def __init__(self, data: bytes) -> None:
         self.rows: dict[tuple[int, int, int], _Rows] = {}
-        self.ours = self.skipped = 0
+        self.downlink_frames = self.skipped = 0
         start = 0
         while start + _STAMP + _V1_EXTRA <= len(data):
             size = _frame_size(data, start + _STAMP)
@@ -137,7 +137,7 @@ class TlogScan:
         kind = data[first + 5] if is_v1 else int.from_bytes(data[first + 7 : first + 10], "little")
         layout = layouts().get(kind)
         if layout is None:
-            self.ours += kind == _OUR_FRAME
+            self.downlink_frames += kind == _DOWNLINK_FRAME
             return following == len(data) or _frame_size(data, following + _STAMP) > 0
         end = first + head + data[first + 1]
         checksum = fastcrc.crc16.mcrf4xx(data[first + 1 : end] + bytes([layout.crc_extra]))
@@ -153,10 +153,10 @@ class TlogScan:
     def notes(self, excluded: list[int], system: int) -> list[str]:
         """Notes on what was left out. excluded: systems that are not imported; system: the imported one."""
         notes = []
-        if self.ours:
+        if self.downlink_frames:
             notes.append(
-                f"{self.ours} frames of Sideslip's own downlink are not used here: 'sideslip ground --replay' makes the flight "
-                "of them"
+                f"{self.downlink_frames} frames of Sideslip's own downlink are not used here: 'sideslip ground --replay' makes "
+                "the flight of them"
             )
         if excluded:
             notes.append(f"messages of systems {', '.join(map(str, excluded))} left out; system {system} is imported")

@@ -68,8 +68,8 @@ class LastingLog:
         """Check that the open file is still the one at its path; else create it again, with the old content if that can be read.
         Returns whether it was the same file. Raises OSError while the folder is missing."""
         try:
-            current, ours = self.path.stat(), os.fstat(self._file.fileno())
-            if (current.st_dev, current.st_ino) == (ours.st_dev, ours.st_ino):
+            at_path, opened = self.path.stat(), os.fstat(self._file.fileno())
+            if (at_path.st_dev, at_path.st_ino) == (opened.st_dev, opened.st_ino):
                 return True
         except FileNotFoundError:
             pass
