@@ -81,7 +81,8 @@ _LARGEST_RAD: Mapping[str, float] = {"phi": np.pi, "psi": np.pi, **dict.fromkeys
 """Column -> its largest angle [rad]."""
 _LARGEST_SURFACE_RAD = 1.0  # of a control surface: 57 deg
 _ANGLE_MARGIN = 1.1  # times the largest angle, for noise: beyond it the unit is degrees
-_FAST_RATE = 8.0  # 99th percentile of a rate, above which it is probably in deg/s: 8 rad/s are 460 deg/s
+_FAST_RATE, _RATE_PERCENTILE = 8.0, 99.0
+"""A rate whose percentile is larger is probably in deg/s: 8 rad/s are 460 deg/s."""
 FEWEST_ROWS = 20  # of a table, for a correlation
 MOST_DECORRELATION = 0.5  # largest ratio of 1 - correlation of the best column to that of the second, for a choice
 _RATE_TOLERANCE = 0.45  # relative difference of a rate's std from that of its angle's slope
@@ -263,5 +264,5 @@ def _rate_unit(
         for unit in ("rad/s", "deg/s"):
             if abs(ratio * UNITS[unit].scale - 1.0) < _RATE_TOLERANCE:
                 return UnitGuess(unit, f"{extent}; moves as the slope of {names[angle]} in {unit}", True)
-    largest = float(np.nanpercentile(np.abs(rate), 99))
+    largest = float(np.nanpercentile(np.abs(rate), _RATE_PERCENTILE))
     return UnitGuess("deg/s" if largest > _FAST_RATE else "rad/s", f"{extent}; UNKNOWN unit, by its size")

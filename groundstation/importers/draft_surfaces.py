@@ -23,6 +23,7 @@ FEWEST_RATES = 20  # of a gyro: far too few for a sign
 SHORTEST_COMMON_S = 10.0  # of output and rate
 LEAST_STANDARD_ERRORS = 6.0  # of a response, to determine a sign
 _RATE = 50.0  # [Hz] to which output and rate are resampled
+_LEAST_STD = 1e-12  # of a residual: guards the division
 _DELAY_STEP = 0.01  # [s] between the delays that are tried
 _TURN = 0.08
 """[s] before and after an instant between which slopes are compared: longer than a servo's lag, far below half a Dutch roll."""
@@ -168,7 +169,7 @@ def _response(u: Array, y: Array, delay: int) -> float:
         return 0.0
     slope = float(x @ z) / power
     residual = z - slope * x
-    return slope * float(np.sqrt(power)) / max(float(np.std(residual)), 1e-12)
+    return slope * float(np.sqrt(power)) / max(float(np.std(residual)), _LEAST_STD)
 
 
 def surface_lines(shares: Shares, missing: Sequence[str]) -> list[str]:

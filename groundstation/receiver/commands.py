@@ -16,6 +16,7 @@ from groundstation.receiver.timeline import NS
 TRIES = 5
 RETRY_NS = NS
 _PARAMETERS = 7  # of a COMMAND_LONG
+_DIGEST_DIGITS = 6  # hexadecimal ones of a manoeuvre: 24 bits are exact in a parameter of single precision
 
 _TURN_NS = NS // 4
 _AT_ONCE = 2
@@ -68,7 +69,7 @@ class Commander:
 
     def start_manoeuvre(self, system: int, digest: str) -> None:
         """Start the armed manoeuvre with this digest; the aircraft obeys a signed command only, with its pilot's switch at go."""
-        self._send(system, c.SEQUENCER, 1.0, float(int(digest[:6], 16)))
+        self._send(system, c.SEQUENCER, 1.0, float(int(digest[:_DIGEST_DIGITS], 16)))
 
     def stop_manoeuvre(self, system: int) -> None:
         self._send(system, c.SEQUENCER, 0.0)

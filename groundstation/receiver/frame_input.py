@@ -11,7 +11,7 @@ from typing import NamedTuple
 from daq.transport.mavlink_codec import FrameDecoder, Junk, MavlinkFrame
 from daq.transport.ports import BytePort, TcpServerPort, UdpPort
 from groundstation.receiver.findings import Faults
-from groundstation.receiver.ports import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
+from groundstation.receiver.ports import READ_BYTES, STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
 from groundstation.receiver.storage.lasting_log import LastingLog
 from groundstation.receiver.timeline import Allowance
 from groundstation.receiver.tlog import TlogWriter
@@ -84,7 +84,7 @@ class FrameInput:
             if isinstance(port, UdpPort | TcpServerPort):  # ports that distinguish senders
                 datagrams = port.receive()
             else:
-                data = port.read(65536)
+                data = port.read(READ_BYTES)
                 datagrams = [("", data)] if data else []
         except OSError as error:
             self._faults.note(name, error)

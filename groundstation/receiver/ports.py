@@ -61,7 +61,7 @@ class LinkConfig(BaseModel):
         return value
 
 
-READ_BYTES = 65536
+READ_BYTES = 65536  # at once: no datagram is longer
 TURN_DATAGRAMS, TURN_BYTES = 4096, 1 << 24
 """Read from one socket in a turn, at most: ten milliseconds of work."""
 STRANGER_AT_ONCE, STRANGER_PER_S = 1 << 16, 100_000

@@ -24,7 +24,8 @@ from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import ImportedTable
 from groundstation.importers.mapping import FileFormat
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
+_HDF5 = b"\x89HDF\r\n\x1a\n"  # at the beginning, or after MATLAB's own header of 512 bytes
+_BYTE_ORDERS = (b"IM", b"MI")  # at byte 126 of a MATLAB 5 file
 _DESCRIPTIONS = ("units", "meaning", "about")  # structs of texts that `sideslip export` writes beside the vectors
 MOST_RECORDS = 1000  # of a file; each becomes a segment
 FEWEST_ROWS = 2
@@ -45,7 +46,7 @@ def read_variables(path: Path) -> tuple[dict[str, Any], int]:
     """
     data = read_bytes(path, error=ImportDataError)
     version = "7.3" if _HDF5 in (data[:8], data[512:520]) else "5"
-    if version == "5" and data[126:128] not in (b"IM", b"MI"):
+    if version == "5" and data[126:128] not in _BYTE_ORDERS:
         raise ImportDataError(
             f"{path}: not a MATLAB 5 or 7.3 file; save it with -v7 or -v7.3 (older ones, of MATLAB 4, are not read)"
         )

@@ -24,6 +24,7 @@ _TYPES = frozenset(b"BFIMPQARDLCSO")
 _DATA = ord("D")
 _SAMPLE_HEAD = struct.Struct("<HBH")  # length without these three bytes, kind, topic
 _HEAD = 3  # bytes of a message before its content: length and kind
+_FLAGS_SIZE, _FLAG_BITS_SIZE = 16, 40  # bytes of the flags in message B, and with three offsets of appended data
 _NO_SIZES = (1, 0)  # least and largest size of an unknown topic's sample: none fits
 _SIZES = {
     "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4, "int64_t": 8, "uint64_t": 8,
@@ -162,7 +163,7 @@ class UlogScan:
                 return self._subscription(body)
             case "B":
                 self._appended = sorted(_offsets(body))
-                self._head.append(_message(kind, (body[:16] + bytes(40))[:40]))
+                self._head.append(_message(kind, (body[:_FLAGS_SIZE] + bytes(_FLAG_BITS_SIZE))[:_FLAG_BITS_SIZE]))
             case "I" if b" ver_sw" in body[:40]:
                 self._head.append(_message(kind, body))
             case "L" | "C" if len(self.logged) < MOST_LOGGED:
@@ -236,7 +237,7 @@ def _message(kind: int, body: bytes) -> bytes:
 
 def _offsets(body: bytes) -> Iterator[int]:
     """The offsets of appended data in a message of flag bits (B)."""
-    for i in range(16, min(len(body), 40) - 7, 8):
+    for i in range(_FLAGS_SIZE, min(len(body), _FLAG_BITS_SIZE) - 7, 8):
         offset = int.from_bytes(body[i : i + 8], "little")
         if offset:
             yield offset
