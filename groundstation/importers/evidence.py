@@ -107,7 +107,7 @@ def _airspeed_of_ardupilot(parameters: Mapping[str, float], series: dict[str, Ti
         return "measured", []
     if any(parameters.get(name, 0.0) > 0.0 for name in ("ARSPD_TYPE", "ARSPD_ENABLE")):
         return "measured", []
-    return "assumed", ["nothing in the log shows that a pitot measured CTUN.As (no ARSP, no AsT)"]
+    return "assumed", ["nothing in the log says that a pitot measured CTUN.As (no ARSP, no AsT)"]
 
 
 def of_px4(log: Log) -> Log:
@@ -162,7 +162,7 @@ def _airspeed_of_mavlink(series: Mapping[str, TimeSeries]) -> tuple[str, str]:
     if varies or states[0] is not None:
         return "measured", ""
     absent = "no differential pressure, no SYS_STATUS"
-    return "assumed", f"nothing in the log shows that a pitot measured VFR_HUD.airspeed ({absent})"
+    return "assumed", f"nothing in the log says that a pitot measured VFR_HUD.airspeed ({absent})"
 
 
 def _distinct(series: TimeSeries) -> str:

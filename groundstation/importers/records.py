@@ -11,13 +11,16 @@ from dataclasses import replace
 from itertools import combinations, pairwise
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from daq.utilities.input_files import parse_toml, read_bytes, read_text
 from groundstation.flight import AIRCRAFT_FILE, Flight
 from groundstation.flight.arrays import Array
+from groundstation.flight.contradictions import CONTRADICTIONS
 from groundstation.flight.findings import Finding
+from groundstation.flight.flight import CHANNELS
 from groundstation.flight.marks import joined_marks, marks_of
 from groundstation.importers.attitude import with_attitudes
 from groundstation.importers.errors import ImportDataError
@@ -195,7 +198,11 @@ def joined_flights(flights: Sequence[Flight]) -> Flight:
         notes.append(f"{shifted} of them begin before the end of the previous one: moved to {RECORD_GAP:g} s after it")
     provenance = flights[0].provenance
     files = {f.provenance.path: f.provenance.sha256 for f in flights}
-    detail = {**provenance.detail, **joined_marks(marks).to_json(), **({"files": files} if len(files) > 1 else {})}
+    detail = {
+        **_joined_detail(flights),
+        **joined_marks(marks).to_json(),
+        **({"files": files} if len(files) > 1 else {}),
+    }
     return Flight.build(
         flights[0].name,
         np.concatenate(times),
@@ -204,6 +211,21 @@ def joined_flights(flights: Sequence[Flight]) -> Flight:
         provenance=replace(provenance, detail=detail),
         notes=notes,
     )
+
+
+def _joined_detail(flights: Sequence[Flight]) -> dict[str, Any]:
+    """The first record's detail, with the origins of columns that only later records have, and the contradictions of all between
+    other quantities."""
+    joined = dict(flights[0].provenance.detail)
+    for detail in (f.provenance.detail for f in flights[1:]):
+        for key in ("mapping", CHANNELS, "native_hz"):
+            joined[key] = {**detail.get(key, {}), **joined.get(key, {})}
+        earlier = joined.get(CONTRADICTIONS, [])
+        sides = [c["between"] for c in earlier]
+        further = [c for c in detail.get(CONTRADICTIONS, ()) if c["between"] not in sides]
+        if further:
+            joined[CONTRADICTIONS] = [*earlier, *further]
+    return joined
 
 
 def with_aircraft(flight: Flight, aircraft: str) -> Flight:
