@@ -51,13 +51,12 @@ class AircraftDecoder(ScanDecoder):
         if frame.msg_id in SCAN_IDS:
             self._take_scan(frame, now_ns, utc_ns)
             return self._events
-        handler = _HANDLERS.get(frame.name)
-        if handler is not None:
-            handler(self, frame, frame.fields(), now_ns)
+        if frame.name == "HEARTBEAT":
+            fields: Mapping[str, Any] = frame.fields()
+            self._events.append(ev.Heartbeat(self.system, frame.component, fields["system_status"], now_ns))
+        elif frame.name in _HANDLERS:
+            _HANDLERS[frame.name](self, frame.fields(), now_ns)
         return self._events
-
-    def _heartbeat(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
-        self._events.append(ev.Heartbeat(frame.system, frame.component, f["system_status"], now_ns))
 
     def _text_allowed(self, now_ns: int) -> bool:
         """Whether another text is within the allowance; one beyond it is counted as a finding."""
@@ -66,7 +65,7 @@ class AircraftDecoder(ScanDecoder):
         self._findings.doubt(self.system, findings.TEXTS)
         return False
 
-    def _statustext(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _statustext(self, f: Mapping[str, Any], now_ns: int) -> None:
         number, index, severity, text = f["id"], f["chunk_seq"], f["severity"], f["text"]
         if index >= _TEXT_PIECES or not self._text_allowed(now_ns):
             return
@@ -79,9 +78,9 @@ class AircraftDecoder(ScanDecoder):
                 return
             self._texts.pop(number)
             text = "".join(pieces[i][1] for i in sorted(pieces))
-        self._events.append(ev.StatusText(frame.system, severity, text, now_ns))
+        self._events.append(ev.StatusText(self.system, severity, text, now_ns))
 
-    def _logger_status(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _logger_status(self, f: Mapping[str, Any], now_ns: int) -> None:
         accounting = self._session(f["boot"])
         if accounting is None:
             return
@@ -96,7 +95,7 @@ class AircraftDecoder(ScanDecoder):
             )
         )
 
-    def _link_statistics(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _link_statistics(self, f: Mapping[str, Any], now_ns: int) -> None:
         # This report can begin a session: a ground station started after the last scan still fetches its scans.
         accounting = self._session(f["boot"]) or self._session_by_claim(f["boot"], now_ns)
         if accounting is None:
@@ -127,7 +126,7 @@ class AircraftDecoder(ScanDecoder):
                 return None
         return self._new_session(boot, now_ns)
 
-    def _sent_map(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _sent_map(self, f: Mapping[str, Any], now_ns: int) -> None:
         accounting = self._session(f["boot"])
         if accounting is None:
             return
@@ -138,7 +137,7 @@ class AircraftDecoder(ScanDecoder):
             sent_bits, absent = (int.from_bytes(bytes(f[n]), "little") for n in ("sent", "absent"))
             accounting.take_map(first, f["last_number"], sent_bits, absent)
 
-    def _scan_event(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _scan_event(self, f: Mapping[str, Any], now_ns: int) -> None:
         accounting = self._session(f["boot"])
         if accounting is None:
             return
@@ -150,7 +149,7 @@ class AircraftDecoder(ScanDecoder):
             return
         self._events.append(ev.EventMarked(accounting.session, time_ns, number, f["origin"], f["text"], now_ns))
 
-    def _sequencer_status(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _sequencer_status(self, f: Mapping[str, Any], now_ns: int) -> None:
         accounting = self._session(f["boot"])
         if accounting is None:
             return
@@ -170,14 +169,13 @@ class AircraftDecoder(ScanDecoder):
             )
         )
 
-    def _timesync(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _timesync(self, f: Mapping[str, Any], now_ns: int) -> None:
         if 0 < f["tc1"] <= MAX_AIRCRAFT_TIME_NS:
             self.sync.answer(f["ts1"], f["tc1"], now_ns)
 
 
-_Handler = Callable[[AircraftDecoder, MavlinkFrame, Mapping[str, Any], int], None]
+_Handler = Callable[[AircraftDecoder, Mapping[str, Any], int], None]
 _HANDLERS: Mapping[str, _Handler] = {
-    "HEARTBEAT": AircraftDecoder._heartbeat,
     "STATUSTEXT": AircraftDecoder._statustext,
     "LOGGER_STATUS": AircraftDecoder._logger_status,
     "LINK_STATISTICS": AircraftDecoder._link_statistics,
@@ -186,3 +184,4 @@ _HANDLERS: Mapping[str, _Handler] = {
     "SEQUENCER_STATUS": AircraftDecoder._sequencer_status,
     "TIMESYNC": AircraftDecoder._timesync,
 }
+"""Message -> method that uses its fields; a report that cannot be true becomes a finding."""

@@ -26,7 +26,7 @@ OTHER_MEMORY = 2**29  # bytes of Python, numpy, scipy and HDF5 themselves
 COPIES = 4  # of the numbers, that reading and writing hold at once
 NO_PACKAGE = 3  # exit status
 HDF5 = b"\x89HDF\r\n\x1a\n"
-V5_HEADER, COMPRESSED = 128, 15
+V5_HEADER = 128  # bytes
 
 
 class Tree:
