@@ -55,14 +55,13 @@ class ScanRun:
         if part.boot != self.boot:
             return False
         if number_step > 0:
-            return number_step * SHORTEST_PERIOD_NS <= time_step_ns <= self._largest_step_ns(now_ns) and self.in_step(
-                part
-            )
+            in_time = number_step * SHORTEST_PERIOD_NS <= time_step_ns <= self._largest_step_ns(now_ns)
+            return in_time and self.in_step(part)
         if number_step == 0:
             return time_step_ns == 0
-        return -LATE_NS <= time_step_ns < 0 and self._stands_between(part)
+        return -LATE_NS <= time_step_ns < 0 and self._fits_neighbours(part)
 
-    def _stands_between(self, part: ScanPart) -> bool:
+    def _fits_neighbours(self, part: ScanPart) -> bool:
         """Whether a late part's time lies between those of its neighbours by number, or equals that of its scan."""
         place = bisect_left(self._numbers, part.number)
         if self._numbers[place] == part.number:

@@ -168,7 +168,7 @@ class Receiver:
             if not aircraft.senders.allows(sender, frame.component, is_own_message, now_ns):
                 return False
         elif is_own_message:
-            aircraft.senders.speaks(sender, now_ns)
+            aircraft.senders.accept_signed(sender, now_ns)
         if is_own_message and previous != sender:
             if previous is not None:
                 self._frame_input.forget(previous)

@@ -30,8 +30,7 @@ _FOREIGN_CHANNELS = (
 
 
 class ScanDecoder:
-    """The scans and sessions of one aircraft (system id). trackers: by component; latency_s: of the last scan; partial_scans:
-    number of scans without their fast part."""
+    """The scans and sessions of one aircraft (system id). trackers: by component; latency_s: of the last scan."""
 
     def __init__(self, system: int, reception_findings: findings.ReceptionFindings | None = None) -> None:
         self.system = system
@@ -41,7 +40,6 @@ class ScanDecoder:
         self.sessions: list[SessionAccounting] = []
         self.latency_s: float | None = None
         self.scans_since_report = 0
-        self.partial_scans = 0
         self.last_scan_ns = 0
         self._unconfirmed = UnconfirmedRuns()
         self._claims: OrderedDict[int, tuple[int, int]] = (
@@ -85,7 +83,7 @@ class ScanDecoder:
             if part.msg_id == SCAN_FAST_ID:
                 late_session.received.add(part.number)
             return
-        accounting = self.sessions[-1] if self.sessions else None
+        accounting = self.accounting
         if accounting is None or accounting.run is None:
             self._begin(PendingScan(part, frame.component, now_ns, utc_ns), accounting)
             return
@@ -164,9 +162,7 @@ class ScanDecoder:
         is_late = part.time_monotonic_ns < accounting.last_time_ns
         parts.append(part)
         while len(self._parts) > _PARTIAL_SCANS:
-            old_parts = self._parts.pop(next(iter(self._parts)))
-            if old_parts[0].msg_id != SCAN_FAST_ID and all(p.msg_id != SCAN_FAST_ID for p in old_parts):
-                self.partial_scans += 1
+            self._parts.pop(next(iter(self._parts)))
         if part.msg_id == SCAN_FAST_ID:
             if not accounting.received.add(part.number):
                 return

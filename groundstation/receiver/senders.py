@@ -133,7 +133,7 @@ class Senders:
             self._confirmed[sender, component, is_own_message] = tuple(self._speakers[role] for role in roles)
         return True
 
-    def speaks(self, sender: Sender, now_ns: int) -> None:
+    def accept_signed(self, sender: Sender, now_ns: int) -> None:
         """Accept a sender of the logger's messages, whose signature is valid."""
         self._speakers[_LOGGER, sender.port] = _Speaker(sender, now_ns)
         self._confirmed.clear()
