@@ -25,9 +25,8 @@ from groundstation.importers.servos import ServoMap
 from groundstation.importers.units import conversion
 
 MAPS = Path(__file__).parent / "maps"
-MOST_LINES_ABOVE = (
-    1_000_000  # above the first row of numbers; 16 MiB of text have fewer lines that are not almost empty
-)
+MOST_LINES_ABOVE = 1_000_000
+"""Lines above the first row of numbers: 16 MiB of text have fewer that are not almost empty."""
 
 
 class _MapTable(BaseModel):

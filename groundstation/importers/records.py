@@ -48,7 +48,7 @@ def by_boot(log: Log) -> list[Log]:
     if count < 2:
         return [log]
     partial = {n.split(".")[0] for n, s in log.series.items() if len(runs[id(s.time)]) != count}
-    words = f"messages that were not written in each of {count} boots are left out: {', '.join(sorted(partial))}"
+    excluded = f"messages that were not written in each of {count} boots are left out: {', '.join(sorted(partial))}"
     boots = []
     for number in range(count):
         times = {key: clocks[key][parts[number]] for key, parts in runs.items() if len(parts) == count}
@@ -57,10 +57,8 @@ def by_boot(log: Log) -> list[Log]:
             for n, s in log.series.items()
             if id(s.time) in times
         }
-        notes = (
-            f"boot {number + 1} of {count} in this log: imported as a separate record",
-            *((words,) if partial else ()),
-        )
+        note = f"boot {number + 1} of {count} in this log: imported as a separate record"
+        notes = (note, excluded) if partial else (note,)
         boots.append(replace(log, series=series, notes=(*(log.notes if number == 0 else ()), *notes)))
     return boots
 

@@ -112,9 +112,9 @@ class ScanRun:
     def _rate_hz(self) -> float:
         """Highest credible scan rate: _RATE_MARGIN times the mean of the run; in its first second that of any logger."""
         span = self.time_ns - self.first_ns
-        return (
-            FASTEST_HZ if span < NS else max(LEAST_BELIEVED_HZ, _RATE_MARGIN * NS * (self.number - self.first) / span)
-        )
+        if span < NS:
+            return FASTEST_HZ
+        return max(LEAST_BELIEVED_HZ, _RATE_MARGIN * NS * (self.number - self.first) / span)
 
 
 class PendingScan(NamedTuple):

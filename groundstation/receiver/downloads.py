@@ -62,9 +62,8 @@ class LogFetcher:
         if self._file is not None:
             self._requested_ns = now_ns
             self._ahead.clear()
-            return [
-                ("LOG_REQUEST_DATA", {"id": self._number, "ofs": self._position, "count": _WHOLE_LOG - self._position})
-            ]
+            count = _WHOLE_LOG - self._position
+            return [("LOG_REQUEST_DATA", {"id": self._number, "ofs": self._position, "count": count})]
         if self.listing:
             self._requested_ns = now_ns
             return [("LOG_REQUEST_LIST", {"start": 0, "end": 65535})]

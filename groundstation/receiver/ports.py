@@ -73,10 +73,8 @@ AIRCRAFT_AT_ONCE, AIRCRAFT_PER_S = 1 << 19, 400_000
 OWN_SOCKETS = 16  # for as many aircraft as are served
 _STRANGERS = 64  # senders that are remembered
 _SOCKET_BUFFER = 1 << 20  # bytes
-_MEMORY_INFO, _MEMORY_COUNTERS = (
-    55,
-    struct.Struct("=9I"),
-)  # SO_MEMINFO of Linux, whose last counter is of dropped datagrams
+_MEMORY_INFO = 55  # SO_MEMINFO of Linux
+_MEMORY_COUNTERS = struct.Struct("=9I")  # its content, whose last counter is of dropped datagrams
 _QUIET = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _REFUSED = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
 Address = tuple[str | int, ...]
@@ -177,9 +175,8 @@ class UdpListener(UdpPort):
         if name in self._aircraft or address is None or len(self._aircraft) >= _STRANGERS:
             return
         self._aircraft[name] = _UdpAircraft(address, Allowance(AIRCRAFT_AT_ONCE, AIRCRAFT_PER_S))
-        if (
-            len(self._connections) < OWN_SOCKETS
-        ):  # a later sender takes none away: strangers could then displace an aircraft
+        # a later sender takes no socket away: strangers could then displace an aircraft
+        if len(self._connections) < OWN_SOCKETS:
             with contextlib.suppress(OSError):  # on a system that refuses it all senders share one buffer
                 self._connections[name] = self._connected(address)
 

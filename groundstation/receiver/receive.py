@@ -98,10 +98,8 @@ class Receiver:
                     self._take_frame(frame, sender, now_ns, utc, events)
                 except Exception as error:  # noqa: BLE001  no frame may end the reception
                     self.findings.quarantine_error(frame.system, f"a frame of {frame.name}", error)
-            events += [
-                *self.findings.reports(now_ns, ReceptionFindingKind.REFUSED),
-                *self._second_sender_reports(now_ns),
-            ]
+            events += self.findings.reports(now_ns, ReceptionFindingKind.REFUSED)
+            events += self._second_sender_reports(now_ns)
             self._record(events)
             with self.findings.guard(findings.NOBODY, "due messages and reports"):
                 self._send_due(now_ns, events)

@@ -42,9 +42,8 @@ class ScanDecoder:
         self.scans_since_report = 0
         self.last_scan_ns = 0
         self._unconfirmed = UnconfirmedRuns()
-        self._claims: OrderedDict[int, tuple[int, int]] = (
-            OrderedDict()
-        )  # boot -> time of the first report of it [ns], and their number
+        # boot -> time of the first report of it [ns], and number of its reports
+        self._claims: OrderedDict[int, tuple[int, int]] = OrderedDict()
         self._restart_allowance = Allowance(_RESTARTS_AT_ONCE, _RESTARTS_PER_S)
         self._parts: dict[int, list[ScanPart]] = {}  # by scan number
         self._layouts = layouts()
