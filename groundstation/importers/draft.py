@@ -49,7 +49,7 @@ def draft_map(paths: Sequence[Path]) -> str:
         raise ImportDataError("no file to draft a mapping for")
     path = paths[0]
     check_log(path)
-    table = _table(path) if path.suffix.lower() in TABLES else None
+    table = _first_table(path) if path.suffix.lower() in TABLES else None
     lines = _log_draft(path) if table is None else _table_draft(path, table)
     text = "\n".join([*lines, ""])
     return text + "\n".join(_trial_import(path, text)) + "\n"
@@ -88,10 +88,10 @@ def _mapped_lines(log: Log, mapping: Map) -> Iterator[str]:
         values = f"{np.min(x):.4g} to {np.max(x):.4g}, median {np.median(x):.4g}" if x.size else "no values"
         rate = min(native_rate(s) for s in series)
         kind = flight_kind(log, source)
-        yield f"{name} = {_toml(source)}      # {kind}; {source.parts[0].column} {values}; {rate:.3g} Hz"
+        yield f"{name} = {_inline_table(source)}      # {kind}; {source.parts[0].column} {values}; {rate:.3g} Hz"
 
 
-def _toml(source: ColumnSource) -> str:
+def _inline_table(source: ColumnSource) -> str:
     """A source as an inline table of TOML."""
     fields = source.model_dump(exclude_defaults=True, exclude={"terms"})
     cells = [f"{k} = {_toml_value(v)}" for k, v in fields.items()]
@@ -199,12 +199,12 @@ def _time_lines(table: "ImportedTable", name: str | None) -> tuple[list[str], Ar
     column = f"column = {_toml_value(name)}"
     if name not in table.numeric:
         line = 'unit = "iso"      # dates, times of day or IRIG time'
-        return [column, line], _seconds(table, name)
+        return [column, line], _time_of_text(table, name)
     unit, evidence = time_unit(table.numeric[name])
     return [column, f'unit = "{unit}"      # {evidence}'], table.numeric[name] * UNITS[unit].scale
 
 
-def _seconds(table: "ImportedTable", name: str) -> Array | None:
+def _time_of_text(table: "ImportedTable", name: str) -> Array | None:
     """(N,) time [s] from a column of dates or times of day; None where it cannot be read."""
     try:
         return stamps_of(Path(name), table.numeric, table.words, table.dates, Time(column=name, unit="iso")).seconds
@@ -212,7 +212,7 @@ def _seconds(table: "ImportedTable", name: str) -> Array | None:
         return None
 
 
-def _table(path: Path) -> "ImportedTable | None":
+def _first_table(path: Path) -> "ImportedTable | None":
     """The table with its time column, as numbers or text; without one, the columns of numbers only. Of a MATLAB file the first
     record, None where it holds the topics of an autopilot's log."""
     from groundstation.importers.formats.tables import read_table

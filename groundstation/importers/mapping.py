@@ -128,11 +128,11 @@ class FileFormat(_MapTable):
     skip_after_header: Annotated[int, Field(ge=0, le=MOST_LINES_ABOVE)] = 0
 
 
-def _listed(value: object) -> object:
+def _as_list(value: object) -> object:
     return value if isinstance(value, (list, tuple)) else [value]
 
 
-Sources = Annotated[tuple[ColumnSource, ...], BeforeValidator(_listed), Field(min_length=1)]
+Sources = Annotated[tuple[ColumnSource, ...], BeforeValidator(_as_list), Field(min_length=1)]
 
 
 class Map(_MapTable):

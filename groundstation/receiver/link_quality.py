@@ -90,11 +90,11 @@ def counters(
         "unsigned_rejected": rejected,
         "backfilled": sum(a.backfilled for a in accounting),
         "flight": str(recordings[0]) if recordings else None,
-        "sessions": [_session(a) for a in accounting],
+        "sessions": [_session_counters(a) for a in accounting],
     }
 
 
-def _session(a: ev.Accounting) -> dict[str, Any]:
+def _session_counters(a: ev.Accounting) -> dict[str, Any]:
     """One entry of `sessions`."""
     return {
         "system": a.session.system,

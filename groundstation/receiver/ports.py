@@ -117,14 +117,14 @@ class UdpListener(UdpPort):
         now_ns = self._clock.monotonic_ns()
         for name, connection in self._connections.items():
             for _, size in self._datagrams(connection, limit):
-                self._keep(name, size, now_ns, datagrams)
+                self._add_allowed(name, size, now_ns, datagrams)
         for address, size in self._datagrams(self._socket, limit):
             name = _name(address)
             self._remember(name, address)
-            self._keep(name, size, now_ns, datagrams)
+            self._add_allowed(name, size, now_ns, datagrams)
         return datagrams
 
-    def _keep(self, name: str, size: int, now_ns: int, datagrams: list[tuple[str, bytes]]) -> None:
+    def _add_allowed(self, name: str, size: int, now_ns: int, datagrams: list[tuple[str, bytes]]) -> None:
         """Add the datagram in the buffer to `datagrams`, if its sender's allowance permits."""
         aircraft = self._aircraft.get(name)
         if aircraft is not None:

@@ -78,9 +78,11 @@ def stamps_of(
     elif name in dates:
         stamps = _with_seconds_filled(name, Stamps(dates[name]))
     elif name in words:
-        stamps = _with_seconds_filled(name, _of_words(path, name, words[name], words.get(time.date or "", ()), time))
+        stamps = _with_seconds_filled(
+            name, _stamps_of_words(path, name, words[name], words.get(time.date or "", ()), time)
+        )
     elif name in numeric:
-        stamps = _of_numbers(path, name, numeric[name], time)
+        stamps = _stamps_of_numbers(path, name, numeric[name], time)
     else:
         columns = listed([*numeric, *words, *dates], 12)
         raise ImportDataError(f"{path}: no column {name!r} for the time; found {columns}")
@@ -131,7 +133,7 @@ def sender_stamp(numeric: Mapping[str, Array]) -> SenderStamp | None:
 # ------------------------------------------------------------------------------------------------------------- numbers
 
 
-def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
+def _stamps_of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
     """Stamps from numbers (N,) in the unit of `time`."""
     if time.unit == "iso":
         raise ImportDataError(f"{path}: time column {name!r} is a number, not a date; state its unit instead of iso")
@@ -140,7 +142,7 @@ def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
         raise ImportDataError(f"{path}: time unit {time.unit!r} is not known; s, ms, us, ns, min, h, days or iso")
     if not np.isfinite(values).any():
         raise ImportDataError(f"{path}: time column {name!r} holds no number")
-    epoch = _epoch(values)
+    epoch = _epoch_words(values)
     if epoch and unit.scale in (60.0, 3600.0):
         raise ImportDataError(
             f"{path}: time column {name!r} runs from {np.nanmin(values):.6f} to {np.nanmax(values):.6f}, which are days {epoch}, "
@@ -158,7 +160,7 @@ def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
     return _with_seconds_filled(name, Stamps(seconds, origin=origin))
 
 
-def _epoch(values: Array) -> str:
+def _epoch_words(values: Array) -> str:
     """The epoch in words of values that are probably day numbers: fractional, of the present age, within LONGEST_FLIGHT_DAYS;
     empty for others."""
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
@@ -224,23 +226,23 @@ def _spread_over_seconds(seconds: Array) -> Array | None:
 # --------------------------------------------------------------------------------------------------------------- words
 
 
-def _of_words(path: Path, name: str, cells: Sequence[str], days: Sequence[str], time: Time) -> Stamps:
+def _stamps_of_words(path: Path, name: str, cells: Sequence[str], days: Sequence[str], time: Time) -> Stamps:
     """Stamps from text: dates or times of day. days: cells of the column of dates, or empty."""
     first = next((c for c in cells if c), "")
     if _CLOCK.fullmatch(first):
-        return _clocks(path, name, cells, days)
+        return _stamps_of_times_of_day(path, name, cells, days)
     if _MINUTES.fullmatch(first):
-        return _minutes(path, name, cells)
+        return _stamps_of_minutes(path, name, cells)
     match = _CALENDAR.fullmatch(first)
     if match is not None and _CLOCK.fullmatch(match[2]) and not _is_date(first):
         split = [cell.partition(match[0][len(match[1])]) for cell in cells]
-        return _clocks(path, name, [c.lstrip(" T,") for _, _, c in split], [day for day, _, _ in split])
+        return _stamps_of_times_of_day(path, name, [c.lstrip(" T,") for _, _, c in split], [day for day, _, _ in split])
     if time.unit != "iso" and not _is_date(first):
         word = next((c for c in cells if c and not is_number(c)), first)
         raise ImportDataError(
             f'{path}: time column {name!r} holds {one_line(word, 60)!r}, not a number; dates need unit = "iso"'
         )
-    return _dates(path, name, cells)
+    return _stamps_of_dates(path, name, cells)
 
 
 def _is_date(cell: str) -> bool:
@@ -251,7 +253,7 @@ def _is_date(cell: str) -> bool:
     return not cell.isdigit()
 
 
-def _dates(path: Path, name: str, cells: Sequence[str]) -> Stamps:
+def _stamps_of_dates(path: Path, name: str, cells: Sequence[str]) -> Stamps:
     stamps = []
     for cell in cells:
         try:
@@ -274,7 +276,7 @@ def _dates(path: Path, name: str, cells: Sequence[str]) -> Stamps:
     return Stamps(seconds, origin=(stamps[0] - epoch).total_seconds())
 
 
-def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) -> Stamps:
+def _stamps_of_times_of_day(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) -> Stamps:
     """Stamps from times of day, with the day of the year before them (IRIG) or a column of dates; also over midnight."""
     clock = np.full(len(cells), np.nan)
     irig = False
@@ -298,7 +300,7 @@ def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) ->
     return Stamps(clock - first, notes=(f"time column {name}: {words}, counted from the first",), origin=float(first))
 
 
-def _minutes(path: Path, name: str, cells: Sequence[str]) -> Stamps:
+def _stamps_of_minutes(path: Path, name: str, cells: Sequence[str]) -> Stamps:
     """Stamps from minutes and seconds without the hour; a step back of more than half an hour begins the next hour."""
     clock = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):

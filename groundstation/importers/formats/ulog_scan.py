@@ -71,14 +71,14 @@ class UlogScan:
         self._sync = -1
         self._appended: list[int] = []  # offsets where data were appended after a crash
         self._block: tuple[int, int, Integers] = (-1, -1, np.zeros(0, np.int64))
-        self._run()
+        self._scan()
 
     @property
     def stream(self) -> bytes:
         """A ULog of formats, subscriptions and data only."""
         return b"".join([self._data[:HEADER], *self._head, *self._body])
 
-    def _run(self) -> None:
+    def _scan(self) -> None:
         """Scan the file."""
         start = HEADER
         while start < len(self._data):
@@ -156,31 +156,31 @@ class UlogScan:
         """Use a message; returns False for invalid content."""
         match chr(kind):
             case "D":
-                self._body.append(_message(kind, body))
+                self._body.append(_encoded(kind, body))
             case "F":
-                return self._format(body)
+                return self._use_format(body)
             case "A":
-                return self._subscription(body)
+                return self._use_subscription(body)
             case "B":
-                self._appended = sorted(_offsets(body))
-                self._head.append(_message(kind, (body[:_FLAGS_SIZE] + bytes(_FLAG_BITS_SIZE))[:_FLAG_BITS_SIZE]))
+                self._appended = sorted(_appended_offsets(body))
+                self._head.append(_encoded(kind, (body[:_FLAGS_SIZE] + bytes(_FLAG_BITS_SIZE))[:_FLAG_BITS_SIZE]))
             case "I" if b" ver_sw" in body[:40]:
-                self._head.append(_message(kind, body))
+                self._head.append(_encoded(kind, body))
             case "L" | "C" if len(self.logged) < MOST_LOGGED:
-                self._logged(body[1:] if chr(kind) == "L" else body[3:])
+                self._use_text(body[1:] if chr(kind) == "L" else body[3:])
             case "P" if len(self.parameters) < MOST_LOGGED:
-                self._parameter(body)
+                self._use_parameter(body)
             case "O":
                 self.dropouts += 1
                 self.dropped_ms += int.from_bytes(body[:2], "little")
         return True
 
-    def _logged(self, body: bytes) -> None:
+    def _use_text(self, body: bytes) -> None:
         """A text message: time [us], text."""
         if len(body) > 8:
             self.logged.append((int.from_bytes(body[:8], "little") * 1e-6, body[8:].decode("utf-8", "replace")))
 
-    def _parameter(self, body: bytes) -> None:
+    def _use_parameter(self, body: bytes) -> None:
         """A parameter: length of the key, the key `int32_t NAME` or `float NAME`, value."""
         kind, _, name = body[1 : 1 + body[0]].decode("latin-1").partition(" ")
         raw = body[1 + body[0] : 5 + body[0]]
@@ -189,7 +189,7 @@ class UlogScan:
             if math.isfinite(value):
                 self.parameters[name] = value
 
-    def _format(self, body: bytes) -> bool:
+    def _use_format(self, body: bytes) -> bool:
         """Keep a format, of which the first of a name counts; returns False for an invalid one, or one after the topics."""
         name, colon, text = body.partition(b":")
         matches = [_FIELD.fullmatch(piece) for piece in text.split(b";") if piece]
@@ -197,11 +197,11 @@ class UlogScan:
         if not (colon and fields and len(fields) == len(matches) and name.isascii()) or self._announced:
             return False
         if name.decode() not in self._formats:
-            self._head.append(_message(ord("F"), body))
+            self._head.append(_encoded(ord("F"), body))
         self._formats.setdefault(name.decode(), fields)
         return True
 
-    def _subscription(self, body: bytes) -> bool:
+    def _use_subscription(self, body: bytes) -> bool:
         """Keep a topic; returns False for one that is announced twice, of unknown format, without time, or too long."""
         fields = self._formats.get(body[3:].decode("latin-1"), ())
         if not any((f.kind, f.count, f.name) == ("uint64_t", 1, "timestamp") for f in fields):
@@ -215,7 +215,7 @@ class UlogScan:
         self._topics[:, topic] = self._bounds[topic] = shortest, longest
         self._fields += count
         self._announced += 1
-        self._body.append(_message(ord("A"), body))
+        self._body.append(_encoded(ord("A"), body))
         return True
 
     def _expanded(self, fields: tuple[_Field, ...], depth: int) -> tuple[int, int]:
@@ -231,11 +231,11 @@ class UlogScan:
         return size, count
 
 
-def _message(kind: int, body: bytes) -> bytes:
+def _encoded(kind: int, body: bytes) -> bytes:
     return struct.pack("<HB", len(body), kind) + body
 
 
-def _offsets(body: bytes) -> Iterator[int]:
+def _appended_offsets(body: bytes) -> Iterator[int]:
     """The offsets of appended data in a message of flag bits (B)."""
     for i in range(_FLAGS_SIZE, min(len(body), _FLAG_BITS_SIZE) - 7, 8):
         offset = int.from_bytes(body[i : i + 8], "little")

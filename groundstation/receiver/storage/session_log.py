@@ -74,7 +74,7 @@ class SessionLog:
         self.received, self.complete = ScanMap(), ScanMap()
         end = 0
         for record in self._records():
-            self._note(record.kind, record.number)
+            self._note_scan(record.kind, record.number)
             end = record.end
         self.file.truncate(end)  # removes an incomplete last record, or all of a file that is no journal
         if end == 0:
@@ -90,7 +90,7 @@ class SessionLog:
                 if record != _MAGIC:
                     self.file.append(record)
                     kind, number, *_ = _HEAD.unpack_from(record)
-                    self._note(RecordKind(kind), number)
+                    self._note_scan(RecordKind(kind), number)
         self.file.flush()
 
     @property
@@ -109,7 +109,7 @@ class SessionLog:
         """Number of scans in the file."""
         return self.total - self.scans_waiting
 
-    def _note(self, kind: RecordKind, number: int) -> None:
+    def _note_scan(self, kind: RecordKind, number: int) -> None:
         """Add a record to `received` or `complete`."""
         if kind is RecordKind.RECEIVED:
             self.received.add(number)
@@ -120,7 +120,7 @@ class SessionLog:
         """Append a record. number: of a scan. Raises OSError where the record has to wait."""
         crc = zlib.crc32(_CHECKED.pack(kind, number, len(data)) + data)
         if self.file.append(_HEAD.pack(kind, number, len(data), crc) + data):
-            self._note(kind, number)
+            self._note_scan(kind, number)
         self.file.flush()  # on a full disk the record waits in memory for a later flush
 
     def add_received(self, scan: Scan) -> None:
