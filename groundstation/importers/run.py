@@ -189,9 +189,11 @@ def _plausibility_notes(
 
 def _averaging_notes(imported: ImportedColumns, rate: float | None) -> list[str]:
     """A note where a requested rate averages motion and surfaces that the log has at a higher rate."""
+    if rate is None:
+        return []
     rates = {n: c.rate for n, c in imported.origins.items() if n in _MOTION and c.rate is not None}
-    fast = {n: native for n, native in rates.items() if rate is not None and native >= AVERAGING_RATIO * rate}
-    if rate is None or not fast:
+    fast = {n: native for n, native in rates.items() if native >= AVERAGING_RATIO * rate}
+    if not fast:
         return []
     return [
         f"{listed(fast)} logged at {max(fast.values()):.3g} Hz, averaged to the {rate:g} Hz asked for: information on fast modes "
