@@ -65,7 +65,7 @@ class Bag:
         return None
 
     def add_message(self, name: str, kind: str, time_ns: int, data: bytes, decode: Decode) -> None:
-        """Decode and keep a message."""
+        """Decode a message and add it to its topic; count it where it is damaged."""
         if len(data) > LONGEST_MESSAGE:
             self.unread[name] = f"messages of {len(data)} bytes; at most {LONGEST_MESSAGE} are read"
             return

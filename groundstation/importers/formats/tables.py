@@ -99,6 +99,7 @@ def _with_sender_stamp(table: ImportedTable) -> ImportedTable:
 
 
 def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> ImportedTable:
+    """A text table. needs_time: whether one of the columns must be the time. Raises ImportDataError."""
     text, notes = without_end(text_of(path), layout)
     first_lines = list(itertools.islice(lines_of(text), LONGEST_PREAMBLE))
     last_line = text[text.rfind("\n", 0, -1) + 1 : -1]

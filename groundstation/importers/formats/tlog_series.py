@@ -36,7 +36,7 @@ DENSE_STEP = 0.3  # [s] between two messages with a time, at most, for the time 
 CLOCK_RATE = 0.02  # relative difference of the clocks' rates, larger than of any quartz
 SHORTEST_DRIFT_SPAN = 20.0  # [s] over which late deliveries do not look like a difference of rate
 FEWEST_DRIFT_MESSAGES = 20  # with a time, for the rate of a clock
-SHORTEST_HALF = 1e-9  # [s] guards the division by the span of equal times
+LEAST_SPAN = 1e-9  # [s] guards the division by the span of equal times
 STOPPING_CLOCK_RATE = 0.05  # difference of rate from which no estimate is recommended
 
 
@@ -260,7 +260,7 @@ def _clock_rates(clock: _Clock) -> Iterator[Contradiction]:
     half = clock.sender_time.size // 2
     delay = clock.stamp - clock.sender_time
     rise, span = (float(np.median(v[half:])) - float(np.median(v[:half])) for v in (delay, clock.sender_time))
-    drift = rise / max(span, SHORTEST_HALF)
+    drift = rise / max(span, LEAST_SPAN)
     if abs(drift) <= CLOCK_RATE:
         return
     text = (
