@@ -21,9 +21,9 @@ from groundstation.receiver.storage.sessions import Sessions
 from groundstation.receiver.timeline import NS
 
 _SYNC_FAST_NS, _SYNC_FAST_COUNT, _SYNC_NS = NS // 2, 6, 5 * NS
-"""Between time syncs: the first few in fast sequence, to know the clocks soon, then rarely, for the radio's sake."""
+"""Times between time syncs: the first few in fast sequence, to relate the clocks soon, then rarely, to leave the radio free."""
 _MAP_NS, _MAPS_AT_ONCE = 2 * NS, 4
-"""Between two turns of requests for maps of sent scans, and requests in one turn."""
+"""Time between two turns of requests for maps of sent scans, and requests in one turn."""
 _QUIET_NS = 2 * NS  # without a scan: the aircraft then completes no further block, and sends no further map
 
 

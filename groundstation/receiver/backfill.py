@@ -26,12 +26,12 @@ WINDOW = 4  # open requests: enough that the aircraft always has one to serve
 MAX_WANTED, SPAN = 24, 64
 """Scans in one request, at most, as the aircraft refuses more; and the width of its mask of scan numbers."""
 RETRY_NS, MAX_RETRY_NS = 2 * NS, 16 * NS
-"""Without an answer, after which a request is sent again: it doubles each time, for the radio's sake."""
+"""Time without an answer, after which a request is sent again; it doubles each time, to leave the radio free."""
 SUMMARY_NS = 2 * NS  # between requests for the summary
 PROGRESS_NS = NS  # between reports of progress
 SEARCH_NS = NS // 2  # until missing scans are searched again, after none was found
 PAPERS_AGAIN_NS = 10 * NS
-"""Between requests for papers because a sensor has joined: they are some 2 % of what the radio carries in that time."""
+"""Time between requests for papers because a sensor has joined: they are some 2 % of what the radio carries in that time."""
 PAPERS_PART_BYTES = 8192  # of the archive in one answer, as the aircraft cuts it
 _ALL_FRAGMENTS = 2**64 - 1
 _MAX_ANSWER = 1 << 20  # bytes of an answer decompressed: ten times MAX_WANTED scans of _MAX_SCAN_BYTES

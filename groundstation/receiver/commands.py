@@ -22,7 +22,7 @@ _TURN_NS = NS // 4
 _AT_ONCE = 2
 """Fragments of a manoeuvre in a turn: 8 a second are 1.8 kB/s, what a radio at 57600 baud has left beside the downlink."""
 _PATIENCE_NS = 20 * NS
-"""Without an answer, after which a manoeuvre is given up: the aircraft may be out of range for a turn."""
+"""Time without an answer, after which a manoeuvre is given up: the aircraft may be out of range for a turn."""
 _WORDS = {wire.TAKEN: "taken", wire.REFUSED: "refused by the aircraft, which says why"}
 
 

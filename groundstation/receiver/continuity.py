@@ -22,11 +22,11 @@ LATE_NS = 10 * NS
 FASTEST_HZ = 2000.0
 """The highest scan rate that a logger's configuration allows."""
 SHORTEST_PERIOD_NS = 50_000
-"""Between two scans: a tenth of the shortest period, for one that starts late."""
+"""Time between two scans, at least: a tenth of the shortest period, for a scan that starts late."""
 LONGEST_PERIOD_NS = 10 * NS
-"""Between two scans: no logger scans more slowly."""
+"""Time between two scans, at most: no logger scans more slowly."""
 LEAST_BELIEVED_HZ = 100.0
-"""Scan rate that is accepted of any logger, since its mean rate is too low after pauses."""
+"""Scan rate that is accepted of any logger, since pauses lower its mean rate."""
 NUMBER_MARGIN = 24  # scan numbers beyond those that the rate allows
 PROVEN_SCANS, PROVEN_NS = 4, NS
 """Scans of a new run, and the time they span, that prove it: at the lowest downlink rate, 2 Hz, the old run would have sent

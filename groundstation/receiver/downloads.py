@@ -9,7 +9,7 @@ from daq.utilities.durable import open_log
 from groundstation.receiver.timeline import NS
 
 DATA_BYTES = 90  # of one LOG_DATA
-RETRY_NS = 2 * NS  # without an answer, after which a request is repeated
+RETRY_NS = 2 * NS  # time without an answer, after which a request is repeated
 _WINDOW = 64 * DATA_BYTES  # beyond a gap, that is stored before the gap is requested again
 _WHOLE_LOG = 2**32 - 1  # as a number of bytes
 

@@ -18,7 +18,7 @@ from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.timeline import NS, GroundClock
 
 SAVE_NS = NS
-"""Between two saves of the signing timestamps. After a crash of the ground station, recorded frames of that time, and of the
+"""Time between two saves of the signing timestamps. After a crash of the ground station, recorded frames of that time, and of the
 duration of a save, can be replayed."""
 SIGNING_STATE = "signing state"
 SILENCE_NS = 3 * NS

@@ -21,7 +21,7 @@ DELIMITERS = (";", "\t", "|", ",")
 """Delimiters of cells; first those that rarely have another meaning."""
 _UNIFORM_ROWS = 4  # below the column names, that must have as many cells
 LONGEST_PREAMBLE = 200  # lines above the column names
-_DECIMAL_ROWS = 50  # in which a decimal comma is looked for
+_DECIMAL_ROWS = 50  # in which a decimal comma is searched
 LONGEST_END = 20  # lines below the last row of a table that are left out
 EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d*,\d+(e[-+]?\d+)?\s*$", re.IGNORECASE)
