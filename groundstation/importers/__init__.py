@@ -1,1 +1,1 @@
-"""Other people's data into the flight format: CSV, Parquet, PX4 ULog, ArduPilot dataflash and MAVLink telemetry logs."""
+"""Other programs' data as flights: CSV, Parquet, MATLAB, PX4 ULog, ArduPilot dataflash, MAVLink telemetry logs and bags."""

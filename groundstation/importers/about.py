@@ -1,4 +1,4 @@
-"""What is in a log of another program: as `sideslip info` says it, and its servo outputs for a person who writes a mapping."""
+"""Contents of another program's log: for `sideslip info`, and its servo outputs for a person who writes a mapping."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,12 +16,12 @@ from groundstation.importers.run import read_logs
 from groundstation.importers.series import Log, native_rate
 from groundstation.importers.servos import parameter_of
 
-_ENOUGH = 64  # bytes of a file that tell a dataflash log
+_HEAD_BYTES = 64  # of a file, by which a dataflash log is recognised
 
 
 def is_foreign_log(path: Path) -> bool:
-    """Whether a file is an autopilot's log by its ending; a .bin or .log, which others write too, by its first bytes; or a bag,
-    a folder too."""
+    """Whether a path is a bag (file or folder) or an autopilot's log: by its ending; .bin and .log, which other programs write
+    too, by their first bytes."""
     suffix = path.suffix.lower()
     if suffix in BAGS or path.is_dir():
         return is_bag(path)
@@ -30,19 +30,19 @@ def is_foreign_log(path: Path) -> bool:
     if LOGS[suffix] != "ardupilot":
         return True
     with path.open("rb") as file:
-        head = file.read(_ENOUGH)
+        head = file.read(_HEAD_BYTES)
     return head.startswith(HEAD) or is_text(head)
 
 
 def log_info(path: Path) -> dict[str, Any]:
-    """As `info --json`. Raises ImportDataError for a log that cannot be read."""
+    """The answer of `info --json`. Raises ImportDataError for a log that cannot be read."""
     logs = [log for log, _ in read_logs(path)]
     spans = [_span(log) for log in logs]
     fastest = max(native_rate(s) for log in logs for s in log.series.values())
-    counted: dict[str, int] = {}
+    samples: dict[str, int] = {}
     for log in logs:
         for name, series in log.series.items():
-            counted[name] = counted.get(name, 0) + int(np.isfinite(series.values).sum())
+            samples[name] = samples.get(name, 0) + int(np.isfinite(series.values).sum())
     return {
         "file": str(path),
         "kind": logs[0].kind,
@@ -53,7 +53,7 @@ def log_info(path: Path) -> dict[str, Any]:
         "scans": max(s.time.size for log in logs for s in log.series.values()),
         "first_scan": None,
         "last_scan": None,
-        "channels": [{"name": n, "unit": logs[0].units.get(n, ""), "samples": c} for n, c in counted.items()],
+        "channels": [{"name": n, "unit": logs[0].units.get(n, ""), "samples": c} for n, c in samples.items()],
         "software": logs[0].detail.get("firmware", ""),
         "boots": [{"from": a, "to": b} for a, b in spans],
         **joined_marks(log.marks for log in logs).to_json(),
@@ -63,6 +63,7 @@ def log_info(path: Path) -> dict[str, Any]:
 
 
 def _span(log: Log) -> tuple[float, float]:
+    """Earliest and latest time of the log's samples [s]."""
     times = [s.time[np.isfinite(s.time)] for s in log.series.values()]
     return min(float(t.min()) for t in times if t.size), max(float(t.max()) for t in times if t.size)
 
@@ -71,7 +72,7 @@ def _span(log: Log) -> tuple[float, float]:
 class ServoOutput:
     """A servo output that moves: least, largest and median output, in the log's own unit (us, or -1 to 1).
 
-    parameters: what the autopilot's say of it (MIN, TRIM, MAX, REVERSED, FUNCTION), as far as the log has them.
+    parameters: those of the autopilot for this output (MIN, TRIM, MAX, REVERSED, FUNCTION), as far as the log has them.
     """
 
     name: str
@@ -81,7 +82,7 @@ class ServoOutput:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def line(self) -> str:
-        """For a person."""
+        """The output and its parameters as one line of text."""
         text = f"{self.name}: {self.low:g} to {self.high:g}, most often {self.median:g}"
         words = [
             f"{n} {v:g}" + (f" ({function_name(v)})" if n == "FUNCTION" else "") for n, v in self.parameters.items()

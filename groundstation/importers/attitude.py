@@ -22,6 +22,7 @@ LEAST_CORRELATION, LEAST_DIFFERENCE = 0.6, 0.3
 """Correlation of the quaternion's rates with the gyros for "scalar last", and its excess over that for "scalar first"."""
 AVERAGE = 0.3  # [s] over which the rates of a noisy attitude are averaged
 FEWEST_ROWS = 50  # for a correlation
+_SHORTEST_INTERVAL = 1e-6  # [s] guards the division where stamps repeat
 ANGLES = {"phi": "roll", "theta": "pitch", "psi": "yaw"}  # flight column -> name of its series
 UNIT_TOLERANCE = 0.05  # of the median norm about 1, for four columns to be a quaternion of attitude
 
@@ -56,29 +57,29 @@ def with_attitudes(series: Mapping[str, TimeSeries]) -> dict[str, TimeSeries]:
 
 
 def _gyro_correlation(log: Log, mapping: Map, names: Sequence[str]) -> float:
-    """Correlation of the body rates of a quaternion with the gyros, whose unit is not needed; 0 without gyros. names: series of
-    the elements, scalar first."""
+    """Correlation of a quaternion's body rates with the gyros, whose unit does not matter; 0 without gyros. names: series of the
+    elements (w, v), scalar first. Rates: 2 (w dv/dt - dw/dt v - v x dv/dt)."""
     gyros = [log.series.get(mapping.columns[n][0].column or "") for n in "pqr" if n in mapping.columns]
     parts = [log.series[n] for n in names]
     time = parts[0].time
-    known = [g for g in gyros if g is not None]
-    if len(known) < 3 or time.size < FEWEST_ROWS:
+    available = [g for g in gyros if g is not None]
+    if len(available) < 3 or time.size < FEWEST_ROWS:
         return 0.0
     w, *v = (p.values for p in parts)
     with np.errstate(all="ignore"):
-        dw, *dv = (np.gradient(x, time) for x in (w, *v))
+        dw, *dv = (np.gradient(element, time) for element in (w, *v))
         cross = [v[1] * dv[2] - v[2] * dv[1], v[2] * dv[0] - v[0] * dv[2], v[0] * dv[1] - v[1] * dv[0]]
         rates = [2.0 * (w * dv[i] - dw * v[i] - cross[i]) for i in range(3)]
-        width = max(round(AVERAGE / max(float(np.nanmedian(np.diff(time))), 1e-6)), 1)
+        width = max(round(AVERAGE / max(float(np.nanmedian(np.diff(time))), _SHORTEST_INTERVAL)), 1)
         window = np.full(min(width, time.size), 1.0 / width)
         pairs = [
             (np.convolve(r, window, "same"), np.convolve(g.values, window, "same"))
-            for r, g in zip(rates, known, strict=True)
+            for r, g in zip(rates, available, strict=True)
         ]
-        both = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
-        use = np.isfinite(both[0]) & np.isfinite(both[1])
-        moves = use.sum() > FEWEST_ROWS and np.std(both[0][use]) > 0.0 and np.std(both[1][use]) > 0.0
-        return float(np.corrcoef(both[0][use], both[1][use])[0, 1]) if moves else 0.0
+        x, y = np.concatenate([r for r, _ in pairs]), np.concatenate([g for _, g in pairs])
+        use = np.isfinite(x) & np.isfinite(y)
+        moves = use.sum() > FEWEST_ROWS and np.std(x[use]) > 0.0 and np.std(y[use]) > 0.0
+        return float(np.corrcoef(x[use], y[use])[0, 1]) if moves else 0.0
 
 
 def _scalar_last(log: Log, mapping: Map) -> tuple[str, ...] | None:

@@ -28,9 +28,9 @@ _WRAPPED = ("phi", "psi")
 
 @dataclass(frozen=True, slots=True)
 class ColumnOrigin:
-    """How a flight column was made. source: the one chosen, with its unit; kind: measured, computed or assumed; rate: its own
-    [Hz], None for that of the table; name: under which it stands in the flight; held: of a command, the interval of its
-    records [s]; lag: of the servo that follows it [s]."""
+    """How a flight column was made. source: the one chosen, with its unit; kind: measured, computed or assumed; rate: of its
+    series [Hz], None for that of the table; name: of the column in the flight; held: interval of a command's records [s], None
+    for a measurement; lag: of the servo that follows the command [s]."""
 
     source: ColumnSource
     kind: Kind
@@ -40,9 +40,9 @@ class ColumnOrigin:
     lag: float = 0.0
 
     def to_json(self, rate: float) -> dict[str, object]:
-        """As in `channels` of `import --json`. rate: of the time base [Hz]."""
-        own_rate = self.rate if self.rate is not None else rate
-        entry = {"from": self.source.formula, "kind": self.kind, "rate_hz": own_rate}
+        """An entry of `channels` in `import --json`. rate: of the time base [Hz]."""
+        native = self.rate if self.rate is not None else rate
+        entry = {"from": self.source.formula, "kind": self.kind, "rate_hz": native}
         if self.held is not None:
             dated_back = DATED_BACK * self.held if self.rate is not None else 0.0
             entry |= {HELD: True, INTERVAL: self.held, BACK: dated_back, "servo_lag_s": self.lag}
@@ -51,7 +51,7 @@ class ColumnOrigin:
 
 @dataclass(frozen=True)
 class ImportedColumns:
-    """values: by name in the flight (N,); origins: flight column -> how; notes."""
+    """values: by name in the flight (N,); origins: flight column -> how it was made; notes: for the flight."""
 
     values: dict[str, Array]
     origins: dict[str, ColumnOrigin]
@@ -59,10 +59,10 @@ class ImportedColumns:
 
 
 def flight_columns(log: Log, mapping: Map, time: Array, resampled: bool) -> ImportedColumns:
-    """All that a mapping makes of a log on a time base (N,), and of a table the columns that no mapping names.
+    """The mapped columns of a log on a time base (N,), and of a table also those that the mapping does not name.
 
-    What a program of the aircraft computed of attitude and a guessed wind is no airspeed and no flow angle: it stands under a
-    name of its own. Raises ImportDataError for a unit that nobody states.
+    An airspeed or flow angle that the autopilot computed from attitude and a guessed wind is no measurement: it gets a name with
+    `_computed`. Raises ImportDataError where neither mapping nor file states a unit.
     """
     values: dict[str, Array] = {}
     origins: dict[str, ColumnOrigin] = {}
@@ -77,12 +77,12 @@ def flight_columns(log: Log, mapping: Map, time: Array, resampled: bool) -> Impo
         kind = flight_kind(log, source)
         label = f"{name}_computed" if kind == COMPUTED and name in AIR_RELATIVE else name
         rate = min(native_rate(log.series[t.column]) for t in source.parts) if resampled else None
-        origins[name] = ColumnOrigin(source, kind, rate, label, *_held(log, source))
+        origins[name] = ColumnOrigin(source, kind, rate, label, *_command_timing(log, source))
         values[label] = _value(log, source, name, time)
         if label != name:
             text = f"{name} by {source.formula} is computed, not measured: kept as {label}, and not used as {name}"
             notes.append(Finding(FindingKind.NOT_MEASURED, text))
-    _true_airspeed(values, origins, notes)
+    _convert_to_true_airspeed(values, origins, notes)
     if absent:
         notes.append(f"not in the file, so not measured: {listed(absent, 60)}")
     if log.common:
@@ -91,22 +91,22 @@ def flight_columns(log: Log, mapping: Map, time: Array, resampled: bool) -> Impo
 
 
 def chosen_source(log: Log, sources: Iterable[ColumnSource]) -> ColumnSource | None:
-    """The first source of which the log has all; one that was measured before one that was computed."""
+    """The first source whose columns the log has, measured ones before computed ones; None without one."""
     complete = [s for s in sources if all(t.column in log.series for t in s.parts)]
     return next((s for s in complete if flight_kind(log, s) != COMPUTED), complete[0] if complete else None)
 
 
 def flight_kind(log: Log, source: ColumnSource) -> Kind:
-    """Whether a source is measured, computed or assumed: an expression as its first column, which the others correct; several
-    columns as the worst of them."""
+    """Whether a source is measured, computed or assumed: an expression as its first column, which the others correct; a sum as
+    the least certain of its columns."""
     if source.kind is not None:
         return source.kind
     parts = [t.column for t in source.parts]
     return kind_of(log, parts[0]) if source.expression is not None else kind_of_all(log, parts)
 
 
-def _held(log: Log, source: ColumnSource) -> tuple[float | None, float]:
-    """Interval [s] at which a command was recorded and the lag of its servo; None for what a sensor saw."""
+def _command_timing(log: Log, source: ColumnSource) -> tuple[float | None, float]:
+    """Interval [s] at which a command was recorded, None for a measurement; and the lag of its servo [s]."""
     parts = [log.series[t.column] for t in source.parts if is_command(log, t.column)]
     if not (source.hold or len(parts) == len(source.parts)):
         return None, 0.0
@@ -114,8 +114,10 @@ def _held(log: Log, source: ColumnSource) -> tuple[float | None, float]:
     return (1.0 / slowest if slowest > 0.0 else 0.0), max((p.lag for p in parts), default=0.0)
 
 
-def _true_airspeed(values: dict[str, Array], origins: dict[str, ColumnOrigin], notes: list[Finding | str]) -> None:
-    """Equivalent airspeed made true by the density of the flight, in place; and that density as a column where there is none."""
+def _convert_to_true_airspeed(
+    values: dict[str, Array], origins: dict[str, ColumnOrigin], notes: list[Finding | str]
+) -> None:
+    """Convert equivalent to true airspeed by the flight's density, in place; add that density as a column where there is none."""
     airspeed = origins.get("V")
     if airspeed is None or not airspeed.source.equivalent or airspeed.name not in values:
         return
@@ -123,7 +125,7 @@ def _true_airspeed(values: dict[str, Array], origins: dict[str, ColumnOrigin], n
     measured = {n: v for n, v in values.items() if np.isfinite(v).any()}
     air = air_density(measured)
     if air is None:
-        notes.append(f"{words}, and nothing tells the density: taken for true airspeed")
+        notes.append(f"{words}, and the density is not known: taken as true airspeed")
         return
     density, columns = air.values, air.source
     if "rho" not in measured:
@@ -149,20 +151,20 @@ def _unmapped(
     return notes
 
 
-def _plain_name(name: str, taken: set[str]) -> str:
-    """A column name of letters, digits and underscores, as the flight format needs it; not one that is taken."""
+def _plain_name(name: str, existing: set[str]) -> str:
+    """A column name of letters, digits and underscores, as the flight format needs it, that does not exist yet."""
     ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     label = re.sub(r"\W+", "_", ascii_name[:LONGEST_NAME]).strip("_") or "column"
     label = f"_{label}" if label[0].isdigit() else label
     if label in ("time", "segment") or (label != name and label in COLUMN_BY_NAME):
         label += "_other"
     numbered = (label if n == 0 else f"{label}_{n}" for n in count())
-    return next(name for name in numbered if name not in taken)
+    return next(name for name in numbered if name not in existing)
 
 
 def _unit(log: Log, source: ColumnSource, name: str) -> str:
-    """The unit of a source: as the mapping states it, else as the file does. Raises ImportDataError where one is needed and
-    neither does."""
+    """The unit of a source by the mapping, else by the file. Raises ImportDataError where a unit is needed and neither states
+    one."""
     if source.unit is not None:
         return source.unit
     units = {log.units.get(t.column, "") for t in source.parts}
@@ -179,6 +181,7 @@ def _unit(log: Log, source: ColumnSource, name: str) -> str:
 
 
 def _value(log: Log, source: ColumnSource, name: str, time: Array) -> Array:
+    """(N,) flight column `name` in SI on the time base; phi and psi of a log within +-pi."""
     si = COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else None
     scale, offset = conversion(source.unit or "1", name, si) if si is not None else (1.0, 0.0)
 
@@ -200,14 +203,14 @@ def _value(log: Log, source: ColumnSource, name: str, time: Array) -> Array:
 
 
 def _unwrapped(series: TimeSeries, name: str, scale: float) -> TimeSeries:
-    """A heading made continuous before it is interpolated: between 359 and 1 deg lies 0, not 180."""
+    """The series, continuous where it is phi or psi, for interpolation: between 359 and 1 deg lies 0, not 180."""
     if name not in _WRAPPED:
         return series
     return TimeSeries(series.time, unwrapped(series.values * scale) / scale)
 
 
 def source_text(source: ColumnSource) -> str:
-    """How a column was made, for the provenance."""
+    """The calculation of a column with its unit, for the provenance."""
     if source.expression is not None:
         terms = source.expression
     else:

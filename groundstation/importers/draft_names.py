@@ -1,7 +1,7 @@
 """For the draft of a mapping: the flight column that a table's column means, by its name, and its unit, by its values.
 
-A unit follows from values that physics bounds (gravity, pi, the rate of an angle). Where values allow several units, or none, the
-draft contains UNKNOWN, and a person decides.
+A unit follows from values that physics bounds (gravity, pi, the rate of an angle). Where the values fit several units, or none,
+the draft contains UNKNOWN, and a person decides.
 """
 
 import re
@@ -72,11 +72,19 @@ OTHER_QUANTITIES = frozenset(
 """Words in names of something else than the measured quantity: its command, its error, a pilot's lever."""
 
 _GRAVITY = {"m/s2": GRAVITY, "g": 1.0, "ft/s2": 32.174, "mg": 1000.0, "cm/s2": 980.665}
-_GRAVITY_TOLERANCE = (
-    0.25  # of gravity, by which the median specific force of a flight may differ from it: turns, and a filter
-)
+_GRAVITY_TOLERANCE = 0.25
+"""Relative difference of a flight's median specific force from gravity, at most: turns, and a filter."""
+_LOWEST_HZ, _HIGHEST_HZ = 0.9, 1100.0
+"""Rates of rows that a logger has, with a margin: 1 Hz to 1 kHz."""
+_EXTENT_PERCENTILES = (0.5, 99.5)  # of values, for their range without outliers
+_LARGEST_RAD: Mapping[str, float] = {"phi": np.pi, "psi": np.pi, **dict.fromkeys(("theta", "alpha", "beta"), np.pi / 2)}
+"""Column -> its largest angle [rad]."""
+_LARGEST_SURFACE_RAD = 1.0  # of a control surface: 57 deg
+_ANGLE_MARGIN = 1.1  # times the largest angle, for noise: beyond it the unit is degrees
+_FAST_RATE, _RATE_PERCENTILE = 8.0, 99.0
+"""A rate whose percentile is larger is probably in deg/s: 8 rad/s are 460 deg/s."""
 FEWEST_ROWS = 20  # of a table, for a correlation
-LEAST_IMPROVEMENT = 0.5  # ratio of 1 - correlation of the best and the second best column, at most, for a choice
+MOST_DECORRELATION = 0.5  # largest ratio of 1 - correlation of the best column to that of the second, for a choice
 _RATE_TOLERANCE = 0.45  # relative difference of a rate's std from that of its angle's slope
 
 
@@ -103,12 +111,6 @@ def unit_in_name(name: str) -> str | None:
     if word in _UNIT_SPELLINGS:
         return _UNIT_SPELLINGS[word]
     return word if find_unit(word) is not None else None
-
-
-def unit_fits(unit: str, column: str) -> bool:
-    """Whether a unit has the dimension of a flight column."""
-    si_unit = find_unit(unit)
-    return si_unit is not None and si_unit.si == COLUMN_BY_NAME[column].unit
 
 
 def meant_column(name: str) -> str | None:
@@ -164,16 +166,16 @@ def _runs(column: Array) -> bool:
 
 
 def time_unit(time: Array) -> tuple[str, str]:
-    """Unit of a time column, by a rate between 0.9 and 1100 Hz, and the evidence as text; s where none fits."""
+    """Unit of a time column that gives the rows a logger's rate, and the evidence as text; s where none fits."""
     step = float(np.median(np.diff(time[np.isfinite(time)]))) if np.isfinite(time).sum() > 1 else 0.0
     for unit in ("s", "ms", "us", "ns"):
         rate = 1.0 / (step * UNITS[unit].scale) if step > 0 else 0.0
-        if 0.9 <= rate <= 1100.0:
+        if _LOWEST_HZ <= rate <= _HIGHEST_HZ:
             return unit, f"rows every {step:.4g}: {rate:.4g} Hz in {unit}"
     return "s", f"UNKNOWN unit: rows every {step:.4g}"
 
 
-@np.errstate(all="ignore")  # values of any size: they fit no unit then
+@np.errstate(all="ignore")  # damaged values of any size, which fit no unit
 def unit_of(column: str, names: Mapping[str, str], values: Mapping[str, Array], time: Array | None) -> UnitGuess:
     """Unit of a flight column by its values. names: flight column -> column of the table; values: of the table; time: [s]."""
     si = COLUMN_BY_NAME[column].unit
@@ -181,15 +183,15 @@ def unit_of(column: str, names: Mapping[str, str], values: Mapping[str, Array], 
     x = x[np.isfinite(x)]
     if not x.size:
         return UnitGuess(si, "no values")
-    low, high = (float(v) for v in np.percentile(x, [0.5, 99.5]))
+    low, high = (float(v) for v in np.percentile(x, _EXTENT_PERCENTILES))
     extent = f"{low:.4g} to {high:.4g}"
     if column in ("ax", "ay", "az"):
         return _force_unit(names, values, extent)
     if column in ("p", "q", "r"):
         return _rate_unit(column, names, values, time, extent)
     if si == "rad":
-        limit = np.pi if column in ("phi", "psi") else np.pi / 2 if column in ("theta", "alpha", "beta") else 1.0
-        if max(abs(low), abs(high)) > 1.1 * limit:
+        limit = _LARGEST_RAD.get(column, _LARGEST_SURFACE_RAD)
+        if max(abs(low), abs(high)) > _ANGLE_MARGIN * limit:
             return UnitGuess("deg", f"{extent}: more than an angle in rad can be", True)
         return UnitGuess("rad", f"{extent}: rad, if it moves so far; UNKNOWN where degrees would be small")
     median = float(np.median(x))
@@ -240,11 +242,11 @@ def rate_that_turns(
         use = np.isfinite(rate) & np.isfinite(slope) & continuous
         moves = use.sum() > FEWEST_ROWS and np.std(rate[use]) > 0 and np.std(slope[use]) > 0
         correlation[label] = abs(float(np.corrcoef(rate[use], slope[use])[0, 1])) if moves else 0.0
-    best, second = sorted(correlation, key=lambda label: -correlation[label])[:2]
-    if 1.0 - correlation[best] > LEAST_IMPROVEMENT * (1.0 - correlation[second]):
+    first, second = sorted(correlation, key=lambda label: -correlation[label])[:2]
+    if 1.0 - correlation[first] > MOST_DECORRELATION * (1.0 - correlation[second]):
         return labels[0], ""
-    shown = ", ".join(f"{label} {correlation[label]:.3f}" for label in (best, second))
-    return best, f"goes with the slope of {angle} better than the other ({shown})"
+    evidence = ", ".join(f"{label} {correlation[label]:.3f}" for label in (first, second))
+    return first, f"goes with the slope of {angle} better than the other ({evidence})"
 
 
 def _rate_unit(
@@ -262,5 +264,5 @@ def _rate_unit(
         for unit in ("rad/s", "deg/s"):
             if abs(ratio * UNITS[unit].scale - 1.0) < _RATE_TOLERANCE:
                 return UnitGuess(unit, f"{extent}; moves as the slope of {names[angle]} in {unit}", True)
-    largest = float(np.nanpercentile(np.abs(rate), 99))
-    return UnitGuess("deg/s" if largest > 8.0 else "rad/s", f"{extent}; UNKNOWN unit, by its size")
+    largest = float(np.nanpercentile(np.abs(rate), _RATE_PERCENTILE))
+    return UnitGuess("deg/s" if largest > _FAST_RATE else "rad/s", f"{extent}; UNKNOWN unit, by its size")

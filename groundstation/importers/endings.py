@@ -1,14 +1,17 @@
-"""Files that `sideslip import` reads, by the ending of their names (installed packages may add more), and advice on others."""
+"""Files that `sideslip import` reads, by ending and first bytes (installed packages may add more), and advice on others."""
 
 TABLES = (".csv", ".txt", ".tsv", ".asc", ".dat", ".parquet", ".mat")
 LOGS = {".ulg": "px4", ".ulog": "px4", ".bin": "ardupilot", ".log": "ardupilot", ".tlog": "mavlink"}
 """Logs of autopilots -> the built-in map of their channels."""
 
 BAGS = (".mcap", ".db3")
-"""ROS 2 bags and MCAP files of other programs; our recordings and flights are MCAP files, too."""
+"""ROS 2 bags and MCAP files of other programs; Sideslip's recordings and flights are MCAP files, too."""
 
 FOREIGN = frozenset({".csv", ".parquet", ".mat", ".ulg", ".ulog", ".tlog"})
-"""Endings that no recording of ours has; one that was rescued from a disk may be called .bin, .dat or .txt."""
+"""Endings that no recording of Sideslip has; a file rescued from a damaged disk may be called .bin, .dat or .txt."""
+
+ULOG_MAGIC = b"ULog\x01\x12\x35"
+SQLITE_MAGIC = b"SQLite format 3\0"
 
 _PACKED = "packed; unpack it ('{tool} {{file}}') and import what was in it"
 OTHERS = {
@@ -38,9 +41,9 @@ OTHERS = {
 """Endings of other common files -> what they are, and how to convert them."""
 
 BEGINNINGS: dict[bytes, tuple[str, tuple[str, ...]]] = {
-    b"ULog\x01\x12\x35": ("a PX4 ULog", (".ulg", ".ulog")),
+    ULOG_MAGIC: ("a PX4 ULog", (".ulg", ".ulog")),
     b"\x89MCAP0\r\n": ("an MCAP file", BAGS),
-    b"SQLite format 3\0": ("an SQLite bag", BAGS),
+    SQLITE_MAGIC: ("an SQLite bag", BAGS),
     b"PAR1": ("a Parquet table", (".parquet",)),
     b"PK\x03\x04": ("an Excel workbook or another packed file", (".xlsx, and save its sheet as CSV",)),
 }

@@ -8,10 +8,10 @@ from math import pi, sqrt
 import numpy as np
 
 from groundstation.flight.arrays import Mask
-from groundstation.importers.instances import mean_of_first, with_primaries
+from groundstation.importers.instances import MAJORITY, mean_of_first, with_primaries
 from groundstation.importers.series import Log, TimeSeries
 
-FIX_3D = 3  # ArduPilot's Status, MAVLink's and PX4's fix_type, from which a fix has a velocity
+FIX_3D = 3  # least ArduPilot Status, or MAVLink and PX4 fix_type, of a fix with a velocity
 ARDUPILOT_SENSORS = (1, 4)
 """ArduPilot's AirspeedEstimateType: 1 a sensor, 4 a simulated one; 0 is no new value, 2 and 3 are synthetic."""
 PX4_SENSORS = (1, 2, 3)
@@ -26,13 +26,19 @@ _LOW_PASSED = (
 """Series that are logged after a low pass, and the parameter with its cut-off frequency [Hz]. It is a Butterworth filter of
 second order (ArduPilot and PX4: LowPassFilter2p). Attitude, GYR, ACC and sensor_combined are not filtered."""
 LEAST_CUTOFF = 2.0
-"""[Hz] below which the parameter has another meaning, or the filter does more to the motion than delay it."""
+"""[Hz] of a cut-off frequency: below it the parameter has another meaning, or the filter also attenuates the motion."""
+FAST_SHARE = 0.5  # of the highest airspeed, above which the sign of the differential pressure is certain
+_PITOT_FLAGS = (
+    ("U", "Use", "which the autopilot does not use"),
+    ("H", "Health", "which the autopilot finds unhealthy"),
+)
+"""Flags of ARSP, by their short and long name, and what it means where they are mostly 0."""
 _DIFFERENTIAL = ("SCALED_PRESSURE.press_diff", "HIGHRES_IMU.diff_pressure", "RAW_PRESSURE.press_diff1")
 
 
 def of_ardupilot(log: Log) -> Log:
     """A dataflash log with the sensors in use under names without a number, NaN where there was no fix, swapped pitot tubes
-    corrected, the delay of filters removed, and the origin of its airspeed."""
+    corrected, the delay of filters removed, and the origin of its airspeed stated."""
     primaries = with_primaries(log.series)
     series, notes = dict(primaries.series), [*primaries.notes]
     for prefix in _prefixes(series, "GPS", "Status"):
@@ -54,7 +60,7 @@ def _correct_swapped_tubes(series: dict[str, TimeSeries]) -> list[str]:
         pressure, speed = series[f"{prefix}.DiffPress"], series.get(f"{prefix}.Airspeed")
         if speed is None or not np.isfinite(speed.values).any() or speed.values.size != pressure.values.size:
             continue
-        fast = (speed.values > 0.5 * np.nanmax(speed.values)) & np.isfinite(pressure.values)
+        fast = (speed.values > FAST_SHARE * np.nanmax(speed.values)) & np.isfinite(pressure.values)
         if fast.any() and np.nanmedian(pressure.values[fast]) < 0.0:
             series[f"{prefix}.DiffPress"] = replace(pressure, values=-pressure.values)
             notes.append(f"{prefix}: the tubes of its pitot are swapped (DiffPress is negative in flight): turned")
@@ -80,7 +86,7 @@ def _without_filter_delay(log: Log) -> Log:
 
 
 def _airspeed_of_ardupilot(parameters: Mapping[str, float], series: dict[str, TimeSeries]) -> tuple[str, list[str]]:
-    """Origin of CTUN.As, and notes. Where a pitot made some of its samples, the others become NaN in `series`."""
+    """Origin of CTUN.As, and notes. Where only some of its samples are of a pitot, the others become NaN in `series`."""
     speed, source = series.get("CTUN.As"), series.get("CTUN.AsT")
     if speed is None:
         return "measured", []
@@ -94,13 +100,9 @@ def _airspeed_of_ardupilot(parameters: Mapping[str, float], series: dict[str, Ti
             return "measured", [f"CTUN.As: {int((~by_sensor).sum())} samples that no pitot made (AsT) left out"]
         return "measured", []
     if "ARSP.DiffPress" in series or "ARSP.Airspeed" in series:
-        checks = (
-            ("U", "Use", "which the autopilot does not use"),
-            ("H", "Health", "which the autopilot finds unhealthy"),
-        )
-        for short, long, words in checks:
+        for short, long, words in _PITOT_FLAGS:
             share = mean_of_first(series, (f"ARSP.{short}", f"ARSP.{long}"))
-            if share is not None and share < 0.5:
+            if share is not None and share < MAJORITY:
                 return "computed", [f"CTUN.As is not of the pitot, {words} (ARSP.{short} 0)"]
         return "measured", []
     if any(parameters.get(name, 0.0) > 0.0 for name in ("ARSPD_TYPE", "ARSPD_ENABLE")):
@@ -109,7 +111,7 @@ def _airspeed_of_ardupilot(parameters: Mapping[str, float], series: dict[str, Ti
 
 
 def of_px4(log: Log) -> Log:
-    """A ULog with NaN where there was no fix, the delay of filters removed, and the origin of the validated airspeed."""
+    """A ULog with NaN where there was no fix, the delay of filters removed, and the origin of its validated airspeed stated."""
     series, notes, kinds = dict(log.series), [], dict(log.kinds)
     has_pitot = any(n.startswith(("differential_pressure.", "airspeed.")) for n in series)
     for prefix in (p for topic in ("vehicle_gps_position", "sensor_gps") for p in _prefixes(series, topic, "fix_type")):
@@ -135,7 +137,7 @@ def of_px4(log: Log) -> Log:
 
 
 def of_mavlink(log: Log) -> Log:
-    """A telemetry log with NaN where there was no fix, and the origin of VFR_HUD.airspeed."""
+    """A telemetry log with NaN where there was no fix, and the origin of VFR_HUD.airspeed stated."""
     series, notes, kinds = dict(log.series), [], dict(log.kinds)
     for prefix in _prefixes(series, "GPS_RAW_INT", "fix_type"):
         notes += _without_fix(series, prefix, "fix_type", ("vel", "cog"))
@@ -164,6 +166,7 @@ def _airspeed_of_mavlink(series: Mapping[str, TimeSeries]) -> tuple[str, str]:
 
 
 def _distinct(series: TimeSeries) -> str:
+    """The first few distinct values, as text."""
     return ", ".join(f"{v:g}" for v in np.unique(series.values)[:4])
 
 

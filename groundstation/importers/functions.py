@@ -29,13 +29,14 @@ _FUNCTIONS_BY_SURFACE: Mapping[str, tuple[int, ...]] = {
     "delta_r": (16, 17, 21, 26, 79, 80, 86, 87),
 }
 """Surface -> functions of the outputs that move it."""
+
 OUTPUT = re.compile(
     r"RCOU\.C\d+|actuator_outputs(\[\d+\])?\.output\[\d+\]|actuator_servos\.control\[\d+\]"
     r"|SERVO_OUTPUT_RAW(\[\d+\])?\.servo\d+_raw|\S*/rc/out\.channels\[\d+\]"
 )
 """ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVO_OUTPUT_RAW, and its form in mavros."""
 ENDINGS = ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")  # ArduPilot's parameters of a servo output, SERVOn_
-_PASSED_THROUGH = frozenset({1, *range(51, 67)})  # functions that pass on a stick: they do not show what it moves
+_PASSED_THROUGH = frozenset({1, *range(51, 67)})  # functions that pass on a stick: they do not name the surface
 
 
 def function_name(function: float) -> str:
@@ -43,15 +44,15 @@ def function_name(function: float) -> str:
     return NAMES.get(round(function), f"function {function:g}")
 
 
-def function_contradictions(log: Log, chosen: Map) -> Iterator[Contradiction]:
+def function_contradictions(log: Log, mapping: Map) -> Iterator[Contradiction]:
     """Surfaces of a mapping that are derived from outputs which, by the log's parameters, move something else."""
-    for column, sources in chosen.columns.items():
+    for column, sources in mapping.columns.items():
         if not column.startswith(("delta_", "cmd_")) or not sources:
             continue
         surface = f"delta_{column[-1]}"
         for term in sources[0].parts:
             name = term.column.removeprefix(PREFIX)
-            output = chosen.servos[name].column if name in chosen.servos else term.column
+            output = mapping.servos[name].column if name in mapping.servos else term.column
             parameter = parameter_of(output, "FUNCTION")
             function = log.parameters.get(parameter) if parameter else None
             if (

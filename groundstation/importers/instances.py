@@ -1,4 +1,4 @@
-"""The sensor in use, of several of one kind: by the log's primary (Pri), by use, by health; and whether they agree."""
+"""The sensor in use among several of one kind: by the log's primary (Pri), by use or by health; and whether they agree."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,16 +12,17 @@ from groundstation.importers.series import Array, TimeSeries
 REDUNDANT_MESSAGES = ("ARSP", "GPS", "BARO", "IMU", "MAG")
 """Messages of ArduPilot that may come from several sensors, and state which is in use."""
 TOLERANCE = 0.08  # relative difference of two sensors' medians: pitots differ by 3 %
-COMPARED: Mapping[str, str] = {
-    "ARSP": "DiffPress",
-    "BARO": "Press",
-}  # message -> field that is compared between instances
+MAJORITY = 0.5  # share of its samples, above which a flag counts as set for the whole log
+COMPARED: Mapping[str, str] = {"ARSP": "DiffPress", "BARO": "Press"}
+"""Message -> field that is compared between instances."""
+LEAST_SHARE = 0.5  # of the median, from which samples are compared as a ratio
+_NO_EVIDENCE = "nothing in the log shows which is in use"
 
 
 @dataclass(frozen=True)
 class ChosenInstances:
-    """series: of the instance in use without a number ('ARSP.Airspeed'), and of the first with its number; notes: on the choice;
-    contradictions: between instances."""
+    """series: of the instance in use without a number ('ARSP.Airspeed'), of all with a number but the first, which has both
+    names where it is in use; notes: on the choice; contradictions: between instances."""
 
     series: Mapping[str, TimeSeries]
     notes: tuple[str, ...] = ()
@@ -29,7 +30,7 @@ class ChosenInstances:
 
 
 def with_primaries(series: Mapping[str, TimeSeries]) -> ChosenInstances:
-    """The series with those of the instance in use under the name without a number, and each instance under its number, too."""
+    """The series with the instance in use under the name without a number, and the first one also under its number."""
     primaries = dict(series)
     notes: list[str] = []
     contradictions: list[Contradiction] = []
@@ -80,12 +81,11 @@ def _primary(instances: Mapping[int, Mapping[str, TimeSeries]]) -> tuple[int | N
             return None, f"Pri {', '.join(map(str, candidates))}"
     for fields, word in ((("U", "Use"), "in use"), (("H", "Health", "GH"), "healthy")):
         share = {n: mean_of_first(f, fields) for n, f in instances.items()}
-        working = [n for n, s in share.items() if s is not None and s > 0.5]
+        working = [n for n, s in share.items() if s is not None and s > MAJORITY]
         if working and len(working) < len(instances):
             unused = ", ".join(str(n) for n in instances if n not in working)
             return working[0], f"{unused} is not {word} by the log"
-    first = next(iter(instances))
-    return first, "nothing in the log says which is in use"
+    return next(iter(instances)), _NO_EVIDENCE
 
 
 def mean_of_first(series: Mapping[str, TimeSeries], names: Sequence[str]) -> float | None:
@@ -108,21 +108,22 @@ def _by_time(instances: Mapping[int, Mapping[str, TimeSeries]]) -> dict[str, Tim
 
 
 def _disagreements(
-    message: str, instances: Mapping[int, Mapping[str, TimeSeries]], primary: int | None, why: str
+    message: str, instances: Mapping[int, Mapping[str, TimeSeries]], primary: int | None, reason: str
 ) -> Iterator[Contradiction]:
-    """Contradictions between the instance in use and the others, where they differ by more than TOLERANCE. why: of its choice."""
+    """Contradictions between the instance in use and the others, where they differ by more than TOLERANCE. reason: of the
+    choice."""
     field = COMPARED.get(message, "")
-    used = primary if primary is not None else next(iter(instances))
-    reference = instances[used].get(field)
+    in_use = primary if primary is not None else next(iter(instances))
+    reference = instances[in_use].get(field)
     for number, fields in instances.items():
-        if number == used or field not in fields or reference is None:
+        if number == in_use or field not in fields or reference is None:
             continue
         ratio = _ratio(fields[field], reference)
         if ratio is None or abs(ratio - 1.0) <= TOLERANCE:
             continue
-        sure = not why.startswith("nothing")
-        first, second = f"{message}[{number}].{field}", f"{message}[{used}].{field}"
-        text = f"{first} is {ratio:.3g} times {second}; {second} is taken, {why}"
+        sure = reason != _NO_EVIDENCE
+        first, second = f"{message}[{number}].{field}", f"{message}[{in_use}].{field}"
+        text = f"{first} is {ratio:.3g} times {second}; {second} is taken, {reason}"
         moves = f"every derivative by {abs(ratio - 1.0):.0%}, if it were the other" if message == "ARSP" else "density"
         yield Contradiction((first, second), text, ratio, favoured=second if sure else "", moves=moves, stops=not sure)
 
@@ -132,5 +133,5 @@ def _ratio(first: TimeSeries, second: TimeSeries) -> float | None:
     values: Array = np.interp(first.time, second.time, second.values) if second.time.size > 1 else np.zeros(0)
     if not np.isfinite(values).any():
         return None
-    use = (np.abs(values) > 0.5 * np.nanmedian(np.abs(values))) & np.isfinite(first.values)
+    use = (np.abs(values) > LEAST_SHARE * np.nanmedian(np.abs(values))) & np.isfinite(first.values)
     return float(np.median(first.values[use] / values[use])) if use.any() else None

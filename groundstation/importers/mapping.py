@@ -25,7 +25,8 @@ from groundstation.importers.servos import ServoMap
 from groundstation.importers.units import conversion
 
 MAPS = Path(__file__).parent / "maps"
-MOST_LINES_ABOVE = 1_000_000  # before the first row of numbers; a file of 16 MiB has fewer that are not almost empty
+MOST_LINES_ABOVE = 1_000_000
+"""Lines above the first row of numbers: 16 MiB of text have fewer that are not almost empty."""
 
 
 class _MapTable(BaseModel):
@@ -33,7 +34,7 @@ class _MapTable(BaseModel):
 
 
 Kind = Literal["measured", "computed", "assumed"]
-"""Origin of numbers: a sensor; a program that calculates them from others; or a person, or a board next to the sensor."""
+"""Origin of values: a sensor; a program that calculates them from others; or an assumption (a person, a board's temperature)."""
 
 
 class ColumnTerm(_MapTable):
@@ -95,9 +96,8 @@ class ColumnSource(_MapTable):
 class Time(_MapTable):
     """The time column. unit 'iso' reads dates such as 2026-11-21T03:15:00.25, times of day and IRIG time; offset [s] is added.
 
-    date: a column beside it that holds the day, where time holds the time of day.
-    rate_hz: instead of a column, rows at an even rate. restarts: several records one after the other, each with a time that
-    begins anew: each becomes a segment.
+    date: the column with the day, where `column` holds the time of day. rate_hz: instead of a column, rows at an even rate.
+    restarts: the file holds several records in a row, and time starts again in each: each becomes a segment.
     """
 
     column: str | None = None
@@ -115,7 +115,7 @@ class Time(_MapTable):
 
 
 class FileFormat(_MapTable):
-    """How a text table is written, where it cannot be guessed. names: of the columns, for a file without a header line.
+    """How a text table is written, where that cannot be guessed. names: of the columns, for a file without a header line.
 
     variable: of a MATLAB file, the one that holds the records.
     """
@@ -128,11 +128,11 @@ class FileFormat(_MapTable):
     skip_after_header: Annotated[int, Field(ge=0, le=MOST_LINES_ABOVE)] = 0
 
 
-def _listed(value: object) -> object:
+def _as_list(value: object) -> object:
     return value if isinstance(value, (list, tuple)) else [value]
 
 
-Sources = Annotated[tuple[ColumnSource, ...], BeforeValidator(_listed), Field(min_length=1)]
+Sources = Annotated[tuple[ColumnSource, ...], BeforeValidator(_as_list), Field(min_length=1)]
 
 
 class Map(_MapTable):
@@ -160,6 +160,11 @@ class Map(_MapTable):
                     except ImportDataError as error:
                         raise ValueError(str(error)) from error
         return self
+
+    @property
+    def source_columns(self) -> set[str]:
+        """The columns of the file that any source of this mapping uses."""
+        return {t.column for sources in self.columns.values() for s in sources for t in s.parts}
 
     def over(self, base: "Map") -> "Map":
         """This mapping on top of another: columns named here replace those of the base."""
@@ -189,7 +194,7 @@ def built_in_map(name: str) -> Map:
     return load_map(MAPS / f"{name}.toml")
 
 
-EXAMPLE = "example: "  # what the title of an example mapping begins with
+EXAMPLE = "example: "  # beginning of an example mapping's title
 
 
 def example_maps() -> tuple[str, ...]:

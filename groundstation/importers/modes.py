@@ -1,4 +1,4 @@
-"""Names of flight modes, and the marks of an autopilot's log (modes, events, messages), for all formats.
+"""Marks of an autopilot's log (modes, events, messages) in all formats, with the names of its flight modes.
 
 Sources: ArduPilot `mode.h` of Plane, Copter and Rover; PX4 `vehicle_status.msg` (nav_state) and `px4_custom_mode.h`; ArduPilot
 `AP_Logger/LogStructure.h` for MODE, MSG, ARM, EV and ERR; MAVLink common.xml for HEARTBEAT and STATUSTEXT.
@@ -55,6 +55,8 @@ _ERRORS: Mapping[int, str] = {
 }  # fmt: skip
 _QUADROTOR, _HELICOPTER, _ROVER_TYPE, _OTHER_COPTERS = 2, 4, 10, (13, 14, 15, 29, 35)
 _PX4 = 12  # MAV_AUTOPILOT_PX4
+_PX4_MAIN_AUTO = 4  # main mode that has the modes of _PX4_AUTO
+_EVENTS_OF_ARMING = (10, 11)  # events that repeat an ARM message
 ARMED = 128  # bit of HEARTBEAT.base_mode
 
 Row = Mapping[str, object]
@@ -73,9 +75,13 @@ def dataflash_marks(rows: Mapping[str, Sequence[tuple[float, Row]]], end: float)
     modes = [(t, _mode(row, names)) for t, row in rows.get("MODE", ())]
     events = [
         *(Mark(t, "armed" if _number(row.get("ArmState")) else "disarmed") for t, row in rows.get("ARM", ())),
-        *(Mark(t, _named(_EVENTS, row.get("Id"), "event")) for t, row in rows.get("EV", ()) if not _arming(rows, row)),
         *(
-            Mark(t, f"error: {_named(_ERRORS, row.get('Subsys'), 'subsystem')}, code {mark_text(row.get('ECode', ''))}")
+            Mark(t, _name(_EVENTS, row.get("Id"), "event"))
+            for t, row in rows.get("EV", ())
+            if not _repeats_arm(rows, row)
+        ),
+        *(
+            Mark(t, f"error: {_name(_ERRORS, row.get('Subsys'), 'subsystem')}, code {mark_text(row.get('ECode', ''))}")
             for t, row in rows.get("ERR", ())
         ),
     ]
@@ -83,13 +89,13 @@ def dataflash_marks(rows: Mapping[str, Sequence[tuple[float, Row]]], end: float)
     return Marks(changed_modes, tuple(sorted(events, key=lambda m: m.time)), messages)
 
 
-def _arming(rows: Mapping[str, Sequence[tuple[float, Row]]], row: Row) -> bool:
+def _repeats_arm(rows: Mapping[str, Sequence[tuple[float, Row]]], row: Row) -> bool:
     """Whether an event repeats an ARM message of the log."""
-    return "ARM" in rows and _number(row.get("Id")) in (10, 11)
+    return "ARM" in rows and _number(row.get("Id")) in _EVENTS_OF_ARMING
 
 
 def _mode(row: Row, names: Mapping[int, str]) -> str:
-    """The mode of a MODE message, which has a number in a binary log and a name in some text logs."""
+    """The mode of a MODE message, which has a number in a binary log, and in some text logs a name."""
     value = row.get("ModeNum", row.get("Mode"))
     number = _number(value)
     return mark_text(row.get("Mode", "")) or "unknown" if number is None else names.get(number, f"mode {number}")
@@ -103,17 +109,17 @@ def _number(value: object) -> int | None:
         return None
 
 
-def _named(names: Mapping[int, str], value: object, otherwise: str) -> str:
-    """The name of a number; `otherwise` with the value for an unknown one."""
+def _name(names: Mapping[int, str], value: object, kind: str) -> str:
+    """The name of a number; `kind` and the value for an unknown one."""
     number = _number(value)
-    return names.get(-1 if number is None else number, f"{otherwise} {mark_text(value)}")
+    return names.get(-1 if number is None else number, f"{kind} {mark_text(value)}")
 
 
 def heartbeat_mode(vehicle: int, autopilot: int, custom: int) -> str:
     """The name of the mode that a HEARTBEAT states."""
     if autopilot == _PX4:
         main, sub = custom >> 16 & 0xFF, custom >> 24 & 0xFF
-        return _PX4_AUTO.get(sub, "AUTO") if main == 4 else _PX4_MAIN.get(main, f"mode {main}")
+        return _PX4_AUTO.get(sub, "AUTO") if main == _PX4_MAIN_AUTO else _PX4_MAIN.get(main, f"mode {main}")
     copter = vehicle in (_QUADROTOR, _HELICOPTER, *_OTHER_COPTERS)
     names = COPTER if copter else ROVER if vehicle == _ROVER_TYPE else PLANE
     return names.get(custom, f"mode {custom}")

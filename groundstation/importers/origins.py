@@ -1,7 +1,7 @@
 """Origin of a series: measured by a sensor, computed on board from other quantities, or assumed.
 
-An autopilot logs its estimates beside its sensors, under names that do not show the difference. A computed quantity may be good
-(attitude always is computed), but it is not a measurement.
+An autopilot logs its estimates beside its sensors, under names that do not show the difference. A computed quantity may be
+accurate (attitude is always computed), but it is not a measurement.
 """
 
 import re
@@ -45,7 +45,7 @@ _BY_NAME: Mapping[str, tuple[tuple[str, Kind], ...]] = {
         ),
     ),
 }
-"""Format -> patterns of series with their origin, of which the first match counts; all others of a log are measured."""
+"""Format -> patterns of series and their origin: the first match counts. Series without a match are measured."""
 _COMPILED = {kind: tuple((re.compile(p), k) for p, k in rows) for kind, rows in _BY_NAME.items()}
 
 _COMPUTED_NAME = re.compile(
@@ -68,8 +68,8 @@ def is_command(log: Log, series: str) -> bool:
 _BY_QUALITY: tuple[Kind, ...] = (MEASURED, COMPUTED, ASSUMED)  # the best first
 
 AIR_RELATIVE = ("V", "V_cas", "alpha", "beta")
-"""Columns of motion relative to the air. Computed ones follow from attitude and ground velocity with an estimated wind, and
-contain no further information."""
+"""Columns of motion relative to the air. Computed ones follow from attitude, ground velocity and an estimated wind, and add no
+information."""
 
 
 def kind_of(log: Log, series: str) -> Kind:
@@ -78,7 +78,7 @@ def kind_of(log: Log, series: str) -> Kind:
     if log_kind is not None:
         return next(k for k in _BY_QUALITY if k == log_kind)
     if series.startswith(PREFIX):
-        return COMPUTED  # a surface by its command
+        return COMPUTED  # a surface computed from its command
     if log.kind in _COMPILED:
         return next((kind for pattern, kind in _COMPILED[log.kind] if pattern.fullmatch(series)), MEASURED)
     return COMPUTED if _COMPUTED_NAME.search(series) else MEASURED

@@ -11,24 +11,26 @@ from dataclasses import replace
 from itertools import combinations, pairwise
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from daq.utilities.input_files import parse_toml, read_bytes, read_text
 from groundstation.flight import AIRCRAFT_FILE, Flight
 from groundstation.flight.arrays import Array
+from groundstation.flight.contradictions import CONTRADICTIONS
 from groundstation.flight.findings import Finding
+from groundstation.flight.flight import CHANNELS
 from groundstation.flight.marks import joined_marks, marks_of
 from groundstation.importers.attitude import with_attitudes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD, read_table, table_log
 from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time, built_in_map
-from groundstation.importers.series import MESSAGE, Log, TimeSeries
+from groundstation.importers.series import CLOCK_BACK_S, MESSAGE, RECORD_GAP, Log, TimeSeries
 
-CLOCK_BACK_S = 1.0
-"""[s] by which a message's time goes back after a restart only: messages out of order differ by milliseconds."""
 LEAST_OVERLAP = 0.5  # of two tables' times, over the shorter one, for both to be of one flight
-RECORD_GAP = 1.0  # [s] between records whose clocks were restarted
+SPIKE_STEPS, SHORTEST_STEP = 100.0, 1e-3
+"""A last step of more than SPIKE_STEPS median steps leads to a damaged time; a median step is at least SHORTEST_STEP [s]."""
 _STAMP = b"timestamp,"  # first bytes of a table of ulog2csv
 
 
@@ -46,7 +48,7 @@ def by_boot(log: Log) -> list[Log]:
     if count < 2:
         return [log]
     partial = {n.split(".")[0] for n, s in log.series.items() if len(runs[id(s.time)]) != count}
-    words = f"messages that were not written in each of {count} boots are left out: {', '.join(sorted(partial))}"
+    excluded = f"messages that were not written in each of {count} boots are left out: {', '.join(sorted(partial))}"
     boots = []
     for number in range(count):
         times = {key: clocks[key][parts[number]] for key, parts in runs.items() if len(parts) == count}
@@ -55,13 +57,14 @@ def by_boot(log: Log) -> list[Log]:
             for n, s in log.series.items()
             if id(s.time) in times
         }
-        notes = (f"boot {number + 1} of {count} in this log: a record of its own", *((words,) if partial else ()))
+        note = f"boot {number + 1} of {count} in this log: imported as a separate record"
+        notes = (note, excluded) if partial else (note,)
         boots.append(replace(log, series=series, notes=(*(log.notes if number == 0 else ()), *notes)))
     return boots
 
 
 def _clock_runs(time: Array) -> list[slice]:
-    """Ranges of rows between steps back of a clock; one range where it only steps back from single damaged times."""
+    """Ranges of rows between a clock's steps back; one range where the clock only steps back from single damaged times."""
     with np.errstate(invalid="ignore"):
         falls = np.flatnonzero(np.diff(time) < -CLOCK_BACK_S) + 1
     runs = [slice(a, b) for a, b in pairwise([0, *falls.tolist(), time.size])]
@@ -74,14 +77,14 @@ def _clock_runs(time: Array) -> list[slice]:
 def _ends_in_spike(time: Array) -> bool:
     """Whether the last time is far above the one before it."""
     steps = np.diff(time)
-    return steps.size < 2 or bool(steps[-1] > 100.0 * max(float(np.median(steps)), 1e-3))
+    return steps.size < 2 or bool(steps[-1] > SPIKE_STEPS * max(float(np.median(steps)), SHORTEST_STEP))
 
 
 # ------------------------------------------------------------------------------------------------------ a file for each topic
 
 
 def topics_of_px4(paths: Sequence[Path]) -> Log | None:
-    """The log of which ulog2csv wrote these files, one for each topic; None for other files."""
+    """The PX4 log whose topics ulog2csv wrote as these files, one for each; None for other files."""
     if not paths or any(p.suffix.lower() != ".csv" or not p.is_file() for p in paths):
         return None
     if not all(read_bytes(p, error=ImportDataError).startswith(_STAMP) for p in paths):
@@ -104,7 +107,7 @@ def topics_of_px4(paths: Sequence[Path]) -> Log | None:
 
 def _px4_topic(stem: str) -> str:
     """Topic of a file by its name, `vehicle_attitude` or `vehicle_attitude[1]`; the name itself for a topic in no mapping."""
-    names = {t.column.split(".")[0] for m in built_in_map("px4").columns.values() for s in m for t in s.parts}
+    names = {name.split(".")[0] for name in built_in_map("px4").source_columns}
     names |= {"actuator_outputs", "actuator_servos"}
     fitting = [t for t in names if re.search(rf"(^|_){t}_\d{{1,2}}$", stem)]
     if not fitting:
@@ -114,16 +117,15 @@ def _px4_topic(stem: str) -> str:
 
 
 def joined_topics(tables: Sequence[tuple[Path, Log, Map]]) -> tuple[Log, Map] | None:
-    """Tables of one flight as one log and its mapping; None where they are separate records. tables: path, log and mapping."""
+    """Tables of one flight as one log with its mapping; None where they are separate records. tables: path, log and mapping."""
     if len(tables) < 2 or any(not log.common or RECORD in log.series or not log.series for _, log, _ in tables):
         return None
     start = min(log.origin for _, log, _ in tables)
     times = [next(iter(log.series.values())).time + (log.origin - start) for _, log, _ in tables]
     columns = [_flight_columns(log, mapping) for _, log, mapping in tables]
-    of_topics = all(
-        MESSAGE in log.detail for _, log, _ in tables
-    )  # these have one clock, and are not consecutive records
-    if not all(columns) or (not of_topics and sum(map(len, columns)) > len(set().union(*columns))):
+    # topics of a bag have one clock and are no consecutive records, even where they give the same columns
+    are_topics = all(MESSAGE in log.detail for _, log, _ in tables)
+    if not all(columns) or (not are_topics and sum(map(len, columns)) > len(set().union(*columns))):
         return None
     if not all(_overlap(a, b) for a, b in combinations(times, 2)):
         return None
@@ -131,16 +133,16 @@ def joined_topics(tables: Sequence[tuple[Path, Log, Map]]) -> tuple[Log, Map] | 
     units: dict[str, str] = {}
     kinds: dict[str, str] = {}
     sources: dict[str, tuple[ColumnSource, ...]] = {}
-    taken: set[str] = set()
+    measured: set[str] = set()  # flight columns of the tables so far
     for (path, log, mapping), time, names in zip(tables, times, columns, strict=True):
         labels = {n: (n if n not in series else f"{path.stem}.{n}") for n in log.series}
         series |= {label: TimeSeries(time, log.series[n].values) for n, label in labels.items()}
         units |= {label: log.units[n] for n, label in labels.items() if n in log.units}
-        mapped = {t.column for alternatives in mapping.columns.values() for s in alternatives for t in s.parts}
         kinds |= {labels.get(n, n): kind for n, kind in log.kinds.items()}
-        chosen = {n: s for n, s in mapping.columns.items() if n not in sources or (n in names and n not in taken)}
-        sources |= {n: tuple(_relabelled(source, labels) for source in s) for n, s in chosen.items()}
-        taken |= names
+        new = {n: s for n, s in mapping.columns.items() if n not in sources or (n in names and n not in measured)}
+        sources |= {n: tuple(_relabelled(source, labels) for source in s) for n, s in new.items()}
+        measured |= names
+        mapped = mapping.source_columns
         unmapped = [label for n, label in labels.items() if n not in mapped]
         sources |= {re.sub(r"\W+", "_", label): (ColumnSource(column=label, unit="1"),) for label in unmapped}
     notes = [n for _, log, _ in tables for n in log.notes]
@@ -171,8 +173,8 @@ def _overlap(first: Array, second: Array) -> bool:
 
 
 def joined_flights(flights: Sequence[Flight]) -> Flight:
-    """Consecutive records as one flight, each with its own segments. A record that begins before the last one has ended is
-    shifted in time, with a note. A column that a record lacks is NaN in it."""
+    """Consecutive records as one flight, each with its own segments. A record that begins before the end of the last one is
+    shifted in time, with a note. A column that a record lacks is NaN there."""
     if len(flights) == 1:
         return flights[0]
     times, segments, marks = [], [], []
@@ -189,12 +191,16 @@ def joined_flights(flights: Sequence[Flight]) -> Flight:
     names = list(dict.fromkeys(n for f in flights for n in f.columns))
     columns = {n: np.concatenate([f.columns[n] if n in f else np.full(len(f), np.nan) for f in flights]) for n in names}
     notes: list[Finding | str] = [n for f in flights for n in f.notes]
-    notes.append(f"{len(flights)} records in a row, each with segments of its own")
+    notes.append(f"{len(flights)} records in a row, each with its own segments")
     if shifted:
-        notes.append(f"{shifted} of them begin anew in time: moved to {RECORD_GAP:g} s after the one before")
+        notes.append(f"{shifted} of them begin before the end of the previous one: moved to {RECORD_GAP:g} s after it")
     provenance = flights[0].provenance
     files = {f.provenance.path: f.provenance.sha256 for f in flights}
-    detail = {**provenance.detail, **joined_marks(marks).to_json(), **({"files": files} if len(files) > 1 else {})}
+    detail = {
+        **_joined_detail(flights),
+        **joined_marks(marks).to_json(),
+        **({"files": files} if len(files) > 1 else {}),
+    }
     return Flight.build(
         flights[0].name,
         np.concatenate(times),
@@ -203,6 +209,21 @@ def joined_flights(flights: Sequence[Flight]) -> Flight:
         provenance=replace(provenance, detail=detail),
         notes=notes,
     )
+
+
+def _joined_detail(flights: Sequence[Flight]) -> dict[str, Any]:
+    """The first record's detail, with the origins of columns that only later records have, and the contradictions of all between
+    other quantities."""
+    joined = dict(flights[0].provenance.detail)
+    for detail in (f.provenance.detail for f in flights[1:]):
+        for key in ("mapping", CHANNELS, "native_hz"):
+            joined[key] = {**detail.get(key, {}), **joined.get(key, {})}
+        earlier = joined.get(CONTRADICTIONS, [])
+        sides = [c["between"] for c in earlier]
+        further = [c for c in detail.get(CONTRADICTIONS, ()) if c["between"] not in sides]
+        if further:
+            joined[CONTRADICTIONS] = [*earlier, *further]
+    return joined
 
 
 def with_aircraft(flight: Flight, aircraft: str) -> Flight:

@@ -23,10 +23,10 @@ from groundstation.importers.series import MESSAGE, Log, TimeSeries
 
 _PX4 = re.compile(r"px4_msgs/(\w+)")
 _PX4_TOPIC = re.compile(r".*/fmu/(?:in|out)/(\w+?)(?:_v\d+)?")
-"""A topic of PX4's bridge, named as its uORB topic; the kind of message may have another name (SensorGps in
+"""A topic of PX4's bridge, named by its uORB topic; the kind of message may have another name (SensorGps in
 vehicle_gps_position)."""
 PX4_US = 1e-6  # [s] of PX4's time stamps
-_SIDE = {"x": 1, "y": -1, "z": -1}  # ROS body axis -> its sign in our axes
+_SIDE = {"x": 1, "y": -1, "z": -1}  # ROS body axis -> its sign in x forward, y right, z down
 _UNIT_TOLERANCE = 0.1  # of a quaternion's norm about 1, in at least one message
 _ORIENTATIONS: Mapping[str, str] = {
     "geometry_msgs/PoseStamped": "pose.orientation",
@@ -35,7 +35,7 @@ _ORIENTATIONS: Mapping[str, str] = {
     "geometry_msgs/QuaternionStamped": "quaternion",
 }
 """Kind of message -> its field with an attitude."""
-TURNED = "messages of ROS: axes turned from x forward, y left, z up and east, north, up to ours (REP 103)"
+TURNED = "messages of ROS: axes turned from x forward, y left, z up to x forward, y right, z down (REP 103)"
 _BY_FIELDS: Mapping[str, frozenset[str]] = {
     "sensor_msgs/msg/Imu": frozenset({"angular_velocity.x", "linear_acceleration.x"}),
     "geometry_msgs/msg/TwistStamped": frozenset({"twist.linear.x", "twist.linear.z"}),
@@ -51,8 +51,8 @@ _FIELD = "field."  # prefix of the names that `rostopic echo -p` writes
 
 
 def read_ros(paths: Sequence[Path]) -> tuple[Log, Map]:
-    """A bag, of one file or several, as a log, with the mapping for its kinds of messages. Raises ImportDataError where it has no
-    numbers."""
+    """A bag, of one file or several, as a log, and the mapping for its kinds of messages. Raises ImportDataError for a bag
+    without numbers."""
     bag = read_bag(paths)
     px4 = {n: t for n, t in bag.topics.items() if _PX4.fullmatch(t.kind)}
     if px4:
@@ -100,7 +100,7 @@ def of_topic_table(path: Path, log: Log, mapping: Map) -> tuple[Log, Map]:
     that the mapping lacks; of any other table unchanged."""
     labels = {f"{path.stem}.{n.removeprefix(_FIELD)}": n for n in log.series}
     fields = {n.removeprefix(_FIELD) for n in log.series}
-    kind = next((k for k, needed in _BY_FIELDS.items() if needed <= fields), None)
+    kind = next((k for k, characteristic in _BY_FIELDS.items() if characteristic <= fields), None)
     if kind is None:
         return log, mapping
     series = {n: log.series[label] for n, label in labels.items()}
@@ -137,16 +137,15 @@ def _px4_series(topics: dict[str, Topic]) -> dict[str, TimeSeries]:
 
 
 def _other_series(px4: Iterable[Topic], topics: Iterable[Topic]) -> dict[str, TimeSeries]:
-    """Series of the other topics of a bag, on PX4's clock. The difference of the clocks is the median of the time received less
-    the time stamp of PX4's messages."""
+    """Series of a bag's other topics on PX4's clock. The clocks' difference is the median of PX4's messages' time received less
+    their time stamp."""
     stamped = [t for t in px4 if len(t.columns.get("timestamp", ())) == len(t.time)]
     if not stamped:
         return {}
-    offset = float(
-        np.median([np.median(np.array(t.time) - PX4_US * np.array(t.columns["timestamp"])) for t in stamped])
-    )
-    others = (t for t in topics if not _PX4.fullmatch(t.kind))
-    return {n: replace(s, time=s.time - offset) for topic in others for n, s in topic.series(topic.name).items()}
+    differences = [np.array(t.time) - PX4_US * np.array(t.columns["timestamp"]) for t in stamped]
+    offset = float(np.median([np.median(difference) for difference in differences]))
+    foreign = (t for t in topics if not _PX4.fullmatch(t.kind))
+    return {n: replace(s, time=s.time - offset) for topic in foreign for n, s in topic.series(topic.name).items()}
 
 
 def _add_columns(
@@ -154,7 +153,7 @@ def _add_columns(
 ) -> bool:
     """Add sources for the flight columns of a standard message to `columns`; returns whether its axes were converted.
 
-    series: of the topic, to which the angles of an attitude are added; kinds: origin by series, added to, too.
+    series: of the topic, to which the angles of an attitude are added; kinds: origin by series, added to as well.
     """
     name = topic.name
 
@@ -203,7 +202,7 @@ def _add_columns(
 def _add_attitude(
     name: str, field: str, series: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
 ) -> None:
-    """Add roll, pitch and yaw [rad] in our axes from a topic's quaternion in ROS axes. field: of the quaternion."""
+    """Add roll, pitch and yaw [rad], north-east-down to body, from a topic's quaternion in ROS axes. field: of the quaternion."""
     names = [f"{name}.{field}.{axis}" for axis in "wxyz"]
     if not all(n in series for n in names):
         return
@@ -211,7 +210,7 @@ def _add_attitude(
     q = np.array([p.values for p in parts])
     norm = np.sqrt(np.sum(q**2, axis=0))
     if not np.any(np.isfinite(norm) & (np.abs(norm - 1.0) < _UNIT_TOLERANCE)):
-        return  # an IMU without attitude leaves it at zero
+        return  # an IMU without attitude leaves its quaternion at zero
     angles = euler_from_quaternion(*q)
     angles |= {"pitch": -angles["pitch"], "yaw": (np.pi / 2 - angles["yaw"] + np.pi) % (2 * np.pi) - np.pi}
     for column, label in ANGLES.items():

@@ -1,7 +1,7 @@
-"""Importing: foreign file, mapping, one time base, plausibility, provenance."""
+"""From a foreign file to a flight: reading, mapping, time base, plausibility, provenance."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -29,16 +29,23 @@ from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.functions import function_contradictions
 from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, built_in_map, load_map
 from groundstation.importers.records import by_boot, joined_flights, joined_topics, topics_of_px4
-from groundstation.importers.series import Log, TimeSeries, even_time_base, native_rate, without_damaged_times
+from groundstation.importers.series import (
+    AVERAGING_RATIO,
+    Log,
+    TimeSeries,
+    even_time_base,
+    native_rate,
+    without_damaged_times,
+)
 from groundstation.importers.servos import outputs_elsewhere, with_servos
 from groundstation.importers.slips import without_slips
 
 DEFAULT_RATE = 50.0
 """Highest rate [Hz] of the common time base of a log whose series have times of their own, unless stated."""
-_NEEDED_BY_NONE = frozenset({"mx", "my", "mz"})
-"""Columns that no model and no reconstruction reads: odd values of theirs become notes, and stop nothing."""
+_UNUSED = frozenset({"mx", "my", "mz"})
+"""Columns that no model and no reconstruction reads: implausible values in them become notes and do not stop the import."""
 _MOTION = frozenset({"p", "q", "r", "ay", "az", "delta_e", "delta_a", "delta_r"})
-"""Columns whose rate decides what a flight tells of fast modes."""
+"""Columns whose rate limits what a flight shows of fast modes."""
 ENTRY_POINTS = "sideslip.importers"
 
 
@@ -49,7 +56,7 @@ def import_data(
     rate_hz: float | None = None,
     accept_implausible: bool = False,
 ) -> Flight:
-    """A flight from somebody else's data: .csv, .parquet, .mat, .ulg (PX4), .bin (ArduPilot) or .tlog (MAVLink).
+    """A flight from another program's data: .csv, .parquet, .mat, .ulg (PX4), .bin (ArduPilot), .tlog (MAVLink) or a bag.
 
     path: a file, or several that hold records in a row, each of which becomes a segment. mapping: a mapping file on top of the
     built-in one for the format. rate_hz: resample to an even time base (always done for logs, at most at DEFAULT_RATE unless
@@ -62,7 +69,7 @@ def import_data(
     user_map = load_map(mapping) if isinstance(mapping, (str, Path)) else mapping
     for file in paths:
         check_log(file)
-    flight = joined_flights([_record(*record, rate_hz, accept_implausible) for record in _records(paths, user_map)])
+    flight = joined_flights([_flight(*record, rate_hz, accept_implausible) for record in _records(paths, user_map)])
     if not any(np.isfinite(values).any() for values in flight.columns.values()):
         raise ImportDataError(f"{paths[0]}: no column holds a value beside the time")
     unknown = flight.unknown_columns
@@ -75,14 +82,14 @@ def import_data(
 
 
 def refuse_others(path: Path) -> None:
-    """Raises ImportDataError for a file of a kind that is known and not read, with the way out."""
-    cure = OTHERS.get(path.suffix.lower())
-    if cure is not None:
-        raise ImportDataError(f"{path}: {cure.format(file=path, stem=path.stem)}")
+    """Raises ImportDataError for a known kind of file that is not read, with advice on how to convert it."""
+    advice = OTHERS.get(path.suffix.lower())
+    if advice is not None:
+        raise ImportDataError(f"{path}: {advice.format(file=path, stem=path.stem)}")
 
 
 def refuse_misnamed(path: Path) -> None:
-    """Raises ImportDataError for a file whose first bytes are those of another kind than its ending says."""
+    """Raises ImportDataError for a file whose first bytes show another kind than its ending."""
     with path.open("rb") as file:
         head = file.read(max(map(len, BEGINNINGS)))
     kind, endings = next((v for begin, v in BEGINNINGS.items() if head.startswith(begin)), ("", ()))
@@ -91,36 +98,37 @@ def refuse_misnamed(path: Path) -> None:
 
 
 def check_log(path: Path) -> None:
-    """Raises ImportDataError for what is neither an ordinary file nor the folder of a bag."""
+    """Raises ImportDataError for a path that is neither an ordinary file nor the folder of a bag."""
     for file in bag_files(path) if path.is_dir() else [path]:
         check_file(file, error=ImportDataError)
 
 
 def log_digest(path: Path) -> str:
-    """SHA-256 of a log; of the folder of a bag that of its files' one after the other."""
+    """SHA-256 of a log as hexadecimal digits; of a bag's folder, that of its files' digests joined."""
     digests = []
     for file in bag_files(path) if path.is_dir() else [path]:
-        with file.open("rb") as opened:
-            digests.append(hashlib.file_digest(opened, "sha256").hexdigest())
+        with file.open("rb") as stream:
+            digests.append(hashlib.file_digest(stream, "sha256").hexdigest())
     return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
 
-def _over(user_map: Map | None, base: Map) -> Map:
+def _merged_map(user_map: Map | None, base: Map) -> Map:
+    """The user's mapping on top of `base`."""
     return user_map.over(base) if user_map else base
 
 
 def _records(paths: Sequence[Path], user_map: Map | None) -> list[tuple[Path, Log, Map]]:
-    """The records of all files, each with its mapping; those of one flight with a topic each as one."""
+    """The records of all files, each with its mapping; files with one topic each of the same flight are joined."""
     topics = topics_of_px4(paths) if user_map is None or user_map.time is None else None
     if topics is not None:
-        return [(paths[0], EVIDENCE[topics.kind](topics), _over(user_map, built_in_map("px4")))]
-    records = [(part[0], log, mapping) for part in _bags(paths) for log, mapping in read_logs(part, user_map)]
+        return [(paths[0], EVIDENCE[topics.kind](topics), _merged_map(user_map, built_in_map("px4")))]
+    records = [(part[0], log, mapping) for part in _grouped_by_bag(paths) for log, mapping in read_logs(part, user_map)]
     joined_record = joined_topics(records)
     return [(paths[0], *joined_record)] if joined_record is not None else records
 
 
-def _bags(paths: Sequence[Path]) -> list[list[Path]]:
-    """Each file by itself, and those of one bag that was split together."""
+def _grouped_by_bag(paths: Sequence[Path]) -> list[list[Path]]:
+    """Groups of files: the parts of a bag that was split, and each other file by itself."""
     parts: list[list[Path]] = []
     for path in paths:
         if parts and parts_of_one_bag(parts[-1][-1], path):
@@ -130,7 +138,8 @@ def _bags(paths: Sequence[Path]) -> list[list[Path]]:
     return parts
 
 
-def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_implausible: bool) -> Flight:
+def _flight(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_implausible: bool) -> Flight:
+    """The flight of one record. Raises ImportDataError for too few samples, no known column, or implausible values."""
     rate = rate_hz or mapping.rate_hz
     resampled = not log.common or rate is not None
     if resampled:
@@ -142,7 +151,7 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
     time = _time_base(path, log, mapping, rate)
     if np.isfinite(time).sum() < 2:
         raise ImportDataError(f"{path}: fewer than two samples with a time in it")
-    with np.errstate(over="ignore", invalid="ignore"):  # what is beyond any measurement is left out just below
+    with np.errstate(over="ignore", invalid="ignore"):  # `credible_values` removes what overflows
         imported = flight_columns(log, mapping, time, resampled)
     columns, value_notes = credible_values(imported.values)
     columns, slips = without_slips(time, columns)
@@ -157,29 +166,38 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
     if no_output:
         notes.append(f"servo outputs named in the mapping and not in the file: {listed(no_output)}")
     notes += outputs_elsewhere(log, mapping.servos)
-    notes += _coarser(imported, rate)
-    suspected = suspicions(time, columns)
-    harmless = [s for s in suspected if set(s.columns) <= _NEEDED_BY_NONE]
-    serious = [s.text for s in suspected if s not in harmless]
-    if serious and not accept_implausible:
-        raise ImportDataError(
-            f"{path}: {'; '.join(serious)}; if the data are right as they are, add --accept-implausible"
-        )
-    notes += [*(Finding(FindingKind.UNLIKELY, s.text) for s in harmless), *serious]
+    notes += _averaging_notes(imported, rate)
+    notes += _plausibility_notes(path, time, columns, accept_implausible)
     provenance = _provenance(path, log, mapping, imported, time, resampled)
     segment = _segment(log, mapping, rate)
     return Flight.build(path.stem, time, columns, segment=segment, provenance=provenance, notes=notes)
 
 
-def _coarser(imported: ImportedColumns, rate: float | None) -> list[str]:
-    """What a time base that was asked for takes from motion and surfaces that the log has at twice its rate or more."""
+def _plausibility_notes(
+    path: Path, time: Array, columns: Mapping[str, Array], accept_implausible: bool
+) -> list[Finding | str]:
+    """Notes on implausible values (N,). Raises ImportDataError for those of columns in use, unless they are accepted."""
+    suspected = suspicions(time, columns)
+    harmless = [s for s in suspected if set(s.columns) <= _UNUSED]
+    serious = [s.text for s in suspected if s not in harmless]
+    if serious and not accept_implausible:
+        raise ImportDataError(
+            f"{path}: {'; '.join(serious)}; if the data are right as they are, add --accept-implausible"
+        )
+    return [*(Finding(FindingKind.UNLIKELY, s.text) for s in harmless), *serious]
+
+
+def _averaging_notes(imported: ImportedColumns, rate: float | None) -> list[str]:
+    """A note where a requested rate averages motion and surfaces that the log has at a higher rate."""
+    if rate is None:
+        return []
     rates = {n: c.rate for n, c in imported.origins.items() if n in _MOTION and c.rate is not None}
-    fast = {n: own for n, own in rates.items() if rate is not None and own >= 2.0 * rate}
-    if rate is None or not fast:
+    fast = {n: native for n, native in rates.items() if native >= AVERAGING_RATIO * rate}
+    if not fast:
         return []
     return [
-        f"{listed(fast)} logged at {max(fast.values()):.3g} Hz, averaged to the {rate:g} Hz asked for: what fast modes and edges "
-        "of surfaces tell is lost, and bounds are wider than at the log's own rate"
+        f"{listed(fast)} logged at {max(fast.values()):.3g} Hz, averaged to the {rate:g} Hz asked for: information on fast modes "
+        "and surface steps is lost, and bounds are wider than at the log's own rate"
     ]
 
 
@@ -203,7 +221,7 @@ def _provenance(
 
 
 def read_logs(path: Path | Sequence[Path], user_map: Map | None = None) -> list[tuple[Log, Map]]:
-    """The records of a file, each with its mapping; of a bag, the folder or several files that it was split into.
+    """The records of a file, each with its mapping. path: a bag may also be its folder, or the files that it was split into.
 
     Raises ImportDataError for a file that cannot be read.
     """
@@ -217,14 +235,14 @@ def read_logs(path: Path | Sequence[Path], user_map: Map | None = None) -> list[
         refuse_misnamed(path)
     if path.is_dir() or suffix in BAGS:
         log, base = _read_bag(paths)
-        return [(log, _over(user_map, base))]
+        return [(log, _merged_map(user_map, base))]
     if suffix in TABLES:
         return _read_tables(path, user_map)
     if suffix not in LOGS:
         log, base = _package_reader(path)(path)
-        return [(log, _over(user_map, base))]
+        return [(log, _merged_map(user_map, base))]
     kind = LOGS[suffix]
-    mapping = _over(user_map, built_in_map(kind))
+    mapping = _merged_map(user_map, built_in_map(kind))
     boots = [boot for log in _read_autopilot(kind, path) for boot in by_boot(log)]
     return [(EVIDENCE[log.kind](log), mapping) for log in boots]
 
@@ -254,7 +272,7 @@ def _read_bag(paths: Sequence[Path]) -> tuple[Log, Map]:
 
 
 def _package_reader(path: Path) -> Callable[[Path], tuple[Log, Map]]:
-    """What an installed package reads this kind of file with: entry point group `sideslip.importers`, named by the suffix."""
+    """The reader of an installed package for this kind of file: entry point group `sideslip.importers`, named by the suffix."""
     packages = entry_points(group=ENTRY_POINTS)
     package = next((p for p in packages if p.name == path.suffix.lower().removeprefix(".")), None)
     if package is None:
@@ -278,19 +296,19 @@ def _read_tables(path: Path, user_map: Map | None) -> list[tuple[Log, Map]]:
         from groundstation.importers.formats.matlab import read_variables, tables_of
         from groundstation.importers.formats.matlab_topics import topics_of
 
-        variables, left_out = read_variables(path)
+        variables, excluded = read_variables(path)
         guess = layout == FileFormat() and (user_map is None or user_map.time is None)
         topics = topics_of(variables) if guess else None
         if topics is not None:
             log, base = topics
-            return [(EVIDENCE[log.kind](log) if log.kind in EVIDENCE else log, _over(user_map, base))]
-        tables = tables_of(path, variables, left_out, layout)
+            return [(EVIDENCE[log.kind](log) if log.kind in EVIDENCE else log, _merged_map(user_map, base))]
+        tables = tables_of(path, variables, excluded, layout)
     else:
         tables = [read_table(path, layout, user_map.time if user_map else None)]
     records = []
     for table in tables:
         guessed, notes = header_map(table, user_map.columns if user_map else ())
-        mapping = _over(user_map, guessed)
+        mapping = _merged_map(user_map, guessed)
         log, mapping = with_quaternion(table_log(path, table, mapping.time), mapping)
         if table.of_topic:
             from groundstation.importers.ros import of_topic_table
@@ -301,9 +319,10 @@ def _read_tables(path: Path, user_map: Map | None) -> list[tuple[Log, Map]]:
 
 
 def _time_base(path: Path, log: Log, mapping: Map, rate: float | None) -> Array:
+    """(N,) [s]: the times of a table where no rate is requested, else even ones."""
     if log.common and rate is None:
         return next(iter(log.series.values())).time if log.series else np.zeros(0)
-    mapped = {t.column for sources in mapping.columns.values() for s in sources for t in s.parts}
+    mapped = mapping.source_columns
     series = {n: s for n, s in log.series.items() if n in mapped and s.time.size >= 2}
     if not series:
         topics = sorted({name.split(".")[0] for name in log.series})
@@ -316,6 +335,7 @@ def _time_base(path: Path, log: Log, mapping: Map, rate: float | None) -> Array:
 
 
 def _segment(log: Log, mapping: Map, rate: float | None) -> NDArray[np.int64] | None:
+    """(N,) segment of each row by the mapping or the file's records; None for one segment, and after resampling."""
     if rate is not None:
         return None
     count = len(next(iter(log.series.values())).values) if log.series else 0

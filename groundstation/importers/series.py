@@ -14,13 +14,21 @@ from groundstation.importers.errors import ImportDataError
 
 LONGEST_GRID = 4_000_000  # samples of a common time base, at most: eleven hours at 100 Hz
 SHORT_GRID = 100_000  # samples of a common time base that is accepted even if almost empty: half an hour at 50 Hz
-EMPTIEST = (
-    10  # samples of a longer time base over recorded ones, at most: more are due to damaged stamps, not to pauses
-)
+EMPTIEST = 10
+"""Samples of a longer time base for each recorded one, at most: damaged stamps cause more, pauses do not."""
 LONGEST_STEP = 3.5  # median intervals; a longer step is a gap of a series and is not interpolated
 PAUSE = 5.0  # [s]; a longer step is a pause in recording, not late delivery
+AVERAGING_RATIO = 2.0  # rate of a series over that of the time base, from which its samples are averaged
 BURSTY = 2.0  # ratio of median to mean rate, from which samples are delivered in bursts
+CLOCK_BACK_S = 1.0
+"""[s] by which an autopilot's clock goes back after a restart only: messages out of order differ by some tenths of a second."""
+RECORD_GAP = 1.0  # [s] put between two records whose clocks overlap or were restarted
+LONGEST_ARRAY = 32
+"""Elements of an array that become series, at most (32 outputs of an autopilot): longer arrays are images and binary data."""
+SAME_INSTANT = 1e-9  # [s] between two stamps of one instant: stamps have a resolution of a microsecond at best
+_ROUNDING = 1e-6  # of an interval, for a time base that ends with the series
 MESSAGE = "message"  # key of `Log.detail`: kind of the messages in a table
+SETTLED = 4.0  # time constants after which a servo's initial position counts for 2 %
 MOST_INSTANCES = 256  # of one sensor: ArduPilot numbers them in one byte
 TIME_QUANTILES, TIME_MARGIN = (2, 98), 60.0
 """Percentiles of all times, and [s] which, with their distance, a time may lie outside them before it counts as damaged."""
@@ -41,7 +49,7 @@ class TimeSeries:
 
 
 Series = TimeSeries
-"""The name for packages that add formats (docs/extending.md)."""
+"""Name of `TimeSeries` in packages that add formats (docs/extending.md)."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +89,8 @@ def instance_rows(topic: str, number: Array) -> dict[str, Mask]:
 
 
 def without_damaged_times(series: Mapping[str, TimeSeries]) -> tuple[dict[str, TimeSeries], int]:
-    """The series without samples whose time is far from all others (damaged stamps), and the largest number removed from one."""
+    """The series without samples whose time is far from all others (damaged stamps), and the largest number removed from one
+    series."""
     clocks = {id(s.time): s.time for s in series.values()}  # fields of one message share their time
     times = np.concatenate(list(clocks.values())) if clocks else np.zeros(0)
     times = times[np.isfinite(times)]
@@ -89,17 +98,17 @@ def without_damaged_times(series: Mapping[str, TimeSeries]) -> tuple[dict[str, T
         return dict(series), 0
     low, high = np.percentile(times, TIME_QUANTILES)
     reach = TIME_MARGIN + (high - low)
-    sound, outliers = {}, 0
+    cleaned, outliers = {}, 0
     for name, item in series.items():
         plausible = np.isfinite(item.time) & (item.time > low - reach) & (item.time < high + reach)
         outliers = max(outliers, int(np.sum(~plausible)))
-        sound[name] = replace(item, time=item.time[plausible], values=item.values[plausible])
-    return sound, outliers
+        cleaned[name] = replace(item, time=item.time[plausible], values=item.values[plausible])
+    return cleaned, outliers
 
 
 def even_time_base(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
-    """Even time base (n,) [s] from the earliest to the latest sample. ImportDataError where it would be too long or mostly empty,
-    or there are no times."""
+    """Even time base (n,) [s] from the earliest to the latest sample. Raises ImportDataError where it would be too long or mostly
+    empty, or there are no times."""
     if not rate_hz > 0:
         raise ImportDataError(
             "all samples have one and the same time; name another time column, or the rate: [time] rate_hz = 50"
@@ -125,7 +134,7 @@ def even_time_base(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
 def native_rate(series: TimeSeries) -> float:
     """Median rate of a series [Hz], or the mean rate where samples are delivered in bursts; 0 for fewer than two samples."""
     steps = np.diff(series.time[np.isfinite(series.time)])
-    steps = steps[steps > 1e-9]  # stamps are of a microsecond at best: what is closer is the same instant
+    steps = steps[steps > SAME_INSTANT]
     if not steps.size:
         return 0.0
     typical = float(1 / np.median(steps))
@@ -137,7 +146,7 @@ def native_rate(series: TimeSeries) -> float:
 def resample(series: TimeSeries, time: Array, *, hold: bool = False) -> Array:
     """Values of a series at `time` (n,) [s]; NaN outside the series and in its gaps.
 
-    A series at least twice as fast as `time` is averaged over each interval, against aliasing of vibration. A slower one is
+    A series faster than `time` by AVERAGING_RATIO is averaged over each interval, against aliasing of vibration. A slower one is
     linearly interpolated; with `hold` each value holds until the next, as of a command.
     """
     t, y = _finite_samples(series)
@@ -146,12 +155,13 @@ def resample(series: TimeSeries, time: Array, *, hold: bool = False) -> Array:
         return np.full_like(time, np.nan)
     interval = 1.0 / rate
     step = float(np.median(np.diff(time))) if time.size > 1 else interval
-    if hold and (series.lag or interval > 0.5 * step):
+    average = AVERAGING_RATIO * interval <= step
+    if hold and (series.lag or not average):
         return held_at(series, time)
     index = np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 2)
-    edge = 1e-6 * interval  # rounding of a grid that ends with the series
+    edge = _ROUNDING * interval
     valid = (time >= t[0] - edge) & (time <= t[-1] + edge) & (t[index + 1] - t[index] <= LONGEST_STEP * interval)
-    values = _mean_over(t, y, time, step) if interval <= 0.5 * step else np.interp(time, t, y)
+    values = _mean_over(t, y, time, step) if average else np.interp(time, t, y)
     return np.where(valid, values, np.nan)
 
 
@@ -160,9 +170,6 @@ def _finite_samples(series: TimeSeries) -> tuple[Array, Array]:
     finite = np.isfinite(series.values) & np.isfinite(series.time)
     t, first = np.unique(series.time[finite], return_index=True)
     return t, series.values[finite][first]
-
-
-SETTLED = 4.0  # time constants after which a servo's initial position counts for 2 %
 
 
 def held_at(series: TimeSeries, time: Array) -> Array:
@@ -174,7 +181,7 @@ def held_at(series: TimeSeries, time: Array) -> Array:
         return np.full_like(time, np.nan)
     interval = 1.0 / native_rate(TimeSeries(t, target))
     begins = t - DATED_BACK * interval
-    latest = np.searchsorted(begins, time + 1e-6 * interval, side="right") - 1
+    latest = np.searchsorted(begins, time + _ROUNDING * interval, side="right") - 1
     k = np.clip(latest, 0, t.size - 1)
     following = np.append(begins[1:], begins[-1] + interval)
     valid = (latest >= 0) & (time <= following[-1]) & (following[k] - begins[k] <= LONGEST_STEP * interval)
@@ -187,8 +194,8 @@ def held_at(series: TimeSeries, time: Array) -> Array:
 
 
 def lagged(time: Array, commanded: Array, lag: float) -> Array:
-    """(n,) response of a first-order servo of time constant `lag` [s] to commands (n,) that hold until the next; starts anew
-    where time (n,) [s] goes back."""
+    """(n,) response of a first-order servo of time constant `lag` [s] to commands (n,) that hold until the next; it starts again
+    at the command where time (n,) [s] goes back."""
     response = np.empty_like(commanded)
     angle, last, previous_time = math.nan, math.nan, math.nan
     for k, (current_time, target) in enumerate(zip(time.tolist(), commanded.tolist(), strict=True)):

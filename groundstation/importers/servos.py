@@ -26,8 +26,8 @@ from groundstation.importers.units import conversion
 
 PREFIX = "servo."
 BEYOND = 0.5
-"""Share of the travel, beyond which an output outside it is no position: autopilots write 0 or 65535 for 'off'."""
-SAME_TRIM_US = 5.0  # trims closer than this [us] are the same: half a degree of a usual servo
+"""Distance from the travel, as a share of it, beyond which an output is no position: autopilots write 0 or 65535 for 'off'."""
+SAME_TRIM_US = 5.0  # [us] between two trims that count as the same: half a degree of a usual servo
 _OUTPUT = re.compile(r"(?:RCOU\.C|SERVO_OUTPUT_RAW\.servo)(\d+)(?:_raw)?")
 """Outputs of ArduPilot, numbered as its parameters SERVOn_TRIM, _MIN, _MAX. PX4's trims are shares of the travel, not pulses."""
 LARGEST_DEFLECTION = math.radians(90.0)
@@ -36,7 +36,7 @@ _Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class ServoMap(BaseModel):
-    """One servo: output -> deflection [unit], linear from either end of the travel to the trim."""
+    """One servo: output -> deflection [unit], linear from the trim to either end of the travel."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -48,7 +48,7 @@ class ServoMap(BaseModel):
     lag: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
 
     @model_validator(mode="after")
-    def _is_a_travel(self) -> "ServoMap":
+    def _ends_are_valid(self) -> "ServoMap":
         try:
             scale, _ = conversion(self.unit, "servo", "rad")
         except ImportDataError as error:
@@ -165,7 +165,7 @@ def _moves(values: Array) -> bool:
 
 
 def _trim(name: str, servo: ServoMap, log: Log) -> tuple[float, str | None]:
-    """Output at zero deflection, by the mapping or else by the log, and a note where the log is used or contradicts."""
+    """Output at zero deflection, by the mapping or else by the log, and a note where the log is used or differs."""
     parameter = parameter_of(servo.column, "TRIM")
     logged = log.parameters.get(parameter) if parameter else None
     if servo.trim is not None:

@@ -67,12 +67,18 @@ _ALIASES = {
 
 
 def find_unit(text: str) -> Unit | None:
-    """The unit of a text in any usual spelling; None for an unknown one."""
+    """The unit that a text in any usual spelling names; None for an unknown one."""
     word = text.strip()
     for name in (word, _ALIASES.get(word, ""), _ALIASES.get(word.lower(), ""), word.lower()):
         if name in UNITS:
             return UNITS[name]
     return None
+
+
+def is_unit_of(text: str, si: str) -> bool:
+    """Whether a text names a unit of the dimension of `si`; False for an empty text."""
+    unit = find_unit(text) if text else None
+    return unit is not None and unit.si == si
 
 
 def conversion(text: str, column: str, si: str) -> tuple[float, float]:

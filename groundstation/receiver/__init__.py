@@ -1,1 +1,1 @@
-"""From bytes of a link to scans that are accounted for: decode, order, backfill, record. Knows no calibration."""
+"""From the bytes of a link to scans with exact accounting: decoding, backfill and recording, without calibration."""

@@ -1,4 +1,4 @@
-"""One aircraft as the receiver keeps it: what it sends is decoded and recorded, and what is missing is asked for."""
+"""One aircraft at the receiver: decodes and records what it sends, and requests what is missing."""
 
 from collections.abc import Iterator, Mapping
 from itertools import islice
@@ -20,13 +20,15 @@ from groundstation.receiver.senders import Senders
 from groundstation.receiver.storage.sessions import Sessions
 from groundstation.receiver.timeline import NS
 
-_SYNC_FAST_NS, _SYNC_NS, _SYNC_FAST_COUNT = NS // 2, 5 * NS, 6
-_MAP_NS = 2 * NS
-_MAPS_AT_ONCE = 4
+_SYNC_FAST_NS, _SYNC_FAST_COUNT, _SYNC_NS = NS // 2, 6, 5 * NS
+"""Times between time syncs: the first few in fast sequence, to relate the clocks soon, then rarely, to leave the radio free."""
+_MAP_NS, _MAPS_AT_ONCE = 2 * NS, 4
+"""Time between two turns of requests for maps of sent scans, and requests in one turn."""
+_QUIET_NS = 2 * NS  # without a scan: the aircraft then completes no further block, and sends no further map
 
 
 class TrackedAircraft:
-    """sender: who was heard of it first, by `port`. sessions: where its recordings go; None keeps nothing."""
+    """sender: first heard of this aircraft, on `port`. sessions: the recorders of its sessions; None records nothing."""
 
     def __init__(
         self,
@@ -56,7 +58,7 @@ class TrackedAircraft:
         self._next_map_ns = 0
 
     def begin_session(self, session: ev.Session) -> None:
-        """Record a session and fetch what it lacks, where recordings are kept."""
+        """Begin to record a session and to fetch what it lacks, where recordings are kept."""
         accounting = next((a for a in self.decoder.sessions if a.session == session), None)
         if self.sessions is not None and accounting is not None:
             self.backfill = BackfillClient(self.sessions.recorder(session), accounting, self._backfill_mode)
@@ -64,12 +66,12 @@ class TrackedAircraft:
     def record(self, event: ev.ScanReceived | ev.EventMarked) -> None:
         """Hand an event to the recorder of its session."""
         if isinstance(event, ev.ScanReceived) and self.backfill is not None:
-            self.backfill.see_sensors(event.scan.groups)
+            self.backfill.note_sensors(event.scan.groups)
         if self.sessions is not None and not self.sessions.keep(event):
             self._findings.doubt(self.system, findings.EVENTS)
 
     def take_answer(self, frame: MavlinkFrame, now_ns: int) -> list[ev.Event]:
-        """Use an answer to what was asked from here; returns what it means."""
+        """Use an answer to a request; returns the events that follow from it."""
         match frame.name:
             case "BACKFILL_DATA" | "BACKFILL_SUMMARY" if self.backfill is not None:
                 fields, accounting = frame.fields(), self.decoder.accounting
@@ -89,13 +91,13 @@ class TrackedAircraft:
         if name == "BACKFILL_SUMMARY":
             client.take_summary(f)
             return []
-        refused_count = client.refused
+        refused_before = client.refused
         client.take_data(f, now_ns)
-        self._findings.doubt(self.system, findings.PAPERS, client.refused - refused_count)
+        self._findings.doubt(self.system, findings.PAPERS, client.refused - refused_before)
         return [ev.ScanFetched(session, data, now_ns) for data in client.take_fetched()]
 
     def due(self, now_ns: int) -> Iterator[Request]:
-        """Messages to send now: name, and fields without target."""
+        """Messages to send now: name, and fields without the target."""
         accounting = self.decoder.accounting
         if accounting is None:
             return
@@ -105,8 +107,8 @@ class TrackedAircraft:
             yield "TIMESYNC", {"ts1": self.decoder.sync.ask(now_ns)}
         if now_ns >= self._next_map_ns:
             self._next_map_ns = now_ns + _MAP_NS
-            # The aircraft sends maps by itself; only what has been overdue for a whole block is asked for.
-            quiet = now_ns - self.decoder.last_scan_ns > 2 * NS  # then the last block gets no map by itself
+            # The aircraft sends the map of each complete block by itself; only overdue maps are requested.
+            quiet = now_ns - self.decoder.last_scan_ns > _QUIET_NS
             open_blocks = (b for b in accounting.open_blocks() if b < accounting.last // BLOCK or quiet)
             for block in islice(open_blocks, _MAPS_AT_ONCE):
                 yield "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": accounting.session.boot}
@@ -116,7 +118,7 @@ class TrackedAircraft:
         yield from self.manoeuvre.due(now_ns)
 
     def report(self, now_ns: int) -> list[ev.Event]:
-        """Quality of the link, which is recorded too, and progress of backfill."""
+        """Quality of the link, which is also recorded, and progress of backfill; empty before the first scan."""
         report = self.meter.report(now_ns)
         if report is None:
             return []
@@ -126,14 +128,14 @@ class TrackedAircraft:
         return [report] if progress is None else [report, progress]
 
     def look_after(self) -> None:
-        """Journals go on where the disk failed, and what it lost is wanted again."""
+        """Continue the journals after a failure of the disk, and request again what it lost."""
         if self.sessions is not None:
             self.sessions.look_after()
         if self.backfill is not None:
             self.backfill.look_after()
 
     def states_on_disk(self) -> list[tuple[int, int]]:
-        """By session: scans that are on the disk, and that came down and are not."""
+        """By session: numbers of received scans that are on the disk, and that are not."""
         if self.sessions is None:
             return []
         states = (self.sessions.state(accounting) for accounting in self.decoder.sessions)

@@ -1,8 +1,8 @@
-"""The asking side of backfill: which scans are wanted, requests until they are here, and the proof that all are.
+"""The ground's end of backfill: requests for missing scans until they have arrived, and the proof that all have.
 
-Answers are the aircraft's own encoded scans, compressed and cut into fragments; lost fragments are asked for again.
-Everything that arrives goes to the session's journal, so an interrupted backfill goes on where it was. It is over
-when count and SHA-256 of all scans, as the aircraft gives them, equal those of the scans held here.
+Answers are the aircraft's encoded scans, compressed and cut into fragments; lost fragments are requested again. All that
+arrives goes to the session's journal, so an interrupted backfill continues where it was. It is complete when the aircraft's
+count and SHA-256 of all scans equal those of the scans here.
 """
 
 import hashlib
@@ -15,52 +15,52 @@ from typing import Any, Literal
 from daq.contract.link.scan_map import ScanMap
 from daq.contract.scan import GroupStatus, ScanDecodeError, decode_scan
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_accounting import SessionAccounting
+from groundstation.receiver.link_accounting import LAST_NUMBER, SessionAccounting
 from groundstation.receiver.storage.recording import SessionRecorder
 from groundstation.receiver.timeline import NS
 
 Mode = Literal["off", "lost", "all"]
 Request = tuple[str, dict[str, Any]]
 
-WINDOW = 4
-MAX_WANTED = 24
-SPAN = 64
-RETRY_NS = 2 * NS
-MAX_RETRY_NS = 16 * NS
-SUMMARY_NS = 2 * NS
-PROGRESS_NS = NS
-LOOK_NS = NS // 2
+WINDOW = 4  # open requests: enough that the aircraft always has one to serve
+MAX_WANTED, SPAN = 24, 64
+"""Scans in one request, at most, as the aircraft refuses more; and the width of its mask of scan numbers."""
+RETRY_NS, MAX_RETRY_NS = 2 * NS, 16 * NS
+"""Time without an answer, after which a request is sent again; it doubles each time, to leave the radio free."""
+SUMMARY_NS = 2 * NS  # between requests for the summary
+PROGRESS_NS = NS  # between reports of progress
+SEARCH_NS = NS // 2  # until missing scans are searched again, after none was found
 PAPERS_AGAIN_NS = 10 * NS
-"""Between requests for papers because a sensor has joined: they are some 2 % of what the radio carries in that time."""
-PAPERS_PART_BYTES = 8192
+"""Time between requests for papers because a sensor has joined: they are some 2 % of what the radio carries in that time."""
+PAPERS_PART_BYTES = 8192  # of the archive in one answer, as the aircraft cuts it
 _ALL_FRAGMENTS = 2**64 - 1
-_MAX_ANSWER = 1 << 20
-_ARCHIVE_TRIES = 3  # then scans are fetched without: an archive that never fits must not stand before them
-_MAX_SCAN_BYTES = 4096
-"""Of one encoded scan; the largest there can be has 466."""
+_MAX_ANSWER = 1 << 20  # bytes of an answer decompressed: ten times MAX_WANTED scans of _MAX_SCAN_BYTES
+_ARCHIVE_TRIES = 3  # then scans are fetched without it: an archive whose hash never fits must not delay them
+_MAX_SCAN_BYTES = 4096  # of one encoded scan; the largest possible has 466
 _LENGTH = struct.Struct("<I")
-_LAST = 2**32 - 1
 
 
 @dataclass
-class _Open:
-    """A request under way."""
+class _OpenRequest:
+    """A request without a complete answer. retry_ns: from sent_ns until it is sent again; checksum, total: of the answer's
+    fragments, None before the first; fragments: received, by number; flowing: whether some came since it was sent."""
 
-    asked_ns: int
+    sent_ns: int
     retry_ns: int = RETRY_NS
     checksum: int | None = None
     total: int | None = None
-    have: dict[int, bytes] = field(default_factory=dict)
-    flowing: bool = False  # fragments have come since it was asked
+    fragments: dict[int, bytes] = field(default_factory=dict)
+    flowing: bool = False
 
     def missing(self) -> int:
+        """Bit mask of the fragments that have not come."""
         if self.total is None:
             return _ALL_FRAGMENTS
-        return sum(1 << i for i in range(self.total) if i not in self.have)
+        return sum(1 << i for i in range(self.total) if i not in self.fragments)
 
 
 def group_numbers(numbers: Iterable[int], limit: int) -> list[tuple[int, int]]:
-    """Scan numbers as at most `limit` (first, mask) requests of up to 24 scans within 64."""
+    """At most `limit` requests (first number, mask) for ascending scan numbers, each of up to MAX_WANTED scans within SPAN."""
     requests: list[tuple[int, int]] = []
     first, mask = -1, 0
     for number in numbers:
@@ -78,58 +78,64 @@ def group_numbers(numbers: Iterable[int], limit: int) -> list[tuple[int, int]]:
 
 
 class BackfillClient:
+    """Fetches what a session lacks. mode: `lost` scans, `all` scans, or `off` (papers only).
+
+    agreed: whether all scans here are proven to be all that the aircraft has; unavailable: scans that it does not have; refused:
+    number of invalid papers and archives.
+    """
+
     def __init__(self, recorder: SessionRecorder, accounting: SessionAccounting, mode: Mode = "off") -> None:
         self.mode = mode
         self.agreed = False
         self.unavailable = ScanMap()
+        self.refused = 0
         self._fetched: list[bytes] = []
-        self.refused = 0  # papers and archives that were none
         self._recorder = recorder
         self._accounting = accounting
         self._boot = accounting.session.boot
-        self._open: dict[tuple[int, int], _Open] = {}
-        self._archive: dict[int, bytes] = {}  # parts by number, as many as the papers say there are
+        self._open: dict[tuple[int, int], _OpenRequest] = {}  # by first number and mask of the scans
+        self._archive: dict[int, bytes] = {}  # parts by number from 1
         self._summary: tuple[int, int, int, bytes] | None = None  # first, last, count, hash
-        self._summary_ns: int | None = None
-        self._summary_asked = False  # and not answered yet
+        self._summary_ns: int | None = None  # time of the latest request for it
+        self._summary_pending = False
         self._archive_tries = 0
-        self._papers_ns = 0  # when to ask for papers again, after such that were none
-        self._usable: set[str] = set()  # groups that were in order in some scan
-        self._papers_again = False  # one has joined since the papers came
-        self._papers_again_ns = 0
+        self._papers_ns = 0  # earliest time of the next request for papers, after invalid ones
+        self._usable_groups: set[str] = set()  # sensor groups with usable samples in some scan
+        self._papers_outdated = False  # a group has joined since the papers came
+        self._papers_again_ns = 0  # earliest time of the next request for outdated papers
         self._progress_ns = 0
-        self._look_ns = 0  # nothing was wanted: when to look again
-        self._cursor: int | None = None  # every scan before it is held, or cannot be had
-        self._final_papers = False
-        for number in recorder.journal.received:  # by this ground station before it was started again
+        self._next_search_ns = 0
+        self._cursor: int | None = None  # every scan before it is complete or unavailable
+        self._final_papers = False  # requested after all scans had come
+        for number in recorder.journal.received:  # before a restart of this ground station
             accounting.see(number)
             accounting.received.add(number)
         for number in recorder.journal.complete:
             accounting.see(number)
             accounting.backfilled.add(number)
 
-    # ------------------------------------------------------------------------------------------ asking
+    # ------------------------------------------------------------------------------------------ requests
 
     def due(self, now_ns: int) -> list[Request]:
-        """Messages to send now (name, fields without targets)."""
+        """Messages to send now: name, and fields without the target."""
         messages = []
         for key, request in self._open.items():
-            if now_ns - request.asked_ns >= request.retry_ns:
-                request.asked_ns, request.flowing = now_ns, False
+            if now_ns - request.sent_ns >= request.retry_ns:
+                request.sent_ns, request.flowing = now_ns, False
                 request.retry_ns = min(MAX_RETRY_NS, max(RETRY_NS, request.retry_ns * 2))
                 messages.append(self._request(key, request.missing()))
         room = WINDOW - len(self._open)
-        if room > 0 and not messages and now_ns >= self._look_ns:
+        if room > 0 and not messages and now_ns >= self._next_search_ns:
             for key in self._next_wanted(room, now_ns):
                 if key not in self._open:
-                    self._open[key] = _Open(now_ns)
+                    self._open[key] = _OpenRequest(now_ns)
                     messages.append(self._request(key, _ALL_FRAGMENTS))
             if not messages:
-                self._look_ns = now_ns + LOOK_NS
+                self._next_search_ns = now_ns + SEARCH_NS
         summary_due = self._summary_ns is None or now_ns - self._summary_ns >= SUMMARY_NS
         if self.mode == "all" and not self.agreed and not self._open and summary_due:
-            self._summary_ns, self._summary_asked = now_ns, True
-            messages.append(("BACKFILL_SUMMARY_REQUEST", {"through_number": _LAST, "boot": self._boot}))
+            self._summary_ns, self._summary_pending = now_ns, True
+            messages.append(("BACKFILL_SUMMARY_REQUEST", {"through_number": LAST_NUMBER, "boot": self._boot}))
         return messages
 
     def _request(self, key: tuple[int, int], fragments: int) -> Request:
@@ -138,22 +144,24 @@ class BackfillClient:
         return "BACKFILL_REQUEST", fields
 
     def _next_wanted(self, room: int, now_ns: int) -> list[tuple[int, int]]:
+        """First number and mask of at most `room` further requests: papers (0, 0), parts of the archive (n, 0), or scans."""
         if self._recorder.papers is None and now_ns >= self._papers_ns:
             return [(0, 0)]
-        if self._papers_again and now_ns >= self._papers_again_ns:
-            self._papers_again, self._papers_again_ns = False, now_ns + PAPERS_AGAIN_NS
+        if self._papers_outdated and now_ns >= self._papers_again_ns:
+            self._papers_outdated, self._papers_again_ns = False, now_ns + PAPERS_AGAIN_NS
             return [(0, 0)]
         if self.mode == "all" and now_ns >= self._papers_ns and self._archive_tries < _ARCHIVE_TRIES:
             parts = (self._recorder.archive_bytes + PAPERS_PART_BYTES - 1) // PAPERS_PART_BYTES
-            missing = [(i + 1, 0) for i in range(parts) if i + 1 not in self._archive]
+            missing = [(part, 0) for part in range(1, parts + 1) if part not in self._archive]
             if missing:
-                return missing[:room]
+                return [key for key in missing if key not in self._open][:room]
         if self.mode == "off":
             return []
-        busy = {first + i for first, mask in self._open for i in range(SPAN) if mask >> i & 1}
-        return group_numbers(self._wanted_numbers(busy), room)
+        pending = {first + i for first, mask in self._open for i in range(SPAN) if mask >> i & 1}
+        return group_numbers(self._wanted_numbers(pending), room)
 
-    def _wanted_numbers(self, busy: set[int]) -> Iterable[int]:
+    def _wanted_numbers(self, pending: set[int]) -> Iterable[int]:
+        """Numbers of scans to request, ascending. pending: those of open requests."""
         if self.mode == "lost":
             not_on_disk = self.not_on_disk().ranges()
             ranges = sorted([*self._accounting.totals().missing, *not_on_disk])
@@ -164,23 +172,23 @@ class BackfillClient:
             candidates = self._from_cursor(*self._summary[:2])
         complete = self._recorder.journal.complete
         for n in candidates:
-            if n not in busy and n not in self.unavailable and n not in complete:
+            if n not in pending and n not in self.unavailable and n not in complete:
                 yield n
 
     def not_on_disk(self) -> ScanMap:
-        """Scans that came down and that the disk has lost or never took: the aircraft may still have them."""
+        """Received scans that the disk has lost or never took: the aircraft may still have them."""
         journal = self._recorder.journal
         return self._accounting.received.minus(journal.received).minus(journal.complete)
 
     def look_after(self) -> None:
-        """Called now and then: where the disk has lost scans that were held in full, they are wanted again."""
+        """Request complete scans again that the disk has lost. Call it now and then."""
         complete = self._recorder.journal.complete
         if len(complete) < len(self._accounting.backfilled):
             self._accounting.backfilled = self._accounting.backfilled.both(complete)
             self._cursor, self.agreed = None, False
 
     def _from_cursor(self, first: int, last: int) -> Iterable[int]:
-        """Numbers from the first that is neither held nor given up; a long flight is not gone through again."""
+        """Numbers from the first scan that is neither complete nor unavailable; the cursor saves a search from `first`."""
         complete = self._recorder.journal.complete
         number = first if self._cursor is None else max(first, self._cursor)
         while number <= last and (number in complete or number in self.unavailable):
@@ -190,54 +198,56 @@ class BackfillClient:
 
     # ------------------------------------------------------------------------------------------ answers
 
-    def see_sensors(self, groups: Mapping[str, GroupStatus]) -> None:
-        """Look at a scan's groups: of one that joins, the aircraft has facts now that the papers did not have."""
-        joined = {group for group, sample in groups.items() if sample.state.usable} - self._usable
+    def note_sensors(self, groups: Mapping[str, GroupStatus]) -> None:
+        """Note the usable sensor groups of a scan: of a new one, the aircraft now knows facts that the papers lack."""
+        joined = {group for group, sample in groups.items() if sample.state.usable} - self._usable_groups
         if joined:
-            self._usable |= joined
-            self._papers_again = True
+            self._usable_groups |= joined
+            self._papers_outdated = True
 
     def take_data(self, f: Mapping[str, Any], now_ns: int) -> None:
+        """Use the fields of a BACKFILL_DATA."""
         key = (f["first_number"], f["wanted"])
-        o = self._open.get(key)
-        if o is None:
+        request = self._open.get(key)
+        if request is None:
             return
         if f["fragments"] == 0:
             self._finish(key, b"", now_ns)
             return
         if f["length"] > len(f["data"]) or f["fragment"] >= f["fragments"]:
             return
-        if (o.checksum, o.total) != (f["checksum"], f["fragments"]):
-            o.checksum, o.total = f["checksum"], f["fragments"]
-            o.have.clear()
-        o.have[f["fragment"]] = bytes(f["data"][: f["length"]])
-        self._note_flow(o, now_ns)
-        if len(o.have) == o.total:
-            data = b"".join(o.have[i] for i in range(o.total))
-            if zlib.crc32(data) == o.checksum:
+        if (request.checksum, request.total) != (f["checksum"], f["fragments"]):
+            request.checksum, request.total = f["checksum"], f["fragments"]
+            request.fragments.clear()
+        request.fragments[f["fragment"]] = bytes(f["data"][: f["length"]])
+        self._note_flow(request, now_ns)
+        if len(request.fragments) == request.total:
+            data = b"".join(request.fragments[i] for i in range(request.total))
+            if zlib.crc32(data) == request.checksum:
                 self._finish(key, data, now_ns)
             else:
-                o.have.clear()
+                request.fragments.clear()
 
     def take_fetched(self) -> list[bytes]:
-        """Scans that have come since the last call, in the aircraft's own bytes."""
+        """Scans that have come since the last call, in the aircraft's encoding."""
         fetched, self._fetched = self._fetched, []
         return fetched
 
-    def _note_flow(self, now_served: _Open, now_ns: int) -> None:
-        """The aircraft serves requests one after another: what flows now tells of the others.
+    def _note_flow(self, served: _OpenRequest, now_ns: int) -> None:
+        """Set the times of all open requests by a fragment of one: the aircraft serves them one after another.
 
-        A request whose fragments had been coming is over, and what it lacks was lost; one that has not begun waits.
+        Another request that had fragments before is over, and its missing fragments are lost; one without any still waits.
         """
-        for o in self._open.values():
-            if o is now_served:
-                o.asked_ns, o.retry_ns, o.flowing = now_ns, RETRY_NS, True
-            elif o.flowing:
-                o.retry_ns = 0
+        for request in self._open.values():
+            if request is served:
+                request.sent_ns, request.retry_ns, request.flowing = now_ns, RETRY_NS, True
+            elif request.flowing:
+                request.retry_ns = 0
             else:
-                o.asked_ns = now_ns
+                request.sent_ns = now_ns
 
     def _finish(self, key: tuple[int, int], data: bytes, now_ns: int) -> None:
+        """Close a request and use its complete answer."""
         del self._open[key]
         first, mask = key
         if mask:
@@ -245,31 +255,31 @@ class BackfillClient:
         elif first:
             self._take_archive(first, data, now_ns)
         elif not self._recorder.take_papers(data):
-            self._refuse(now_ns, bool(data))  # an empty answer: the logger has no recording yet
+            self._refuse(now_ns, invalid=bool(data))  # an empty answer: the logger has no recording yet
 
-    def _refuse(self, now_ns: int, unsound: bool) -> None:
-        """Ask again, but not at the pace at which nonsense can be answered."""
-        self.refused += unsound
+    def _refuse(self, now_ns: int, *, invalid: bool) -> None:
+        """Delay the next request, since invalid answers may come at any rate."""
+        self.refused += invalid
         self._papers_ns = now_ns + RETRY_NS
 
     def _take_scans(self, requested: set[int], data: bytes) -> None:
+        """Record the requested scans of an answer that fit number and time of the session; the others are unavailable."""
         for encoded in unpack_scans(data):
             try:
                 scan = decode_scan(encoded)
             except ScanDecodeError:
                 continue
-            # only one that was asked for, and that can have been made when it says
             if scan.number in requested and self._accounting.fits(scan.number, scan.time_monotonic_ns):
                 self._recorder.complete(encoded)
                 self._fetched.append(encoded)
                 requested.discard(scan.number)
                 self._accounting.see(scan.number)
                 self._accounting.backfilled.add(scan.number)
-        # What the aircraft left out of a sound answer it does not have (any more).
         for number in requested:
             self.unavailable.add(number)
 
     def _take_archive(self, part: int, data: bytes, now_ns: int) -> None:
+        """Store a part of the archive; with the last one, check and record it."""
         papers = self._recorder.papers
         if papers is None:
             return
@@ -278,19 +288,19 @@ class BackfillClient:
             return
         archive = b"".join(self._archive[i] for i in sorted(self._archive))
         if hashlib.sha256(archive).hexdigest() != papers.archive_sha256 or not self._recorder.take_archive(archive):
-            self._archive.clear()  # some part was not the aircraft's, or the papers were not
+            self._archive.clear()  # a part or the papers came from another sender
             self._archive_tries += 1
-            self._refuse(now_ns, True)
+            self._refuse(now_ns, invalid=True)
 
     def take_summary(self, f: Mapping[str, Any]) -> None:
-        """Use a BACKFILL_SUMMARY that was asked for; decides whether air and ground agree."""
-        if not self._summary_asked:
+        """Use the fields of a requested BACKFILL_SUMMARY; decides whether air and ground agree."""
+        if not self._summary_pending:
             return
-        self._summary_asked = False
+        self._summary_pending = False
         summary = (f["first_number"], f["last_number"], f["count"], bytes(f["sha256"]))
         if summary != self._summary:
             self._summary = summary
-            self._look_ns = 0
+            self._next_search_ns = 0
         if not f["count"] or self._open:
             return
         journal = self._recorder.journal
@@ -298,8 +308,8 @@ class BackfillClient:
         if complete != f["count"]:
             return
         if not self._final_papers:
-            self._final_papers = True  # events may have been added since the papers came first
-            self._open[(0, 0)] = _Open(0, 0)
+            self._final_papers = True  # events may have been added since the first papers
+            self._open[(0, 0)] = _OpenRequest(0, 0)
             return
         digest = hashlib.sha256()
         for data in journal.scans(complete_only=True):
@@ -307,7 +317,7 @@ class BackfillClient:
         self.agreed = digest.digest() == summary[3]
 
     def progress(self, now_ns: int) -> ev.BackfillProgress | None:
-        """A report of progress about once a second while there is anything to do; None otherwise."""
+        """Progress every PROGRESS_NS in modes `lost` and `all`; else None."""
         if self.mode == "off" or now_ns - self._progress_ns < PROGRESS_NS:
             return None
         self._progress_ns = now_ns
@@ -317,7 +327,7 @@ class BackfillClient:
 
 
 def unpack_scans(data: bytes) -> list[bytes]:
-    """The encoded scans of a backfill answer; empty for bytes that are none."""
+    """The encoded scans of a backfill answer; empty for invalid bytes."""
     decompressor = zlib.decompressobj()
     try:
         rows = decompressor.decompress(data, _MAX_ANSWER)

@@ -14,32 +14,33 @@ from daq.contract.link.wire import SCAN_FAST_ID, ScanPart
 from groundstation.receiver.timeline import NS
 
 LARGEST_LEAD_NS = 2 * NS
-"""By which the aircraft's clock may be ahead of the time elapsed here since the last scan: no queue on the way holds more."""
+"""Lead of the aircraft's clock over the time elapsed here since the last scan, at most: no queue on the link holds more."""
 LARGEST_CLOCK_RATIO = 1.02
-"""Of two clocks' rates: quartz differs by 0.01 %, an uncalibrated oscillator by 1 %."""
+"""Ratio of two clocks' rates: quartz differs by 0.01 %, an uncalibrated oscillator by 1 %."""
 LATE_NS = 10 * NS
-"""Largest age of a late scan: reordering and queues are a matter of seconds. An older one is of another run."""
+"""Largest age of a late scan: reordering and queues take seconds. An older one is of another run."""
 FASTEST_HZ = 2000.0
 """The highest scan rate that a logger's configuration allows."""
 SHORTEST_PERIOD_NS = 50_000
-"""Between two scans: a tenth of the shortest period, for one that starts late."""
+"""Time between two scans, at least: a tenth of the shortest period, for a scan that starts late."""
 LONGEST_PERIOD_NS = 10 * NS
-"""Between two scans: no logger scans more slowly."""
+"""Time between two scans, at most: no logger scans more slowly."""
 LEAST_BELIEVED_HZ = 100.0
-"""Scan rate that is accepted of any logger, since its mean rate is too low after pauses."""
+"""Scan rate that is accepted of any logger, since pauses lower its mean rate."""
 NUMBER_MARGIN = 24  # scan numbers beyond those that the rate allows
 PROVEN_SCANS, PROVEN_NS = 4, NS
 """Scans of a new run, and the time they span, that prove it: at the lowest downlink rate, 2 Hz, the old run would have sent
 two."""
 _NEIGHBOURS = 4096
-"""Scans of a run whose numbers and times are stored, to check late ones against: LATE_NS of them at 400 Hz."""
-_MAX_CANDIDATES = 8
-_MAX_PARTS = 256
+"""Scans of a run whose numbers and times are stored, to check late ones against: those of LATE_NS at 400 Hz."""
+_MAX_CANDIDATES, _MAX_PARTS = 8, 256
+"""Possible new runs, and scan parts of each, that are held back: a bound on memory."""
+_RATE_MARGIN = 2  # on the mean rate of a run
 
 
 class ScanRun:
-    """One run of the logger's scans: first and last number and time [ns, aircraft's clock], and which scans can follow. heard_ns:
-    arrival of the last scan on this computer's clock."""
+    """One run of the logger's scans: first and last number and time [ns, aircraft's clock]. heard_ns: arrival of the last scan
+    on this computer's clock."""
 
     def __init__(self, part: ScanPart, now_ns: int) -> None:
         self.boot = part.boot
@@ -54,12 +55,13 @@ class ScanRun:
         if part.boot != self.boot:
             return False
         if number_step > 0:
-            return number_step * SHORTEST_PERIOD_NS <= time_step_ns <= self._most_ns(now_ns) and self.in_step(part)
+            in_time = number_step * SHORTEST_PERIOD_NS <= time_step_ns <= self._largest_step_ns(now_ns)
+            return in_time and self.in_step(part)
         if number_step == 0:
             return time_step_ns == 0
-        return -LATE_NS <= time_step_ns < 0 and self._stands_between(part)
+        return -LATE_NS <= time_step_ns < 0 and self._fits_neighbours(part)
 
-    def _stands_between(self, part: ScanPart) -> bool:
+    def _fits_neighbours(self, part: ScanPart) -> bool:
         """Whether a late part's time lies between those of its neighbours by number, or equals that of its scan."""
         place = bisect_left(self._numbers, part.number)
         if self._numbers[place] == part.number:
@@ -94,7 +96,7 @@ class ScanRun:
 
     def reach(self, now_ns: int) -> int:
         """The highest scan number that the aircraft can have reached at `now_ns`."""
-        return self.number + NUMBER_MARGIN + int(self._rate_hz() * self._most_ns(now_ns) / NS)
+        return self.number + NUMBER_MARGIN + int(self._rate_hz() * self._largest_step_ns(now_ns) / NS)
 
     def fits(self, number: int, time_ns: int) -> bool:
         """Whether a scan of that number can have been made at `time_ns` in this run."""
@@ -103,14 +105,16 @@ class ScanRun:
         latest = self.time_ns + LATE_NS + max(0, number - self.number) * LONGEST_PERIOD_NS
         return not_too_early and not_too_late and 0 <= time_ns <= latest
 
-    def _most_ns(self, now_ns: int) -> int:
-        """Largest step of the aircraft's clock since the last scan [ns]."""
+    def _largest_step_ns(self, now_ns: int) -> int:
+        """Largest step of the aircraft's clock from the last scan to `now_ns` [ns]."""
         return LARGEST_LEAD_NS + int(LARGEST_CLOCK_RATIO * max(0, now_ns - self.heard_ns))
 
     def _rate_hz(self) -> float:
-        """Highest credible scan rate: twice the mean of the run, or any within its first second."""
+        """Highest credible scan rate: _RATE_MARGIN times the mean of the run; in its first second that of any logger."""
         span = self.time_ns - self.first_ns
-        return FASTEST_HZ if span < NS else max(LEAST_BELIEVED_HZ, 2 * NS * (self.number - self.first) / span)
+        if span < NS:
+            return FASTEST_HZ
+        return max(LEAST_BELIEVED_HZ, _RATE_MARGIN * NS * (self.number - self.first) / span)
 
 
 class PendingScan(NamedTuple):
@@ -124,9 +128,11 @@ class PendingScan(NamedTuple):
 
 @dataclass
 class _Candidate:
+    """A possible new run. lost: frames counted as lost when it began, since the jump to it is no loss."""
+
     run: ScanRun
     since_ns: int
-    lost: int  # frames counted as lost when it began: the jump to it is no loss
+    lost: int
     parts: deque[PendingScan] = field(default_factory=lambda: deque(maxlen=_MAX_PARTS))
     scans: int = 0
 

@@ -1,7 +1,6 @@
-"""From frames of one aircraft to scans and reports, with exact accounting of what is missing.
+"""From the frames of one aircraft (system id) to scans and reports, with exact accounting of what is missing.
 
-Nothing here does input or output, and no content of a frame makes it raise. Several aircraft are kept apart by giving
-each system id an `AircraftDecoder` of its own.
+No input or output happens here, and no content of a frame raises an exception.
 """
 
 from collections import OrderedDict
@@ -17,12 +16,15 @@ from groundstation.receiver.link_accounting import SequenceTracker, SessionAccou
 from groundstation.receiver.scan_decoder import ScanDecoder
 from groundstation.receiver.timeline import NS, Allowance
 
-_TEXTS, _TEXT_PIECES = 32, 32
+_TEXTS, _TEXT_PIECES = 32, 32  # incomplete long texts, and pieces of one, at most
+_PIECE_LENGTH = 50  # letters of a piece of STATUSTEXT; a shorter one is the last
 _TEXTS_AT_ONCE, _TEXTS_PER_S = 100, 5.0
-_CLAIMS, _CLAIM_NS = 3, 8 * NS  # reports of a new run without scans that are believed: they come every five seconds
-_MAX_CLAIMS = 8
-MAX_AIRCRAFT_TIME_NS = 2**56 - 1
-"""What a packed scan can say; two years."""
+"""Texts and events that are accepted at once, and then in a second: each is a line in the log."""
+_CLAIMS, _CLAIM_NS = 3, 8 * NS
+"""Reports that prove a new run without scans, and the time that they span: they come every five seconds."""
+_MAX_CLAIMS = 8  # runs that may be claimed at a time
+MAX_AIRCRAFT_TIME_NS = 2**56 - 1  # of a packed scan: two years
+_NOT_KNOWN_BYTES = 2**64 - 1  # free bytes of LOGGER_STATUS, where the logger does not know them
 _STATUS_COUNTS = ("slots", "written", "dropped", "lost", "missed", "queue", "lateness_p99_us", "write_errors")
 _STATISTICS_COUNTS = (
     *("first_number", "last_number", "scans_offered", "scans_sent", "scans_dropped"),
@@ -31,7 +33,7 @@ _STATISTICS_COUNTS = (
 
 
 class AircraftDecoder(ScanDecoder):
-    """Everything that is known of one aircraft (system id), from its frames alone."""
+    """Events, sessions and counts of one aircraft from its frames."""
 
     def __init__(self, system: int, reception_findings: findings.ReceptionFindings | None = None) -> None:
         super().__init__(system, reception_findings)
@@ -39,7 +41,7 @@ class AircraftDecoder(ScanDecoder):
         self._texts: OrderedDict[int, dict[int, tuple[int, str]]] = OrderedDict()
 
     def decode_frame(self, frame: MavlinkFrame, now_ns: int, utc_ns: int) -> list[ev.Event]:
-        """Use a frame of this system; returns what it means, nothing for a repeated frame."""
+        """Use a frame of this system; returns its events, none for a repeated frame."""
         self._events = []
         tracker = self.trackers.get(frame.component)
         if tracker is None:
@@ -49,22 +51,21 @@ class AircraftDecoder(ScanDecoder):
         if frame.msg_id in SCAN_IDS:
             self._take_scan(frame, now_ns, utc_ns)
             return self._events
-        handler = _HANDLERS.get(frame.name)
-        if handler is not None:
-            handler(self, frame, frame.fields(), now_ns)
+        if frame.name == "HEARTBEAT":
+            fields: Mapping[str, Any] = frame.fields()
+            self._events.append(ev.Heartbeat(self.system, frame.component, fields["system_status"], now_ns))
+        elif frame.name in _HANDLERS:
+            _HANDLERS[frame.name](self, frame.fields(), now_ns)
         return self._events
 
-    def _heartbeat(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
-        self._events.append(ev.Heartbeat(frame.system, frame.component, f["system_status"], now_ns))
-
     def _text_allowed(self, now_ns: int) -> bool:
-        """Whether a text may come now; each is a line in the log."""
+        """Whether another text is within the allowance; one beyond it is counted as a finding."""
         if self._text_allowance.spend(1, now_ns):
             return True
         self._findings.doubt(self.system, findings.TEXTS)
         return False
 
-    def _statustext(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _statustext(self, f: Mapping[str, Any], now_ns: int) -> None:
         number, index, severity, text = f["id"], f["chunk_seq"], f["severity"], f["text"]
         if index >= _TEXT_PIECES or not self._text_allowed(now_ns):
             return
@@ -73,13 +74,13 @@ class AircraftDecoder(ScanDecoder):
             pieces[index] = (severity, text)
             if len(self._texts) > _TEXTS:
                 self._texts.popitem(last=False)
-            if not any(len(t) < 50 and all(j in pieces for j in range(i)) for i, (_, t) in pieces.items()):
+            if not any(len(t) < _PIECE_LENGTH and all(j in pieces for j in range(i)) for i, (_, t) in pieces.items()):
                 return
             self._texts.pop(number)
             text = "".join(pieces[i][1] for i in sorted(pieces))
-        self._events.append(ev.StatusText(frame.system, severity, text, now_ns))
+        self._events.append(ev.StatusText(self.system, severity, text, now_ns))
 
-    def _logger_status(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _logger_status(self, f: Mapping[str, Any], now_ns: int) -> None:
         accounting = self._session(f["boot"])
         if accounting is None:
             return
@@ -88,15 +89,15 @@ class AircraftDecoder(ScanDecoder):
                 accounting.session,
                 recording=bool(f["recording"]),
                 in_flight=bool(f["in_flight"]),
-                free_bytes=None if f["free_bytes"] == 2**64 - 1 else f["free_bytes"],
+                free_bytes=None if f["free_bytes"] == _NOT_KNOWN_BYTES else f["free_bytes"],
                 received_ns=now_ns,
                 **{name: f[name] for name in _STATUS_COUNTS},
             )
         )
 
-    def _link_statistics(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
-        # This report alone makes a session known: a ground station started after the last scan must find it.
-        accounting = self._session(f["boot"]) or self._claimed(f["boot"], now_ns)
+    def _link_statistics(self, f: Mapping[str, Any], now_ns: int) -> None:
+        # This report can begin a session: a ground station started after the last scan still fetches its scans.
+        accounting = self._session(f["boot"]) or self._session_by_claim(f["boot"], now_ns)
         if accounting is None:
             return
         if f["scans_offered"] and not f["first_number"] <= f["last_number"] <= accounting.reach(now_ns):
@@ -109,9 +110,9 @@ class AircraftDecoder(ScanDecoder):
             accounting.statistics = statistics
         self._events.append(statistics)
 
-    def _claimed(self, boot: int, now_ns: int) -> SessionAccounting | None:
-        """The session that a report of an unknown run speaks of: the first at once, a further one when it is repeated
-        while no scan of the known one comes."""
+    def _session_by_claim(self, boot: int, now_ns: int) -> SessionAccounting | None:
+        """A new session for a report of an unknown run: the first session at once, a later one after _CLAIMS reports without a
+        scan of the present one; else None."""
         if self.accounting is not None:
             first_ns, count = self._claims.pop(boot, (now_ns, 0))
             self._claims[boot] = (first_ns, count + 1)
@@ -125,7 +126,7 @@ class AircraftDecoder(ScanDecoder):
                 return None
         return self._new_session(boot, now_ns)
 
-    def _sent_map(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _sent_map(self, f: Mapping[str, Any], now_ns: int) -> None:
         accounting = self._session(f["boot"])
         if accounting is None:
             return
@@ -136,7 +137,7 @@ class AircraftDecoder(ScanDecoder):
             sent_bits, absent = (int.from_bytes(bytes(f[n]), "little") for n in ("sent", "absent"))
             accounting.take_map(first, f["last_number"], sent_bits, absent)
 
-    def _scan_event(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _scan_event(self, f: Mapping[str, Any], now_ns: int) -> None:
         accounting = self._session(f["boot"])
         if accounting is None:
             return
@@ -148,7 +149,7 @@ class AircraftDecoder(ScanDecoder):
             return
         self._events.append(ev.EventMarked(accounting.session, time_ns, number, f["origin"], f["text"], now_ns))
 
-    def _sequencer_status(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _sequencer_status(self, f: Mapping[str, Any], now_ns: int) -> None:
         accounting = self._session(f["boot"])
         if accounting is None:
             return
@@ -168,14 +169,13 @@ class AircraftDecoder(ScanDecoder):
             )
         )
 
-    def _timesync(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _timesync(self, f: Mapping[str, Any], now_ns: int) -> None:
         if 0 < f["tc1"] <= MAX_AIRCRAFT_TIME_NS:
             self.sync.answer(f["ts1"], f["tc1"], now_ns)
 
 
-_Handler = Callable[[AircraftDecoder, MavlinkFrame, Mapping[str, Any], int], None]
+_Handler = Callable[[AircraftDecoder, Mapping[str, Any], int], None]
 _HANDLERS: Mapping[str, _Handler] = {
-    "HEARTBEAT": AircraftDecoder._heartbeat,
     "STATUSTEXT": AircraftDecoder._statustext,
     "LOGGER_STATUS": AircraftDecoder._logger_status,
     "LINK_STATISTICS": AircraftDecoder._link_statistics,
@@ -184,3 +184,4 @@ _HANDLERS: Mapping[str, _Handler] = {
     "SEQUENCER_STATUS": AircraftDecoder._sequencer_status,
     "TIMESYNC": AircraftDecoder._timesync,
 }
+"""Message -> method that uses its fields; a report that cannot be true becomes a finding."""

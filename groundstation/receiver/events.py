@@ -1,4 +1,4 @@
-"""What the receiver reports, in the order it happened."""
+"""Events of the receiver, in the order they happened. Times `received_ns` are on the ground's monotonic clock."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -9,7 +9,7 @@ from daq.contract.scan import Scan
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """One run of one aircraft's logger: `boot` as it names itself, `turn` counting restarts seen from here."""
+    """One run of one aircraft's logger. boot: its id by the logger; turn: number of restarts that the ground has seen before."""
 
     system: int
     boot: int
@@ -17,24 +17,24 @@ class Session:
 
     @property
     def name(self) -> str:
-        """Name for files."""
+        """Name of the session's files."""
         return f"aircraft{self.system}_{self.turn:02d}_{self.boot:02x}"
 
 
 class ScanReceived(NamedTuple):
-    """A scan came down the link. `late`: older than one that came before (reordered), or completed afterwards."""
+    """A scan came down the link. late: older than an earlier received one (reordered), or completed afterwards."""
 
     session: Session
     scan: Scan
     received_ns: int  # ground monotonic
     received_utc_ns: int
-    latency_s: float | None  # from the scan to its reception; None before the clocks are related
+    latency_s: float | None  # from the scan to its reception; None before the first time sync
     late: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class ScanFetched:
-    """A scan came by backfill, in the aircraft's own bytes (`daq.contract.scan.decode_scan`)."""
+    """A scan came by backfill. data: as the aircraft encoded it (`daq.contract.scan.decode_scan`)."""
 
     session: Session
     data: bytes
@@ -63,6 +63,8 @@ class StatusText:
 
 @dataclass(frozen=True, slots=True)
 class LoggerStatus:
+    """State of the logger: counts of slots and scans, 99th percentile of its lateness, and free bytes (None: not known)."""
+
     session: Session
     recording: bool
     in_flight: bool
@@ -80,7 +82,7 @@ class LoggerStatus:
 
 @dataclass(frozen=True, slots=True)
 class AircraftStatistics:
-    """What the aircraft says it has sent."""
+    """The aircraft's own counts of what it has sent and rejected."""
 
     session: Session
     first_number: int
@@ -109,9 +111,10 @@ class EventMarked:
 
 @dataclass(frozen=True, slots=True)
 class SequencerStatus:
-    """What the onboard sequencer is doing. increments: elevator, aileron, rudder [rad].
+    """State of the onboard sequencer. increments: elevator, aileron, rudder [rad]; elapsed_s: since the state began.
 
-    state, reason, switch: numbers as in docs/sequencer.md; the words come as text. elapsed_s: since the state was entered.
+    state, reason, switch: numbers as in docs/sequencer.md. beating: whether pulses go to the servo driver; limited: whether slew
+    or limits changed a pulse.
     """
 
     session: Session
@@ -149,7 +152,7 @@ class LinkStatistics:
 
 @dataclass(frozen=True, slots=True)
 class Restarted:
-    """The aircraft's logger has started anew: scan numbers begin again."""
+    """The aircraft's logger has restarted: scan numbers begin again."""
 
     session: Session
     previous: Session | None
@@ -169,7 +172,7 @@ class CommandResult:
 
 @dataclass(frozen=True, slots=True)
 class ManoeuvreSent:
-    """What became of a manoeuvre sent up from here. taken: the sequencer flies it when it is armed next."""
+    """The result of a manoeuvre's transmission. taken: the sequencer flies it when it is armed next."""
 
     system: int
     digest: str
@@ -179,7 +182,7 @@ class ManoeuvreSent:
 
 
 class ReceptionFindingKind(StrEnum):
-    """Why something that came is not used, or not trusted (`groundstation.receiver.findings`)."""
+    """Why received data are not used or not trusted (`groundstation.receiver.findings`)."""
 
     REFUSED = "refused"
     DOUBTED = "doubted"
@@ -189,11 +192,11 @@ class ReceptionFindingKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ReceptionFinding:
-    """Something that came and is not used, or not trusted. system 0: of no aircraft in particular.
+    """Received data that are not used or not trusted. system 0: of no aircraft in particular.
 
-    subject: the message refused, what is doubted, the thing quarantined, or the second sender. detail: why, or from where the
-    aircraft is heard. count: since the last report. used: the second sender's frames are used, because it came by another port.
-    first: nothing had been reported of it before.
+    subject: the refused message, the doubted or quarantined data, or the second sender. detail: the reason, or the first sender.
+    count: since the last report. used: whether the second sender's frames are used, since it came by another port. first: whether
+    this is the first report of the subject.
     """
 
     kind: ReceptionFindingKind
@@ -207,6 +210,7 @@ class ReceptionFinding:
 
     @property
     def text(self) -> str:
+        """The finding as a sentence."""
         match self.kind:
             case ReceptionFindingKind.REFUSED:
                 return f"refused {self.count} x {self.subject}: {self.detail}"
@@ -214,16 +218,16 @@ class ReceptionFinding:
                 return f"not believed: {self.count} {self.subject}"
             case ReceptionFindingKind.QUARANTINED:
                 return f"{self.subject} not used: {self.detail}"
-        fate = "both are used" if self.used else f"{self.count} frames not used"
+        use = "both are used" if self.used else f"{self.count} frames not used"
         return (
             f"second sender: {self.subject} speaks for aircraft {self.system}, which is heard from {self.detail}; "
-            f"{fate} (a key on both ends tells who is genuine)"
+            f"{use} (a key on both ends shows which is genuine)"
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """A port or a file of the ground station fails; words None: it works again."""
+    """A port or a file of the ground station (`what`) fails. words: the system's message; None where it works again."""
 
     what: str
     words: str | None
@@ -232,7 +236,7 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class BackfillProgress:
-    """How far backfill is: complete scans held of all there are. `agreed`: count and hash equal the aircraft's."""
+    """Progress of backfill. held: complete scans here; wanted: all there are; agreed: count and hash equal the aircraft's."""
 
     session: Session
     held: int
@@ -243,11 +247,11 @@ class BackfillProgress:
 
 @dataclass(frozen=True, slots=True)
 class Accounting:
-    """Where the scans of a session went; inclusive ranges of scan numbers.
+    """Fate of a session's scans, from the first to the last one known; inclusive ranges of scan numbers.
 
-    Of the scans from the first to the last known of: sent = received + lost, whatever was fetched later. `sent` counts
-    what the aircraft has told; `unknown` lists scans of which it has not told (yet) whether they were sent. `missing`
-    is the part of `lost` that backfill has not brought back; `backfilled` counts all scans held in full.
+    sent = received + lost, whatever backfill fetched later. sent: by the aircraft's reports; unknown: not reported (yet) as sent
+    or not; absent: numbers whose scan the downlink never got; missing: the part of `lost` that backfill has not fetched;
+    backfilled: number of all complete scans.
     """
 
     session: Session

@@ -1,4 +1,4 @@
-"""Frames from the bytes of all ports, which are recorded in the telemetry log.
+"""Frames from the bytes of all ports; all bytes go to the telemetry log.
 
 Each port and sender has its own decoder, so that damaged or hostile bytes cost no other sender a frame. On network ports, senders
 that are not known as aircraft have an allowance of bytes; further ones are counted and dropped.
@@ -11,7 +11,7 @@ from typing import NamedTuple
 from daq.transport.mavlink_codec import FrameDecoder, Junk, MavlinkFrame
 from daq.transport.ports import BytePort, TcpServerPort, UdpPort
 from groundstation.receiver.findings import Faults
-from groundstation.receiver.ports import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
+from groundstation.receiver.ports import READ_BYTES, STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
 from groundstation.receiver.storage.lasting_log import LastingLog
 from groundstation.receiver.timeline import Allowance
 from groundstation.receiver.tlog import TlogWriter
@@ -33,8 +33,7 @@ class Sender(NamedTuple):
 
 
 class FrameInput:
-    """The receiving side of the ports, by name. folder: of telemetry.tlog; None for no log. faults: takes errors of ports and
-    log."""
+    """Receives from ports, by name. folder: of telemetry.tlog; None for no log. faults: takes the errors of ports and log."""
 
     def __init__(self, ports: Mapping[str, BytePort], folder: Path | None, faults: Faults) -> None:
         self._ports = ports
@@ -43,7 +42,7 @@ class FrameInput:
         self._aircraft: set[Sender] = set()
         self._strangers = {n: Allowance(STRANGERS_AT_ONCE, STRANGERS_PER_S) for n in ports}
         self._refused_bytes = 0
-        self._retired = [0, 0, 0, 0]
+        self._retired = [0, 0, 0, 0]  # counts of decoders that were given up
         self._tlog = None if folder is None else TlogWriter(folder / "telemetry.tlog")
 
     def frames(self, now_ns: int, utc_ns: int) -> Iterator[tuple[Sender, MavlinkFrame]]:
@@ -51,7 +50,7 @@ class FrameInput:
         for name, port in self._ports.items():
             for source, data in self._received(name, port):
                 sender = Sender(name, source)
-                if not self._allowed(port, sender, len(data), now_ns):
+                if not self._within_allowance(port, sender, len(data), now_ns):
                     self._refused_bytes += len(data)
                     continue
                 for item in self._decoder(sender, utc_ns).feed(data):
@@ -59,8 +58,8 @@ class FrameInput:
                     if isinstance(item, MavlinkFrame):
                         yield sender, item
 
-    def _allowed(self, port: BytePort, sender: Sender, size: int, now_ns: int) -> bool:
-        """Whether `size` bytes of a sender are within its allowance; a UDP listener limits by itself."""
+    def _within_allowance(self, port: BytePort, sender: Sender, size: int, now_ns: int) -> bool:
+        """Whether `size` bytes of a sender are within its allowance; a UDP listener limits its senders itself."""
         unlimited = not isinstance(port, TcpServerPort) or sender in self._aircraft
         return unlimited or self._strangers[sender.port].spend(size, now_ns)
 
@@ -85,7 +84,7 @@ class FrameInput:
             if isinstance(port, UdpPort | TcpServerPort):  # ports that distinguish senders
                 datagrams = port.receive()
             else:
-                data = port.read(65536)
+                data = port.read(READ_BYTES)
                 datagrams = [("", data)] if data else []
         except OSError as error:
             self._faults.note(name, error)
@@ -108,7 +107,7 @@ class FrameInput:
         if self._tlog is not None:
             try:
                 self._tlog.write(item, utc_ns)
-            except OSError as error:  # cleared by `flush` when the disk works again
+            except OSError as error:  # `flush` clears the fault when the disk works again
                 self._faults.note(TELEMETRY_LOG, error)
 
     def _retire(self, sender: Sender, utc_ns: int) -> None:
@@ -118,7 +117,7 @@ class FrameInput:
         self._retired = [a + b for a, b in zip(self._retired, _counts(decoder), strict=True)]
 
     def totals(self) -> list[int]:
-        """Bytes received, frames, damaged frames, and bytes discarded."""
+        """Bytes received, frames, damaged frames, and bytes discarded, of all senders."""
         return [sum(c) for c in zip(self._retired, *map(_counts, self._decoders.values()), strict=True)]
 
     @property

@@ -1,49 +1,51 @@
-"""Exact accounting of frames and scans: what was sent, received, lost, repeated, and what is not known yet."""
+"""Exact accounting of frames and scans: sent, received, lost, repeated, and not known yet."""
 
 from collections.abc import Iterator
 
-from daq.contract.link.scan_map import BLOCK, ScanMap
+from daq.contract.link.scan_map import BLOCK, MAX_BLOCKS, ScanMap
 from daq.transport.mavlink_codec import MavlinkFrame
 from groundstation.receiver import events as ev
 from groundstation.receiver.continuity import ScanRun
 from groundstation.receiver.timeline import NS
 
-_RATE_SPAN_NS = 10 * NS
-_LAST = 2**32 - 1
-_COPY_NS = 2 * NS
-"""An equal frame comes so soon as a copy by another way; later it is a new one of a slow sender that has come round."""
-_RECENT = 128
-"""And within so many frames: a sequence number may return after that many."""
+LAST_NUMBER = 2**32 - 1  # largest scan number that a message can carry
+_RATE_SPAN_NS = 10 * NS  # over which the rate of frames is measured
+_COPY_NS, _RECENT = 2 * NS, 128
+"""Time and number of frames within which an equal frame is a copy that came by another way: later, a slow sender's sequence
+number has come round."""
+_HALF = 128  # of the sequence numbers: a larger step forward is a step back
 
 
 class SequenceTracker:
-    """Counts frames lost, late and duplicated from the 8-bit sequence numbers of one sender."""
+    """Counts frames lost, late and duplicated from the 8-bit sequence numbers of one sender.
+
+    settled: frames lost up to the latest accepted scan; a restart of the sender does not change them.
+    """
 
     def __init__(self) -> None:
         self.received = 0
         self.lost = 0
         self.duplicates = 0
         self.settled = 0
-        """Lost when the sender was last known to be the one it was: that is lost for good."""
         self._next: int | None = None
         self._missing: set[int] = set()
-        self._recent: list[tuple[int, int, int]] = [(0, 0, -_RECENT)] * 256  # by sequence: hash, time, how manieth
+        self._recent: list[tuple[int, int, int]] = [(0, 0, -_RECENT)] * 256  # by sequence: hash, time, frame count
         self._last_ns = 0
-        self._anchor: tuple[int, int] | None = None  # time and frames since when the rate is counted
+        self._anchor: tuple[int, int] | None = None  # time and number of frames from which the rate is measured
         self._rate = 0.0
 
     def count_frame(self, frame: MavlinkFrame, now_ns: int) -> bool:
         """Count a frame; False for a duplicate of a recent one."""
         sequence = frame.sequence
         digest, count = hash(frame.raw), self.received
-        earlier, since_ns, nth = self._recent[sequence]
-        if earlier == digest and now_ns - since_ns < _COPY_NS and count - nth < _RECENT:
+        last_digest, last_ns, last_count = self._recent[sequence]
+        if last_digest == digest and now_ns - last_ns < _COPY_NS and count - last_count < _RECENT:
             self.duplicates += 1
             return False
         self._recent[sequence] = digest, now_ns, count
         self.received += 1
         step = 0 if self._next is None else (sequence - self._next) & 255
-        if step >= 128 and sequence in self._missing:
+        if step >= _HALF and sequence in self._missing:
             self._missing.discard(sequence)
             self.lost -= 1
             return True
@@ -58,36 +60,41 @@ class SequenceTracker:
         return True
 
     def restart(self, lost_at_jump: int) -> None:
-        """The sender has started anew and counts from 0: the jump since it was last heard is no loss.
+        """Remove the jump of a sender's restart, after which it counts from 0, from the frames lost.
 
-        lost_at_jump: what was counted as lost then, with the jump; what has been lost since is.
+        lost_at_jump: count of lost frames just after the jump; those lost since then stay counted.
         """
         self.lost = self.settled + self.lost - lost_at_jump
         self._missing.clear()
 
     def expect_any(self) -> None:
-        """Whatever number comes next is no gap."""
+        """Accept any next sequence number without a gap."""
         self._next = None
 
     def _measure_rate(self, now_ns: int) -> None:
+        """Measure the rate of frames since the anchor [Hz], and set the anchor here."""
         total = self.received + self.lost
         if self._anchor is not None:
             self._rate = (total - self._anchor[1]) * NS / (now_ns - self._anchor[0])
         self._anchor = (now_ns, total)
 
     def _count_gap(self, step: int, now_ns: int) -> None:
+        """Count the frames lost before one that is `step` beyond the expected sequence number."""
         assert self._next is not None
-        self._missing = {(self._next + i) & 255 for i in range(step)} | {
-            m for m in self._missing if (m - self._next) & 255 >= 128
-        }
-        # After an outage of more than 256 frames the count has gone round; time tells how often.
+        earlier = {number for number in self._missing if (number - self._next) & 255 >= _HALF}
+        self._missing = {(self._next + i) & 255 for i in range(step)} | earlier
+        # After an outage of more than 256 frames the sequence has come round: the time shows how often.
         frames_due = (now_ns - self._last_ns) / NS * self._rate
         rounds = max(0, round((frames_due - step) / 256)) if frames_due > 256 else 0
         self.lost += step + 256 * rounds
 
 
 class SessionAccounting:
-    """What is known of the scans of one run of the aircraft's logger."""
+    """The known scans of one run of the aircraft's logger.
+
+    received, backfilled: by scans that came; sent, absent: by the aircraft's maps; settled: block -> number up to which its map
+    is final; first, last: of all known scans; run: None before the first scan.
+    """
 
     def __init__(self, session: ev.Session) -> None:
         self.session = session
@@ -95,51 +102,52 @@ class SessionAccounting:
         self.sent = ScanMap()
         self.absent = ScanMap()
         self.backfilled = ScanMap()
-        self.settled: dict[int, int] = {}  # block -> number up to which its map is settled
+        self.settled: dict[int, int] = {}
         self.first: int | None = None
         self.last = -1
         self.last_time_ns = 0
-        self.run: ScanRun | None = None  # None before a scan has come down
+        self.run: ScanRun | None = None
         self.statistics: ev.AircraftStatistics | None = None
 
     def see(self, number: int) -> None:
-        """A scan of this number exists."""
+        """Note that a scan of this number exists."""
         if self.first is None or number < self.first:
             self.first = number
         if number > self.last:
             self.last = number
 
     def reach(self, now_ns: int) -> int:
-        """The highest number that the aircraft can have given by now."""
-        return _LAST if self.run is None else max(self.last, self.run.reach(now_ns))
+        """The highest scan number that the aircraft can have reached at `now_ns`."""
+        return LAST_NUMBER if self.run is None else max(self.last, self.run.reach(now_ns))
 
     def fits(self, number: int, time_ns: int) -> bool:
-        """Whether a scan of that number can have been made at that time, as far as is known."""
+        """Whether a scan of that number can have been made at `time_ns`; True before the first scan."""
         return self.run is None or self.run.fits(number, time_ns)
 
-    def take_map(self, first: int, settled: int, sent: int, absent: int) -> None:
+    def take_map(self, first: int, settled_number: int, sent_bits: int, absent_bits: int) -> None:
+        """Use the map of a block from scan `first`, which is final up to `settled_number`; one older than the last is ignored."""
         block, top = first // BLOCK, first + BLOCK - 1
-        if settled < first or settled < self.settled.get(block, -1):
+        if settled_number < first or settled_number < self.settled.get(block, -1):
             return
-        last = min(settled, top)
+        if block not in self.settled and len(self.settled) >= MAX_BLOCKS:
+            return
+        last = min(settled_number, top)
         mask = (1 << (last - first + 1)) - 1
-        if block not in self.settled and len(self.settled) > 65536:
-            return
         self.settled[block] = last
-        self.sent.set_word(block, self.sent.word(block) | sent & mask)
-        self.absent.set_word(block, self.absent.word(block) | absent & mask)
+        self.sent.set_word(block, self.sent.word(block) | sent_bits & mask)
+        self.absent.set_word(block, self.absent.word(block) | absent_bits & mask)
 
     def open_blocks(self) -> Iterator[int]:
-        """Blocks up to the last scan whose map is not settled, ascending."""
+        """Blocks up to that of the last scan whose map is not final, ascending."""
         span = self._span()
         if span is not None:
             first, last = span
-            for b in range(first // BLOCK, last // BLOCK + 1):
-                if self.settled.get(b, -1) < min(last, b * BLOCK + BLOCK - 1):
-                    yield b
+            for block in range(first // BLOCK, last // BLOCK + 1):
+                if self.settled.get(block, -1) < min(last, block * BLOCK + BLOCK - 1):
+                    yield block
 
     def _span(self) -> tuple[int, int] | None:
-        """First and last scan known of."""
+        """First and last known scan; None without one."""
         if self.first is None:
             return None
         first, last = self.first, self.last
@@ -148,7 +156,7 @@ class SessionAccounting:
         return first, last
 
     def totals(self) -> ev.Accounting:
-        """Where all scans went. Work and memory go by what has come, not by how far apart the numbers are."""
+        """The fate of all scans. Time and memory depend on the known blocks, not on the distance of forged numbers."""
         span = self._span()
         if span is None:
             return ev.Accounting(self.session, 0, -1, 0, 0)
@@ -179,13 +187,13 @@ class SessionAccounting:
             lost_map.ranges(),
             never,
             absent.ranges(),
-            _joined([*open_.ranges(), *_between(blocks, first, last)]),
+            _joined([*open_.ranges(), *_gaps(blocks, first, last)]),
             missing.ranges(),
             len(self.backfilled),
         )
 
 
-def _between(blocks: list[int], first: int, last: int) -> Iterator[tuple[int, int]]:
+def _gaps(blocks: list[int], first: int, last: int) -> Iterator[tuple[int, int]]:
     """Ranges of numbers from `first` to `last` that are in none of the blocks (ascending)."""
     start = first
     for block in blocks:
@@ -197,7 +205,7 @@ def _between(blocks: list[int], first: int, last: int) -> Iterator[tuple[int, in
 
 
 def _joined(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Ranges in ascending order, those that touch made one."""
+    """The ranges in ascending order, with adjacent ones merged."""
     joined: list[tuple[int, int]] = []
     for low, high in sorted(ranges):
         if joined and joined[-1][1] == low - 1:
@@ -208,6 +216,7 @@ def _joined(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _mask(low: int, high: int, block: int) -> int:
+    """Bit mask of the numbers from `low` to `high` in a block; 0 for none."""
     if high < low:
         return 0
     return ((1 << (high - low + 1)) - 1) << (low - block * BLOCK)

@@ -1,4 +1,4 @@
-"""What the receiver reports of its links: quality between two reports, and the counters of `ground --json`."""
+"""Quality of the links between two reports, and the counters of `ground --json`."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,16 +9,17 @@ from groundstation.receiver.decode import AircraftDecoder
 from groundstation.receiver.link_accounting import SequenceTracker
 from groundstation.receiver.timeline import NS
 
+_UNKNOWN_SIGNAL = 255  # in RADIO_STATUS
+
 
 class RateMeter:
-    """Shares and rates between reports of one decoder."""
+    """Loss and rates of one decoder between reports. radio: fields of the radio's own latest report."""
 
     def __init__(self, decoder: AircraftDecoder) -> None:
         self._decoder = decoder
-        self._last = (0, 0)
+        self._last_counts = (0, 0)  # received and lost frames at the last report
         self._last_ns: int | None = None
         self.radio: Mapping[str, Any] = {}
-        """Fields of the radio's own latest report."""
 
     def report(self, now_ns: int) -> ev.LinkStatistics | None:
         """Link statistics since the last report; None before the aircraft has sent a scan."""
@@ -26,8 +27,9 @@ class RateMeter:
         if accounting is None:
             return None
         tracker = self._decoder.tracker
-        received, lost = tracker.received - self._last[0], tracker.lost - self._last[1]
-        self._last = (tracker.received, tracker.lost)
+        received = tracker.received - self._last_counts[0]
+        lost_frames = max(0, tracker.lost - self._last_counts[1])  # late frames may lower the count
+        self._last_counts = (tracker.received, tracker.lost)
         span = (now_ns - self._last_ns) / NS if self._last_ns is not None else 0.0
         self._last_ns = now_ns
         scans, self._decoder.scans_since_report = self._decoder.scans_since_report, 0
@@ -35,7 +37,7 @@ class RateMeter:
         return ev.LinkStatistics(
             accounting.session,
             now_ns,
-            loss=max(0, lost) / max(1, received + max(0, lost)),
+            loss=lost_frames / max(1, received + lost_frames),
             frames_received=tracker.received,
             frames_lost=tracker.lost,
             scan_rate_hz=scans / span if span > 0 else 0.0,
@@ -59,8 +61,8 @@ class RateMeter:
 
 
 def _sik_dbm(value: int) -> float | None:
-    """SiK signal value to dBm (SiK firmware documentation: value / 1.9 - 127)."""
-    return None if value == 255 else value / 1.9 - 127.0
+    """Signal [dBm] from the value of a SiK radio (SiK firmware documentation: value / 1.9 - 127); None for an unknown one."""
+    return None if value == _UNKNOWN_SIGNAL else value / 1.9 - 127.0
 
 
 def counters(
@@ -70,7 +72,7 @@ def counters(
     rejected: int,
     recordings: Sequence[Path],
 ) -> dict[str, Any]:
-    """Counters of all aircraft; scan ranges are those of the session with most scans, `sessions` has them all.
+    """Counters of all aircraft; scan ranges are of the session with most scans, `sessions` has those of each.
 
     totals: bytes received, frames, damaged frames, bytes discarded, of all decoders.
     """
@@ -88,11 +90,12 @@ def counters(
         "unsigned_rejected": rejected,
         "backfilled": sum(a.backfilled for a in accounting),
         "flight": str(recordings[0]) if recordings else None,
-        "sessions": [_session(a) for a in accounting],
+        "sessions": [_session_counters(a) for a in accounting],
     }
 
 
-def _session(a: ev.Accounting) -> dict[str, Any]:
+def _session_counters(a: ev.Accounting) -> dict[str, Any]:
+    """One entry of `sessions`."""
     return {
         "system": a.session.system,
         "boot": a.session.boot,

@@ -1,9 +1,9 @@
-"""How the ground station is connected: `[link]` of the configuration, its ports, and a listening UDP port without crowding.
+"""Connections of the ground station: `[link]` of the configuration, its ports, and a UDP listener that cannot be flooded.
 
-All datagrams of a UDP port share one buffer in the kernel, and a sender at loopback speed fills it in a millisecond: what then
-comes from the aircraft is gone before anybody has seen it. So the senders of aircraft get sockets of their own: bound to the
-same port and connected to that sender, which the kernel prefers, buffer and all. The port stays closed to other programs.
-What strangers send is read to the end, so that a new aircraft gets through, but only as much of it is kept as is allowed.
+All datagrams of a UDP port share one buffer in the kernel, and a sender at loopback speed fills it in a millisecond: the kernel
+then drops those of the aircraft. So each aircraft's sender gets its own socket and buffer, bound to the same port and connected
+to that sender, which the kernel prefers. The port stays closed to other programs. Datagrams of strangers are all read, so that a
+new aircraft gets through, but only used within an allowance.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ class LinkConfig(BaseModel):
     """ports: as `daq.transport.ports.parse_port` reads them; listeners bind to loopback unless a host is named.
 
     systems: aircraft to listen to, all when empty. backfill: `lost` fetches scans lost on the link whenever there is
-    bandwidth, `all` fetches every scan in full (at the end of a flight), `off` asks for nothing.
+    bandwidth, `all` fetches every scan in full (at the end of a flight), `off` fetches none.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -61,18 +61,20 @@ class LinkConfig(BaseModel):
         return value
 
 
-READ_BYTES = 65536
+READ_BYTES = 65536  # at once: no datagram is longer
 TURN_DATAGRAMS, TURN_BYTES = 4096, 1 << 24
-"""Read from one socket in a turn at most: ten milliseconds of work."""
+"""Read from one socket in a turn, at most: ten milliseconds of work."""
 STRANGER_AT_ONCE, STRANGER_PER_S = 1 << 16, 100_000
-"""Bytes of one sender that is not known for an aircraft: ten times what a radio carries."""
+"""Bytes of one sender that is not known as an aircraft: ten times what a radio carries."""
 STRANGERS_AT_ONCE, STRANGERS_PER_S = 1 << 18, 400_000
-"""Bytes of all of them together. Looking for frames in noise takes a microsecond a byte."""
+"""Bytes of all strangers together: the search for frames in noise takes a microsecond a byte."""
 AIRCRAFT_AT_ONCE, AIRCRAFT_PER_S = 1 << 19, 400_000
 """Bytes of one aircraft: two hundred times the default budget of its radio link, for a fast one."""
 OWN_SOCKETS = 16  # for as many aircraft as are served
-_STRANGERS = 64
-_MEMORY_INFO, _DROPS_AT = 55, 8 * 4  # SO_MEMINFO of Linux: nine counters, the last one datagrams dropped
+_STRANGERS = 64  # senders that are remembered
+_SOCKET_BUFFER = 1 << 20  # bytes
+_MEMORY_INFO = 55  # SO_MEMINFO of Linux
+_MEMORY_COUNTERS = struct.Struct("=9I")  # its content, whose last counter is of dropped datagrams
 _QUIET = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _REFUSED = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
 Address = tuple[str | int, ...]
@@ -80,12 +82,14 @@ Address = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class _UdpAircraft:
+    """The sender of an aircraft."""
+
     address: Address
     allowance: Allowance
 
 
 class UdpListener(UdpPort):
-    """A port that anybody may send to. `favour` says who has proven to be an aircraft."""
+    """A UDP port to which anybody may send. `favour` marks a sender as an aircraft; refused_bytes: beyond the allowances."""
 
     def __init__(self, local: tuple[str, int], clock: GroundClock) -> None:
         super().__init__(local=local)
@@ -93,34 +97,35 @@ class UdpListener(UdpPort):
         self._buffer = bytearray(READ_BYTES)
         self._connections: dict[str, socket.socket] = {}  # sender's name -> socket connected to it
         self._aircraft: dict[str, _UdpAircraft] = {}
-        self._addresses: dict[str, Address] = {}  # of senders heard lately
+        self._addresses: dict[str, Address] = {}  # of recent senders, the latest last
         self._strangers = Allowance(STRANGERS_AT_ONCE, STRANGERS_PER_S)
         self._stranger_allowances: dict[str, Allowance] = {}
         self.refused_bytes = 0
-        self._dropped_before = 0  # by the kernel, at sockets that are closed
+        self._dropped_before = 0  # by the kernel, at closed sockets
 
     @property
     def dropped(self) -> int:
-        """Datagrams that the kernel has dropped because a socket's buffer was full; 0 where it does not say."""
+        """Datagrams that the kernel has dropped because a socket's buffer was full; 0 where it does not count them."""
         if self._socket.fileno() < 0:
             return self._dropped_before
         return self._dropped_before + sum(_drops(s) for s in (self._socket, *self._connections.values()))
 
     def receive(self, limit: int = TURN_BYTES) -> list[tuple[str, bytes]]:
-        """Datagrams that have arrived, with a name of their sender; aircraft first, and of strangers what is allowed."""
+        """Datagrams that have arrived, each with the name of its sender: of aircraft first, then of strangers within their
+        allowance."""
         datagrams: list[tuple[str, bytes]] = []
         now_ns = self._clock.monotonic_ns()
         for name, connection in self._connections.items():
             for _, size in self._datagrams(connection, limit):
-                self._keep(name, size, now_ns, datagrams)
+                self._add_allowed(name, size, now_ns, datagrams)
         for address, size in self._datagrams(self._socket, limit):
             name = _name(address)
             self._remember(name, address)
-            self._keep(name, size, now_ns, datagrams)
+            self._add_allowed(name, size, now_ns, datagrams)
         return datagrams
 
-    def _keep(self, name: str, size: int, now_ns: int, datagrams: list[tuple[str, bytes]]) -> None:
-        """Take what is in the buffer, if its sender may send so much."""
+    def _add_allowed(self, name: str, size: int, now_ns: int, datagrams: list[tuple[str, bytes]]) -> None:
+        """Add the datagram in the buffer to `datagrams`, if its sender's allowance permits."""
         aircraft = self._aircraft.get(name)
         if aircraft is not None:
             accepted = aircraft.allowance.spend(size, now_ns)
@@ -132,14 +137,14 @@ class UdpListener(UdpPort):
             self.refused_bytes += size
 
     def _datagrams(self, connection: socket.socket, limit: int) -> Iterator[tuple[Address, int]]:
-        """Sender and size of each datagram waiting, its bytes in the buffer; bounded, so that a turn has an end."""
+        """Sender and size of each waiting datagram, whose bytes are in the buffer; at most TURN_DATAGRAMS."""
         total = 0
         for _ in range(TURN_DATAGRAMS):
             try:
                 size, address = connection.recvfrom_into(self._buffer)
             except OSError as error:
                 if error.errno in _REFUSED:
-                    continue  # something sent before has not arrived
+                    continue  # an earlier datagram from here was not delivered
                 if error.errno in _QUIET:
                     return
                 raise
@@ -149,6 +154,7 @@ class UdpListener(UdpPort):
                 return
 
     def _remember(self, name: str, address: Address) -> None:
+        """Store the address of the latest sender."""
         self._addresses.pop(name, None)
         self._addresses[name] = address
         if len(self._addresses) > _STRANGERS:
@@ -164,22 +170,24 @@ class UdpListener(UdpPort):
     # ------------------------------------------------------------------------------------------ aircraft
 
     def favour(self, name: str) -> None:
-        """This sender is an aircraft's: it is answered, and gets a socket of its own while there are any."""
+        """Mark a sender as an aircraft: frames go to it, and it gets its own socket while there are any."""
         address = self._addresses.get(name)
         if name in self._aircraft or address is None or len(self._aircraft) >= _STRANGERS:
             return
         self._aircraft[name] = _UdpAircraft(address, Allowance(AIRCRAFT_AT_ONCE, AIRCRAFT_PER_S))
-        if len(self._connections) < OWN_SOCKETS:  # nobody loses one to a later one: that would be a way to crowd it out
-            with contextlib.suppress(OSError):  # a system that cannot do it: all share one buffer, as on any UDP port
+        # a later sender takes no socket away: strangers could then displace an aircraft
+        if len(self._connections) < OWN_SOCKETS:
+            with contextlib.suppress(OSError):  # on a system that refuses it all senders share one buffer
                 self._connections[name] = self._connected(address)
 
     def _connected(self, address: Address) -> socket.socket:
+        """A socket on this port, connected to a sender. Raises OSError."""
         connection = socket.socket(self._socket.family, socket.SOCK_DGRAM)
         bound = (self._socket, *self._connections.values(), connection)
         try:
             connection.setblocking(False)
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-            # Only while the new socket is bound: otherwise another program of this user could take the port too.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BUFFER)
+            # SO_REUSEPORT only while the new socket is bound: otherwise another program of this user could share the port.
             for shared in bound:
                 shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
             connection.bind(self._socket.getsockname())
@@ -194,12 +202,12 @@ class UdpListener(UdpPort):
         return connection
 
     def forget(self, name: str) -> None:
-        """This sender is no aircraft's any more."""
+        """Undo `favour`."""
         self._aircraft.pop(name, None)
         if name in self._connections:
-            self._give_up(name)
+            self._close_connection(name)
 
-    def _give_up(self, name: str) -> None:
+    def _close_connection(self, name: str) -> None:
         connection = self._connections.pop(name)
         self._dropped_before += _drops(connection)
         connection.close()
@@ -207,39 +215,41 @@ class UdpListener(UdpPort):
     # ------------------------------------------------------------------------------------------ sending
 
     def write(self, data: bytes) -> int:
-        """Send one datagram to each aircraft; while there is none, to the latest few who have sent anything."""
+        """Send one datagram to each aircraft; without one, to the latest few senders. Returns the bytes sent."""
         targets = [a.address for a in self._aircraft.values()] or list(self._addresses.values())[-MAX_PEERS:]
         sizes = [self._send(data, address) for address in targets]
         return min(sizes, default=len(data))
 
     def close(self) -> None:
         for name in list(self._connections):
-            self._give_up(name)
+            self._close_connection(name)
         self._dropped_before = self.dropped
         super().close()
 
 
 def _name(address: Address) -> str:
+    """A sender's address and port as text."""
     return f"{address[0]}:{address[1]}"
 
 
 def _drops(connection: socket.socket) -> int:
+    """Datagrams that the kernel has dropped at a socket; 0 where it does not count them."""
     try:
-        counters = connection.getsockopt(socket.SOL_SOCKET, _MEMORY_INFO, 9 * 4)
+        counters = connection.getsockopt(socket.SOL_SOCKET, _MEMORY_INFO, _MEMORY_COUNTERS.size)
     except OSError:
         return 0
-    return int(struct.unpack_from("=I", counters, _DROPS_AT)[0]) if len(counters) >= 9 * 4 else 0
+    return int(_MEMORY_COUNTERS.unpack(counters)[-1]) if len(counters) == _MEMORY_COUNTERS.size else 0
 
 
 def open_port(text: str, clock: GroundClock | None = None) -> BytePort:
-    """Open a port by its description; PortError says what is wrong with the description or the port.
+    """Open a port by its description. clock: for the allowances of a UDP listener; this machine's by default.
 
-    clock: by which a listener allows strangers so much a second; this machine's by default.
+    Raises PortError for a wrong description, or a port that cannot be opened.
     """
     spec = parse_port(text)
     if spec.kind != "udpin":
         return open_lasting(text)
-    open_socket_port(spec).close()  # says in words why it cannot be had
+    open_socket_port(spec).close()  # its error explains why the port cannot be opened
     try:
         return UdpListener((spec.address, spec.number), clock or SystemClock())
     except OSError as error:

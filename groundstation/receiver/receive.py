@@ -1,8 +1,8 @@
-"""The receiver: bytes of all ports in, events out, nothing lost in between.
+"""The receiver: from the bytes of all ports to events.
 
-`poll` never waits; call it often (a serial port's buffer holds under a second). Each port and sender has a decoder of
-its own, each aircraft its own accounting. Every byte goes to the telemetry log, every scan to the session's recorder.
-All methods may be called from any thread.
+`poll` never waits; call it often (a serial port's buffer holds under a second). Each port and sender has its own decoder, each
+aircraft its own accounting. Every byte goes to the telemetry log, every scan to the session's recorder. All methods may be called
+from any thread.
 """
 
 import threading
@@ -36,16 +36,17 @@ from groundstation.receiver.timeline import NS, GroundClock
 _HEARTBEAT_NS = NS
 _REPORT_NS = NS
 MAX_AIRCRAFT, MAX_OF_ONE_SENDER = 16, 8
-"""Served at once, where `systems` does not list them: each has files, a view and memory of its own."""
-_DISK = "disk"
+"""Aircraft served at once, where `systems` does not list them: each takes files, a view and memory."""
+_DISK = "disk"  # name of its fault
 _RECORDED = (ev.ScanReceived, ev.EventMarked)
-_FIXED_WING, _GCS, _NO_AUTOPILOT = 1, 6, 8
+_FIXED_WING, _GCS, _NO_AUTOPILOT = 1, 6, 8  # MAV_TYPE and MAV_AUTOPILOT of heartbeats
 
 
 class Receiver:
     """Receives from any number of aircraft over any number of ports.
 
-    folder: where telemetry.tlog and the sessions' files go; None keeps nothing (then there is no backfill either).
+    folder: for telemetry.tlog and the sessions' files; None records nothing, and fetches nothing. faults, findings: present
+    faults, and counts of unused data; heard_ns: time of the last frame of an aircraft.
     """
 
     def __init__(
@@ -71,11 +72,12 @@ class Receiver:
         self._next_report_ns = 0
         self._written: list[Path] = []
         self._closed = False
-        self.heard_ns = 0  # when an aircraft last said something
+        self.heard_ns = 0
 
     @classmethod
     def open(cls, config: LinkConfig, clock: GroundClock, *, folder: Path | None = None) -> "Receiver":
-        """A receiver on the ports of its configuration; PortError or SigningError when one cannot be had."""
+        """A receiver on the ports of its configuration. Raises PortError for a port that cannot be opened, SigningError for a key
+        that cannot be used."""
         with ExitStack() as opened:
             ports = {text: opened.enter_context(closing(open_port(text, clock))) for text in config.ports}
             receiver = cls(config, ports, clock, folder=folder)
@@ -85,7 +87,7 @@ class Receiver:
     # ------------------------------------------------------------------------------------------ receiving
 
     def poll(self) -> list[ev.Event]:
-        """Take everything that has arrived and send what is due; returns what happened."""
+        """Use all that has arrived and send what is due; returns the events."""
         with self._lock:
             if self._closed:
                 return []
@@ -94,22 +96,24 @@ class Receiver:
             for sender, frame in self._frame_input.frames(now_ns, utc):
                 try:
                     self._take_frame(frame, sender, now_ns, utc, events)
-                except Exception as error:  # noqa: BLE001  the edge of reception: no frame ends a flight
+                except Exception as error:  # noqa: BLE001  no frame may end the reception
                     self.findings.quarantine_error(frame.system, f"a frame of {frame.name}", error)
-            events += [*self.findings.reports(now_ns, ReceptionFindingKind.REFUSED), *self._contests(now_ns)]
+            events += self.findings.reports(now_ns, ReceptionFindingKind.REFUSED)
+            events += self._second_sender_reports(now_ns)
             self._record(events)
-            with self.findings.guard(findings.NOBODY, "what is due to be sent and told"):
+            with self.findings.guard(findings.NOBODY, "due messages and reports"):
                 self._send_due(now_ns, events)
             events += self.findings.reports(now_ns, ReceptionFindingKind.DOUBTED, ReceptionFindingKind.QUARANTINED)
             return events + self.faults.changes(now_ns)
 
     @property
     def port_faults(self) -> dict[str, str]:
-        """Ports, and files of the ground station, that fail at present, with the system's words for it."""
+        """Ports, and files of the ground station, that fail at present, with the system's message."""
         with self._lock:
             return dict(self.faults.present)
 
     def _take_frame(self, frame: MavlinkFrame, sender: Sender, now_ns: int, utc: int, events: list[ev.Event]) -> None:
+        """Use a frame of an accepted sender; adds its events to `events`."""
         if frame.msg_id not in self._known_messages or frame.system in (0, self.config.system_id):
             return
         if self._gate.signer is not None and not self._gate.allows(frame):
@@ -121,11 +125,11 @@ class Receiver:
                 if aircraft.port is port:
                     aircraft.meter.radio = fields
             return
-        speaking = self._aircraft.get(frame.system) or self._new_aircraft(frame, sender)
-        if speaking is None or not self._may_speak(speaking, frame, sender, now_ns):
+        source = self._aircraft.get(frame.system) or self._new_aircraft(frame, sender)
+        if source is None or not self._accepts(source, frame, sender, now_ns):
             return
-        speaking.port, self.heard_ns = port, now_ns
-        events += speaking.decoder.decode_frame(frame, now_ns, utc)
+        source.port, self.heard_ns = port, now_ns
+        events += source.decoder.decode_frame(frame, now_ns, utc)
         if frame.msg_id in SCAN_IDS:
             return
         if frame.name == "COMMAND_ACK":
@@ -133,10 +137,10 @@ class Receiver:
             if f["target_system"] in (0, self.config.system_id):
                 events += self.commander.acknowledge(frame.system, f["command"], f["result"], now_ns)
         else:
-            events += speaking.take_answer(frame, now_ns)
+            events += source.take_answer(frame, now_ns)
 
     def _new_aircraft(self, frame: MavlinkFrame, sender: Sender) -> TrackedAircraft | None:
-        """The aircraft a first frame is of; None for a sender that is none, or one too many."""
+        """The aircraft of a first frame; None where the sender is no aircraft, or one too many."""
         if self.config.systems and frame.system not in self.config.systems:
             return None
         if not _is_aircraft(frame):
@@ -152,25 +156,25 @@ class Receiver:
         self._aircraft[frame.system] = aircraft
         return aircraft
 
-    def _may_speak(self, aircraft: TrackedAircraft, frame: MavlinkFrame, sender: Sender, now_ns: int) -> bool:
-        """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
+    def _accepts(self, aircraft: TrackedAircraft, frame: MavlinkFrame, sender: Sender, now_ns: int) -> bool:
+        """Whether a frame's sender is accepted for the aircraft: with a key always, since the signature is valid."""
         is_own_message, unsigned = frame.msg_id >= FIRST_OWN_ID, self._gate.signer is None
         if unsigned and aircraft.senders.confirmed(sender, frame.component, is_own_message, now_ns):
             return True
-        speaker = aircraft.senders.speaker(sender.port) if is_own_message else None
+        previous = aircraft.senders.speaker(sender.port) if is_own_message else None
         if unsigned:
             if not aircraft.senders.allows(sender, frame.component, is_own_message, now_ns):
                 return False
         elif is_own_message:
-            aircraft.senders.speaks(sender, now_ns)
-        if is_own_message and speaker != sender:
-            if speaker is not None:
-                self._frame_input.forget(speaker)
+            aircraft.senders.accept_signed(sender, now_ns)
+        if is_own_message and previous != sender:
+            if previous is not None:
+                self._frame_input.forget(previous)
             self._frame_input.favour(sender)
         return True
 
-    def _contests(self, now_ns: int) -> list[ev.ReceptionFinding]:
-        """Second senders that are to be reported; the first time of each is put into the recording."""
+    def _second_sender_reports(self, now_ns: int) -> list[ev.ReceptionFinding]:
+        """Due reports of second senders; the first one of each also goes to the recording."""
         reports = self.findings.reports(now_ns, ReceptionFindingKind.CONTESTED)
         for report in reports:
             aircraft = self._aircraft[report.system]
@@ -189,13 +193,14 @@ class Receiver:
             elif isinstance(event, _RECORDED):
                 try:
                     self._aircraft[event.session.system].record(event)
-                except Exception as error:  # noqa: BLE001  one scan that cannot be kept is not the next one's end
-                    what = f"a {type(event).__name__} in the recording"
-                    self.findings.quarantine_error(event.session.system, what, error)
+                except Exception as error:  # noqa: BLE001  an event that cannot be recorded must not stop the next ones
+                    subject = f"a {type(event).__name__} in the recording"
+                    self.findings.quarantine_error(event.session.system, subject, error)
 
     # ------------------------------------------------------------------------------------------ sending
 
     def _send_due(self, now_ns: int, events: list[ev.Event]) -> None:
+        """Send all due messages, and report once a second; adds events to `events`."""
         if now_ns >= self._next_report_ns:
             self._next_report_ns = now_ns + _REPORT_NS
             self._report(now_ns, events)
@@ -223,10 +228,10 @@ class Receiver:
         self._write(aircraft.port, self._encoder.message(name, **{**targets, **fields}))
 
     def _write(self, port: BytePort, frame: bytes) -> None:
-        """Send a frame; one that a busy port does not take is lost like one on the air, and asked again in time."""
+        """Send a frame. One that a busy port does not take is lost, like one lost on the link, and its request is repeated."""
         name = next((n for n, p in self._ports.items() if p is port), "?")
         if name in self.faults.present:
-            return  # away, and said so
+            return  # its fault is reported already
         with self.faults.watch(f"{name} (sending)"):
             size = port.write(frame)
             while 0 < size < len(frame):  # never leave half a frame in the stream
@@ -236,6 +241,7 @@ class Receiver:
                 size += piece
 
     def _report(self, now_ns: int, events: list[ev.Event]) -> None:
+        """Add reports of links and backfill to `events`; write and sync files, and count refused bytes."""
         for aircraft in self._aircraft.values():
             events += aircraft.report(now_ns)
         self._frame_input.flush()
@@ -245,14 +251,15 @@ class Receiver:
             (findings.BYTES, self._frame_input.refused_bytes),
             (findings.DATAGRAMS, self._frame_input.datagrams_dropped),
         ):
-            self.findings.doubt(findings.NOBODY, kind, count - self.findings.total_doubted(kind))
+            self.findings.doubt(findings.NOBODY, kind, count - self.findings.doubt_count(kind))
         with self.faults.watch(_DISK):
             journals = (r.journal.file for sessions in self._session_stores() for r in sessions.recorders.values())
             self._disk.sync([*self._frame_input.logs, *journals])
 
-    # ------------------------------------------------------------------------------------------ for the owner
+    # ------------------------------------------------------------------------------------------ for the station
 
     def set_backfill(self, mode: Mode, system: int | None = None) -> None:
+        """Set the mode of backfill for one aircraft, or all."""
         with self._lock:
             for number, aircraft in self._aircraft.items():
                 if aircraft.backfill is not None and system in (None, number):
@@ -271,14 +278,14 @@ class Receiver:
             return sorted(self._aircraft)
 
     def logs(self, system: int) -> LogFetcher:
-        """Log listing and download of one aircraft; KeyError for an aircraft not heard."""
+        """Log listing and download of one aircraft. Raises KeyError for one that has not been heard."""
         with self._lock:
             return self._aircraft[system].logs
 
     def send_manoeuvre(self, system: int, manoeuvre: Manoeuvre) -> None:
-        """Send a manoeuvre up to an aircraft's sequencer; what becomes of it comes as ManoeuvreSent.
+        """Send a manoeuvre to an aircraft's sequencer; the result is an event ManoeuvreSent.
 
-        Raises ManoeuvreError where it is too long for the link, or the link has no key: then no aircraft would take it.
+        Raises ManoeuvreError where it is too long for the link, or without a key, since an aircraft obeys signed commands only.
         """
         with self._lock:
             if self._gate.signer is None:
@@ -288,10 +295,12 @@ class Receiver:
             self._aircraft[system].manoeuvre.send(manoeuvre)
 
     def accounting(self) -> list[ev.Accounting]:
+        """The accounting of all sessions of all aircraft."""
         with self._lock:
-            return [b.totals() for a in self._aircraft.values() for b in a.decoder.sessions]
+            return [session.totals() for a in self._aircraft.values() for session in a.decoder.sessions]
 
     def session_recorders(self) -> dict[ev.Session, SessionRecorder]:
+        """The open recorders of all aircraft."""
         with self._lock:
             return {s: r for sessions in self._session_stores() for s, r in sessions.recorders.items()}
 
@@ -301,14 +310,14 @@ class Receiver:
     def write_recordings(self) -> list[Path]:
         """Write the recordings of all sessions as they are now; returns their paths.
 
-        One that cannot be written is named in `port_faults`; its journal keeps the scans.
+        One that cannot be written is in `port_faults`; its scans stay in the journal.
         """
         with self._lock:
             self._written = list(chain.from_iterable(sessions.write() for sessions in self._session_stores()))
             return list(self._written)
 
     def summary(self) -> dict[str, Any]:
-        """Counters as `ground --json` gives them; `flight` is the largest session's recording."""
+        """The counters of `ground --json`."""
         with self._lock:
             trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
             counts = counters(
@@ -317,7 +326,7 @@ class Receiver:
             return counts | self._unused_counts() | self._disk_counts()
 
     def _disk_counts(self) -> dict[str, Any]:
-        """What the disk holds of what came down, for `ground --json`."""
+        """Numbers of received scans on the disk and not on it, for `ground --json`."""
         counts = [state for a in self._aircraft.values() for state in a.states_on_disk()]
         return {
             "scans_on_disk": sum(on_disk for on_disk, _ in counts),
@@ -326,20 +335,20 @@ class Receiver:
         }
 
     def _unused_counts(self) -> dict[str, Any]:
-        """What came and was not used, for `ground --json`."""
+        """Counts of received data that were not used, for `ground --json`."""
         pending_parts = sum(a.decoder.pending_parts for a in self._aircraft.values())
         return {
             "bytes_refused": self._frame_input.refused_bytes,
             "datagrams_dropped": self._frame_input.datagrams_dropped,
             "frames_contested": sum(a.senders.contested for a in self._aircraft.values()),
             "second_senders": [row for system in self._aircraft for row in self.findings.second_senders(system)],
-            "scans_doubted": self.findings.total_doubted(findings.NUMBERS) + pending_parts,
-            "doubted": self.findings.doubted(),
-            "quarantined": self.findings.quarantined(),
+            "scans_doubted": self.findings.doubt_count(findings.NUMBERS) + pending_parts,
+            "doubted": self.findings.doubts(),
+            "quarantined": self.findings.quarantines(),
         }
 
     def close(self) -> None:
-        """Write the recordings, close all files and ports. What fails is in `port_faults`; nothing is left open."""
+        """Write the recordings and close all files and ports. Failures are in `port_faults`."""
         with self._lock:
             if self._closed:
                 return
@@ -357,10 +366,11 @@ class Receiver:
 
 
 def _is_aircraft(frame: MavlinkFrame) -> bool:
+    """Whether a frame is of a logger or an autopilot."""
     if frame.msg_id >= FIRST_OWN_ID:
         return True
     if frame.name != "HEARTBEAT":
         return False
-    # The logger says truly that it is no autopilot, as do ground stations, cameras and radios: it is told by its type.
+    # The logger's heartbeat has no autopilot, as those of ground stations, cameras and radios: its type shows the aircraft.
     heartbeat = frame.fields()
     return heartbeat["autopilot"] != _NO_AUTOPILOT or heartbeat["type"] == _FIXED_WING

@@ -1,4 +1,4 @@
-"""Turns the scan frames of one aircraft into scans and sessions, with exact accounting of missing scans.
+"""From the scan frames of one aircraft to scans and sessions, with exact accounting of missing scans.
 
 No input or output happens here, and no content of a frame raises an exception.
 """
@@ -16,12 +16,12 @@ from groundstation.receiver.continuity import LATE_NS, PendingScan, ScanRun, Unc
 from groundstation.receiver.link_accounting import SequenceTracker, SessionAccounting
 from groundstation.receiver.timeline import NS, Allowance, ClockSync
 
-_new_tuple: Callable[..., Any] = tuple.__new__  # a named tuple in half the time of its constructor
+_new_tuple: Callable[..., Any] = tuple.__new__  # makes a named tuple in half the time of its constructor
 _PARTIAL_SCANS = 64  # scans whose parts are stored until they are complete
-_MAX_SESSIONS = 64  # that are stored
+_MAX_SESSIONS = 64  # that are remembered
 _RECENT_SESSIONS = 3  # before the present one, from which a late scan may come
 _RESTARTS_AT_ONCE, _RESTARTS_PER_S = 8, 1 / 60
-"""Restarts of a logger that are accepted: eight in a row and then one a minute. Each session is a file, so they are limited."""
+"""Restarts of a logger that are accepted: eight at once and then one a minute, since each session is a file."""
 _WARNING = 4  # as in syslog
 _FOREIGN_CHANNELS = (
     "ground: the aircraft sends laboratory channels that no package installed here describes, or another version of it"
@@ -30,22 +30,22 @@ _FOREIGN_CHANNELS = (
 
 
 class ScanDecoder:
-    """The scans of one aircraft (system id), its sessions, and their missing scans."""
+    """The scans and sessions of one aircraft (system id). trackers: by component; latency_s: of the last scan."""
 
     def __init__(self, system: int, reception_findings: findings.ReceptionFindings | None = None) -> None:
         self.system = system
         self._findings = reception_findings or findings.ReceptionFindings()
-        self.trackers: dict[int, SequenceTracker] = {}  # by component
+        self.trackers: dict[int, SequenceTracker] = {}
         self.sync = ClockSync()
         self.sessions: list[SessionAccounting] = []
         self.latency_s: float | None = None
         self.scans_since_report = 0
-        self.partial_scans = 0
         self.last_scan_ns = 0
         self._unconfirmed = UnconfirmedRuns()
-        self._claims: OrderedDict[int, tuple[int, int]] = OrderedDict()  # boot -> first report of it, and how many
+        # boot -> time of the first report of it [ns], and number of its reports
+        self._claims: OrderedDict[int, tuple[int, int]] = OrderedDict()
         self._restart_allowance = Allowance(_RESTARTS_AT_ONCE, _RESTARTS_PER_S)
-        self._parts: dict[int, list[ScanPart]] = {}
+        self._parts: dict[int, list[ScanPart]] = {}  # by scan number
         self._layouts = layouts()
         self._events: list[ev.Event] = []
         self._foreign_channels_reported = False
@@ -53,9 +53,8 @@ class ScanDecoder:
 
     @property
     def tracker(self) -> SequenceTracker:
-        """The tracker by which the link is judged: of the component that sends the scans; before the first scan, of the component
-        that sends most.
-        """
+        """The tracker that represents the link: of the component that sends the scans; before the first scan, of the one that
+        sends most."""
         if self._scan_component in self.trackers:
             return self.trackers[self._scan_component]
         if not self.trackers:
@@ -64,14 +63,16 @@ class ScanDecoder:
 
     @property
     def accounting(self) -> SessionAccounting | None:
+        """The present session; None before the first."""
         return self.sessions[-1] if self.sessions else None
 
     @property
     def pending_parts(self) -> int:
-        """Scan parts that do not continue a known run, and wait for more of theirs."""
+        """Scan parts that do not continue a known run, and are held back until more of theirs come."""
         return self._unconfirmed.count
 
     def _take_scan(self, frame: MavlinkFrame, now_ns: int, utc_ns: int) -> None:
+        """Use a scan frame: accept its part, hold it back, or drop a late copy."""
         part = self._part(frame, now_ns)
         if part is None:
             return
@@ -81,7 +82,7 @@ class ScanDecoder:
             if part.msg_id == SCAN_FAST_ID:
                 late_session.received.add(part.number)
             return
-        accounting = self.sessions[-1] if self.sessions else None
+        accounting = self.accounting
         if accounting is None or accounting.run is None:
             self._begin(PendingScan(part, frame.component, now_ns, utc_ns), accounting)
             return
@@ -105,7 +106,7 @@ class ScanDecoder:
         return None
 
     def _begin(self, pending: PendingScan, accounting: SessionAccounting | None) -> None:
-        """The first scan of all, or the first since a report made its session known."""
+        """Begin the run of a session with its first scan: of a new session, or of one known by a report."""
         if accounting is None or accounting.session.boot != pending.part.boot:
             if accounting is not None and not self._restart_allowance.spend(1, pending.now_ns):
                 self._findings.doubt(self.system, findings.RESTARTS)
@@ -115,35 +116,35 @@ class ScanDecoder:
         self._accept(accounting, *pending)
 
     def _hold(self, accounting: SessionAccounting, pending: PendingScan) -> None:
-        """Store a scan that does not continue the known run, until more of its own run have come and none of the known one."""
-        proven, given_up = self._unconfirmed.hold(pending, self.trackers[pending.component].lost)
-        self._findings.doubt(self.system, findings.NUMBERS, given_up)
-        if proven is None:
+        """Hold back a scan that does not continue the known run, until more of its own run come and none of the known one."""
+        confirmed, rejected_parts = self._unconfirmed.hold(pending, self.trackers[pending.component].lost)
+        self._findings.doubt(self.system, findings.NUMBERS, rejected_parts)
+        if confirmed is None:
             return
-        first = proven.parts[0].part
+        first = confirmed.parts[0].part
         run = accounting.run
-        goes_on = run is not None and first.boot == run.boot
-        if goes_on and run is not None and first.number > run.number and run.in_step(first):
-            run.advance(first, proven.parts[0].now_ns)  # this computer was suspended, or the link was interrupted
+        if run is not None and first.boot == run.boot and first.number > run.number and run.in_step(first):
+            run.advance(first, confirmed.parts[0].now_ns)  # this computer was suspended, or the link was interrupted
         elif self._restart_allowance.spend(1, pending.now_ns):
             accounting = self._new_session(first.boot, pending.now_ns)
-            accounting.run = ScanRun(first, proven.parts[0].now_ns)
-            self._restart_trackers(pending.component, proven.lost)
+            accounting.run = ScanRun(first, confirmed.parts[0].now_ns)
+            self._restart_trackers(pending.component, confirmed.lost)
         else:
             self._findings.doubt(self.system, findings.RESTARTS)
             return
-        for part in proven.parts:
+        for part in confirmed.parts:
             self._accept(accounting, *part)
 
-    def _restart_trackers(self, component: int, lost: int) -> None:
-        """Restart the trackers of all components with the logger. Other components than that of the scans may continue with any
+    def _restart_trackers(self, component: int, lost_at_jump: int) -> None:
+        """Restart the trackers of all components with the logger. Those of other components than the scans' may continue with any
         sequence number, because an autopilot does not restart with the logger."""
         for number, tracker in self.trackers.items():
-            tracker.restart(lost if number == component else tracker.lost)
+            tracker.restart(lost_at_jump if number == component else tracker.lost)
             if number != component:
                 tracker.expect_any()
 
     def _accept(self, accounting: SessionAccounting, part: ScanPart, component: int, now_ns: int, utc_ns: int) -> None:
+        """Count a part of the present run, and report its scan with the fast part, or again with a later slow one."""
         assert accounting.run is not None
         accounting.run.advance(part, now_ns)
         if self._claims:
@@ -160,9 +161,7 @@ class ScanDecoder:
         is_late = part.time_monotonic_ns < accounting.last_time_ns
         parts.append(part)
         while len(self._parts) > _PARTIAL_SCANS:
-            old_parts = self._parts.pop(next(iter(self._parts)))
-            if old_parts[0].msg_id != SCAN_FAST_ID and all(p.msg_id != SCAN_FAST_ID for p in old_parts):
-                self.partial_scans += 1
+            self._parts.pop(next(iter(self._parts)))
         if part.msg_id == SCAN_FAST_ID:
             if not accounting.received.add(part.number):
                 return
@@ -189,7 +188,7 @@ class ScanDecoder:
         if layout is not None:
             try:
                 return unpack_scan(layout, padded(frame.payload, layout.size))
-            except ValueError:  # of another channel table: reported below
+            except ValueError:  # a part of another channel table, reported below
                 pass
         if not self._foreign_channels_reported:
             self._foreign_channels_reported = True
@@ -197,6 +196,7 @@ class ScanDecoder:
         return None
 
     def _new_session(self, boot: int, now_ns: int) -> SessionAccounting:
+        """Begin a session, with an event Restarted, and reset the clock relation."""
         previous = self.sessions[-1].session if self.sessions else None
         session = SessionAccounting(ev.Session(self.system, boot, 0 if previous is None else previous.turn + 1))
         self.sessions.append(session)
@@ -209,5 +209,5 @@ class ScanDecoder:
         return session
 
     def _session(self, boot: int) -> SessionAccounting | None:
-        """The session of a report that carries a boot id; None before a scan of it has come."""
+        """The latest session with a boot id; None for an unknown one."""
         return next((s for s in reversed(self.sessions) if s.session.boot == boot), None)

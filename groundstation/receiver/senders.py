@@ -18,11 +18,11 @@ from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.timeline import NS, GroundClock
 
 SAVE_NS = NS
-"""Between two saves of the signing timestamps. After a crash of the ground station, recorded frames of that time, and of the
+"""Time between two saves of the signing timestamps. After a crash of the ground station, recorded frames of that time, and of the
 duration of a save, can be replayed."""
 SIGNING_STATE = "signing state"
 SILENCE_NS = 3 * NS
-"""Without a frame of the first sender, after which another is accepted: three heartbeats."""
+"""Silence of the first sender, after which another is accepted: three heartbeats."""
 _LOGGER = None  # role of the logger's own messages; the other roles are component ids
 _MAX_CONFIRMED = 64  # senders, so that strangers cannot fill the memory
 
@@ -105,7 +105,7 @@ class Senders:
         self.contested = 0
 
     def confirmed(self, sender: Sender, component: int, is_own_message: bool, now_ns: int) -> bool:
-        """Whether a frame is of the accepted sender in its roles, by the cache; else ask `allows`."""
+        """Whether the cache shows a frame's sender to be accepted in its roles; where it does not, `allows` decides."""
         speakers = self._confirmed.get((sender, component, is_own_message), ())
         for speaker in speakers:
             speaker.heard_ns = now_ns
@@ -133,8 +133,8 @@ class Senders:
             self._confirmed[sender, component, is_own_message] = tuple(self._speakers[role] for role in roles)
         return True
 
-    def speaks(self, sender: Sender, now_ns: int) -> None:
-        """Accept a sender of the logger's messages by its signature."""
+    def accept_signed(self, sender: Sender, now_ns: int) -> None:
+        """Accept a sender of the logger's messages, whose signature is valid."""
         self._speakers[_LOGGER, sender.port] = _Speaker(sender, now_ns)
         self._confirmed.clear()
 

@@ -1,8 +1,7 @@
 """Telemetry logs: every byte received, in the `.tlog` form that MAVLink tools read.
 
-A record is a timestamp (microseconds UTC, 8 bytes big-endian) and a frame. Bytes that were part of no sound frame are
-kept too, wrapped into TUNNEL messages of system 0 that stock tools skip; `read_tlog` unwraps them, so that a replay
-sees exactly the byte stream that came in.
+A record is a timestamp (microseconds UTC, 8 bytes big-endian) and a frame. Bytes outside valid frames are wrapped into TUNNEL
+messages of system 0, which other tools skip; `read_tlog` unwraps them, so that a replay sees the byte stream as it was received.
 """
 
 import os
@@ -22,14 +21,14 @@ from groundstation.receiver.events import ScanReceived
 from groundstation.receiver.storage.lasting_log import LastingLog
 
 JUNK_PAYLOAD_TYPE = 44100
-"""TUNNEL payload type of wrapped bytes, from the range of types in private use."""
-JUNK_CHUNK = 128
+"""TUNNEL payload type of wrapped bytes, from the range for private use."""
+JUNK_CHUNK = 128  # bytes in one TUNNEL message
 _STAMP = struct.Struct(">Q")
-_STAMP_FROM, _STAMP_TO = 1_000_000, 4_102_444_800_000_000  # up to the year 2100
+_STAMP_FROM, _STAMP_TO = 1_000_000, 4_102_444_800_000_000  # [us] of valid stamps: up to the year 2100
 _RECORD = re.compile(rb"\x00[\x00-\x0e].{6}(?=[\xfd\xfe])", re.DOTALL)  # a time before 2100, a frame's first byte
-_FLUSH_BYTES = 4096
+_FLUSH_BYTES = 4096  # in memory, from which they are written
 LARGEST = 1 << 30
-"""Bytes of a log after which another is begun: three days of a 57600 baud radio, and half of what is read of one file."""
+"""Bytes of a log, after which the next file begins: three days of a 57600 baud radio, and half the limit for reading a file."""
 
 
 class TlogError(UserError):
@@ -37,9 +36,9 @@ class TlogError(UserError):
 
 
 class TlogWriter:
-    """Appends records; a few kilobytes at most are still in memory when the process is killed.
+    """Appends records; a killed process loses a few kilobytes at most.
 
-    Where a log is `largest` bytes long the next one is begun beside it: telemetry.tlog, telemetry_1.tlog, telemetry_2.tlog.
+    A log of `largest` bytes is continued in the next file: telemetry.tlog, telemetry_1.tlog, telemetry_2.tlog.
     """
 
     def __init__(self, path: Path, largest: int = LARGEST) -> None:
@@ -51,47 +50,47 @@ class TlogWriter:
         except OSError as error:
             raise TlogError(f"{path}: telemetry log cannot be written ({error.strerror})") from error
         self._wrapper = FrameEncoder(0, 0)
-        self._sound = True
+        self._disk_works = True
 
     @property
     def path(self) -> Path:
-        """The log that is written now."""
-        return self._named(self._number)
+        """The log that is written at present."""
+        return self._path_of(self._number)
 
-    def _named(self, number: int) -> Path:
+    def _path_of(self, number: int) -> Path:
         return self._first.with_stem(f"{self._first.stem}_{number}") if number else self._first
 
     def write(self, item: MavlinkFrame | Junk, utc_ns: int) -> None:
-        """Keep a frame, or bytes that are none."""
+        """Add a frame, or bytes outside frames. Raises OSError."""
         stamp = _STAMP.pack(max(0, utc_ns) // 1000)
         if isinstance(item, MavlinkFrame):
-            self._put(stamp + item.raw)
+            self._append(stamp + item.raw)
             return
         for offset in range(0, len(item.raw), JUNK_CHUNK):
             piece = item.raw[offset : offset + JUNK_CHUNK]
             wrapped = self._wrapper.message(
                 "TUNNEL", payload_type=JUNK_PAYLOAD_TYPE, payload_length=len(piece), payload=piece
             )
-            self._put(stamp + wrapped)
+            self._append(stamp + wrapped)
 
-    def _put(self, record: bytes) -> None:
+    def _append(self, record: bytes) -> None:
         self.file.append(record)
-        if self.file.waiting >= _FLUSH_BYTES and self._sound:
+        if self.file.bytes_waiting >= _FLUSH_BYTES and self._disk_works:
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything to the operating system."""
-        self._sound = False  # on a disk that fails it is tried once a second, not at each frame
+        """Write all records to the operating system. Raises OSError."""
+        self._disk_works = False  # after an error `write` does not try again at each frame, only `look_after` does
         self.file.flush()
-        self._sound = True
+        self._disk_works = True
 
     def look_after(self) -> None:
-        """Called now and then: as `LastingLog.look_after`, and everything handed to the operating system."""
-        self._sound = False
+        """`LastingLog.look_after` and `flush`, and the next file where this one is full. Call it now and then. Raises OSError."""
+        self._disk_works = False
         self.file.look_after()
         self.flush()
         if os.fstat(self.file.descriptor()).st_size >= self._largest:
-            full, self.file = self.file, LastingLog(self._named(self._number + 1))
+            full, self.file = self.file, LastingLog(self._path_of(self._number + 1))
             self._number += 1
             full.close()
 
@@ -100,9 +99,9 @@ class TlogWriter:
 
 
 def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
-    """UTC time [ns] and received bytes of each record; damaged stretches are passed over by a byte at a time.
+    """UTC time [ns] and received bytes of each record; damaged bytes are skipped one by one.
 
-    Raises TlogError when the file cannot be read or holds no record at all.
+    Raises TlogError for a file that cannot be read or holds no record.
     """
     path = Path(path)
     data = read_bytes(path, "telemetry log", TlogError)
@@ -124,6 +123,7 @@ def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
 
 
 def _unwrapped(frame: MavlinkFrame) -> bytes:
+    """The received bytes of a record: of its frame, or those that a TUNNEL message wraps."""
     if frame.name == "TUNNEL" and frame.system == 0:
         fields = frame.fields()
         if fields["payload_type"] == JUNK_PAYLOAD_TYPE:
@@ -134,7 +134,7 @@ def _unwrapped(frame: MavlinkFrame) -> bytes:
 
 
 def info_tlog(path: str | Path) -> dict[str, Any]:
-    """What is in a telemetry log, as `info --json` gives it; TlogError for a file that is none."""
+    """The answer of `info --json` for a telemetry log. Raises TlogError for another file."""
     decoder = FrameDecoder()
     aircraft: dict[int, AircraftDecoder] = {}
     samples: dict[str, int] = {}
@@ -153,8 +153,8 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
                         last = number if last is None else max(last, number)
                         for name in event.scan.values:
                             samples[name] = samples.get(name, 0) + 1
-    accounting = [b for a in aircraft.values() for b in a.sessions]
-    scans = sum(len(b.received) for b in accounting)
+    sessions = [session for a in aircraft.values() for session in a.sessions]
+    scans = sum(len(session.received) for session in sessions)
     duration = (last_utc - first_utc) * 1e-9
     return {
         "file": str(path),
@@ -172,5 +172,5 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
         "software": "",
         "frames": decoder.counts.frames,
         "frames_damaged": decoder.counts.damaged,
-        "sessions": len(accounting),
+        "sessions": len(sessions),
     }

@@ -14,7 +14,7 @@ from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.world import simulate_many
 from groundstation.flight import read_flight
-from groundstation.importers.formats.ulog_scan import MAGIC
+from groundstation.importers.endings import ULOG_MAGIC
 from groundstation.importers.run import import_data
 from tests.chain.autopilot_logs import BOOT, dataflash, ulog
 from tests.cli.docs.blocks import commands_of, files_of, write_files
@@ -60,7 +60,7 @@ def by_pyulog(data: bytes) -> bytes:
 
     stream = io.BytesIO()
     ULog(io.BytesIO(data)).write_ulog(stream)
-    assert stream.getvalue().startswith(MAGIC)
+    assert stream.getvalue().startswith(ULOG_MAGIC)
     return stream.getvalue()
 
 

@@ -1,1 +1,1 @@
-"""Readers of other programs' files, one each: tables, MATLAB, dataflash, ULog, telemetry logs."""
+"""Readers of other programs' files: tables, MATLAB, dataflash, ULog, telemetry logs, bags."""

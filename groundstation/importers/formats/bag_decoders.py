@@ -10,9 +10,9 @@ from daq.contract.recordings.expand import expand_within
 from groundstation.importers.formats.ros1_messages import ros1_decoder
 from groundstation.importers.formats.ros_definitions import STANDARD
 
-LONGEST_DEFINITION = 1 << 16  # bytes of a message's definition, with those it uses: the longest of px4_msgs has 10 kB
+LONGEST_DEFINITION = 1 << 16  # bytes of a message's definition with its parts: the longest of px4_msgs has 10 kB
 ZSTD = b"\x28\xb5\x2f\xfd"
-"""First bytes of a message that rosbag2 compressed (compression_mode: message); CDR begins with 0, 0 or 0, 1."""
+"""First bytes of a message that rosbag2 compressed (compression_mode: message); a CDR message begins with 0, 0 or 0, 1."""
 DEFINITIONS = ("ros2msg", "ros1msg")
 Decode = Callable[[bytes], Any]
 
@@ -26,13 +26,11 @@ def mcap_decoder(channel: Any, schema: Any) -> Decode:
     encoding, kind = channel.message_encoding, schema.encoding if schema else "no"
     if encoding == "json":
         return json.loads
-    if schema is not None and kind in DEFINITIONS and len(schema.data) > LONGEST_DEFINITION:
-        raise UnknownSchemaError(f"a definition of {len(schema.data)} letters; at most {LONGEST_DEFINITION} are read")
+    if schema is not None and kind in DEFINITIONS:
+        _check_length(schema.data)
     if encoding == "cdr" and kind == "ros2msg":
         return _cdr(schema.name, schema.data.decode())
-    if (
-        encoding == "cdr" and schema is not None and schema.name in STANDARD
-    ):  # in whichever language the file defines it
+    if encoding == "cdr" and schema is not None and schema.name in STANDARD:  # whatever the language of its definition
         return _cdr(schema.name, STANDARD[schema.name])
     if encoding == "ros1" and kind == "ros1msg":
         return ros1_decoder(schema.name, schema.data.decode())
@@ -45,32 +43,36 @@ def mcap_decoder(channel: Any, schema: Any) -> Decode:
 
 
 def sqlite_decoder(kind: str, definitions: Mapping[str, str]) -> Decode:
-    """The decoder for a kind of message in an SQLite bag, by the bag's definitions or the standard one. Raises
+    """The decoder for a kind of message in an SQLite bag, by the bag's definition or else the standard one. Raises
     UnknownSchemaError."""
     text = definitions.get(kind) or STANDARD.get(kind)
     if text is None:
         raise UnknownSchemaError(
             f"{kind}: this bag carries no definitions; convert it with 'ros2 bag convert' to MCAP, which does"
         )
-    if len(text) > LONGEST_DEFINITION:
-        raise UnknownSchemaError(f"a definition of {len(text)} letters; at most {LONGEST_DEFINITION} are read")
+    _check_length(text)
     return _cdr(kind, text)
 
 
-def unpacked(data: bytes, most: int) -> bytes:
-    """A message, decompressed where rosbag2 compressed it. Raises `Bad` beyond `most` bytes."""
+def _check_length(definition: str | bytes) -> None:
+    if len(definition) > LONGEST_DEFINITION:
+        raise UnknownSchemaError(f"a definition of {len(definition)} letters; at most {LONGEST_DEFINITION} are read")
+
+
+def unpacked(data: bytes, limit: int) -> bytes:
+    """A message, decompressed where rosbag2 compressed it. Raises `Bad` beyond `limit` bytes."""
     if not data.startswith(ZSTD):
         return data
     from zstandard import get_frame_parameters
 
-    stated = get_frame_parameters(data).content_size
-    return expand_within("zstd", data, stated if 0 < stated <= most else most, most)
+    size = get_frame_parameters(data).content_size
+    return expand_within("zstd", data, size if 0 < size <= limit else limit, limit)
 
 
 def _cdr(name: str, definition: str) -> Decode:
     from mcap_ros2.decoder import generate_dynamic
 
-    with contextlib.redirect_stderr(io.StringIO()):  # it prints there what it raises as well
+    with contextlib.redirect_stderr(io.StringIO()):  # it also prints the errors that it raises
         decoders: Mapping[str, Decode] = generate_dynamic(name, definition)
     return decoders[name] if name in decoders else decoders[name.replace("/msg/", "/")]
 

@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.importers.series import Array, TimeSeries
+from groundstation.importers.series import LONGEST_ARRAY, Array, TimeSeries
 
-LONGEST_ARRAY = (
-    32  # elements of an array that becomes series (32 outputs of an autopilot); longer ones are images and clouds
-)
 MOST_LEVELS = 8  # of nested messages
 MOST_NUMBERS = 2_000  # of one message
 STAMPS = (("header.stamp.sec", "header.stamp.nanosec"), ("timestamp.seconds", "timestamp.nanos"))
@@ -20,8 +17,8 @@ STAMPS = (("header.stamp.sec", "header.stamp.nanosec"), ("timestamp.seconds", "t
 
 @dataclass
 class Topic:
-    """The messages of one topic. kind: of the messages (`sensor_msgs/Imu`); time: received [s]; columns: field -> numbers, which
-    may be fewer than messages; words: text of each message."""
+    """The messages of one topic. kind: of the messages (`sensor_msgs/Imu`); time: received [s]; columns: field -> its numbers,
+    none after the last message with that field; words: text of each message."""
 
     name: str
     kind: str

@@ -18,7 +18,7 @@ from daq.contract.recordings.expand import Bad, expand_within
 from daq.contract.recordings.profile import OURS, mcap_profile
 from daq.utilities.input_files import read_text
 from daq.utilities.plain_words import listed
-from groundstation.importers.endings import BAGS
+from groundstation.importers.endings import BAGS, SQLITE_MAGIC
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.bag_decoders import (
     Decode,
@@ -29,18 +29,17 @@ from groundstation.importers.formats.bag_decoders import (
 )
 from groundstation.importers.formats.bag_series import Topic, numbers_of
 
-SQLITE = b"SQLite format 3\0"
 LARGEST_RECORD = 64 << 20
-"""Bytes of one record of an MCAP file, and of a chunk unpacked: a chunk of a bag has a few megabytes."""
+"""Bytes of one record of an MCAP file, and of a decompressed chunk: a chunk of a bag has a few megabytes."""
 LONGEST_MESSAGE = 1 << 20
-"""Bytes of a message that is decoded: pictures and clouds of points are longer, and hold no series."""
+"""Bytes of a message that is decoded: images and point clouds are longer, and hold no series."""
 _DAMAGE = (ValueError, LookupError, TypeError, AttributeError, OverflowError, EOFError, MemoryError, struct.error)
-METADATA = "metadata.yaml"  # of a bag's folder: which files it has, in their order
+METADATA = "metadata.yaml"  # of a bag's folder: lists its files in their order
 _LISTED = re.compile(r"^\s*relative_file_paths:\s*\n((?:\s*- .*\n?)+)", re.MULTILINE)
-PACKED = (".zstd", ".zst")  # ending that rosbag2 gives a file which it has packed
+PACKED = (".zstd", ".zst")  # endings of files that rosbag2 has compressed
 _NUMBERED = re.compile(r"(.+)_(\d+)")
 WORDS: Mapping[str, str] = {"mavros_msgs/State": "mode", "mavros_msgs/StatusText": "text"}
-"""Kind of a message -> its field of words that is kept."""
+"""Kind of a message -> its field of text that is kept."""
 
 
 @dataclass
@@ -52,8 +51,9 @@ class Bag:
     damaged: int = 0
     notes: list[str] = field(default_factory=list)
 
-    def decoder(self, topic: str, what: str, make: Callable[[], Decode]) -> Decode | None:
-        """What reads the messages of a topic; None where its schema or definition (`what`) cannot be read; `unread` says why."""
+    def decoder(self, topic: str, description: str, make: Callable[[], Decode]) -> Decode | None:
+        """The decoder of a topic's messages; None, with the reason in `unread`, where its `description` (schema, definition)
+        cannot be read."""
         try:
             return make()
         except ModuleNotFoundError:
@@ -61,11 +61,11 @@ class Bag:
         except UnknownSchemaError as error:
             self.unread[topic] = str(error)
         except Exception as error:  # noqa: BLE001 - a schema may be anything
-            self.unread[topic] = f"its {what} cannot be read ({type(error).__name__})"
+            self.unread[topic] = f"its {description} cannot be read ({type(error).__name__})"
         return None
 
     def add_message(self, name: str, kind: str, time_ns: int, data: bytes, decode: Decode) -> None:
-        """Decode and keep a message."""
+        """Decode a message and add it to its topic; count it where it is damaged."""
         if len(data) > LONGEST_MESSAGE:
             self.unread[name] = f"messages of {len(data)} bytes; at most {LONGEST_MESSAGE} are read"
             return
@@ -84,19 +84,20 @@ class Bag:
 
 
 def _field(message: Any, name: str) -> object:
+    """A field of a decoded message; empty text where the message lacks it."""
     return message.get(name, "") if isinstance(message, Mapping) else getattr(message, name, "")
 
 
 def read_bag(paths: Sequence[Path]) -> Bag:
-    """Every message of a bag, of one file or of several in their order, that can be decoded.
+    """Every message of a bag that can be decoded. paths: its files in their order.
 
-    Raises ImportDataError where a file is none, or nothing in the bag can be read.
+    Raises ImportDataError where a file is no bag, or nothing in the bag can be read.
     """
     bag = Bag()
     for path in paths:
         with path.open("rb") as file:
-            head = file.read(len(SQLITE))
-        (_sqlite if head == SQLITE else _mcap)(path, bag)
+            head = file.read(len(SQLITE_MAGIC))
+        (_read_sqlite if head == SQLITE_MAGIC else _read_mcap)(path, bag)
     if not bag.topics:
         raise ImportDataError(f"{paths[0]}: no message of this bag can be read: {_why_unread(bag)}")
     if bag.damaged:
@@ -108,6 +109,7 @@ def read_bag(paths: Sequence[Path]) -> Bag:
 
 
 def _why_unread(bag: Bag) -> str:
+    """The reason why a bag gave no messages."""
     if bag.unread:
         by_reason: dict[str, list[str]] = {}
         for topic, reason in bag.unread.items():
@@ -117,7 +119,7 @@ def _why_unread(bag: Bag) -> str:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a file is an MCAP file or a ROS 2 bag that this program has not written, or a folder one of such files."""
+    """Whether a path is an MCAP file or a ROS 2 bag that Sideslip has not written, or a folder of such files."""
     if path.is_dir():
         try:
             return is_bag(bag_files(path)[0])
@@ -126,53 +128,54 @@ def is_bag(path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        if file.read(len(SQLITE)) == SQLITE:
+        if file.read(len(SQLITE_MAGIC)) == SQLITE_MAGIC:
             return True
     profile = mcap_profile(path) if path.suffix.lower() == ".mcap" else None
     return profile is not None and profile != OURS
 
 
 def bag_files(folder: Path) -> list[Path]:
-    """The files of a bag's folder in their order: as its metadata.yaml lists them, else by their numbers.
+    """The files of a bag's folder in the order of its metadata.yaml, else of their numbers.
 
-    Raises ImportDataError where it has none.
+    Raises ImportDataError for a folder without such files.
     """
     try:
         files = [p for p in folder.iterdir() if p.is_file()]
     except OSError as error:
         raise ImportDataError(f"{folder}: cannot be read ({error.strerror})") from error
-    found = sorted((p for p in files if p.suffix.lower() in BAGS), key=_place)
-    if not found:
+    parts = sorted((p for p in files if p.suffix.lower() in BAGS), key=_name_and_number)
+    if not parts:
         packed = [p.name for p in files if p.suffix.lower() in PACKED and Path(p.stem).suffix.lower() in BAGS]
         unpack = f"; its files are packed: 'zstd -d {folder / packed[0]}' unpacks one" if packed else ""
         raise ImportDataError(f"{folder}: a folder without the files of a bag (.mcap, .db3){unpack}")
     listing = folder / METADATA
     if not listing.is_file():
-        return found
+        return parts
     match = _LISTED.search(read_text(listing, "bag's metadata", ImportDataError))
     names = re.findall(r"- *['\"]?([^'\"\n]+?)['\"]? *$", match[1], re.MULTILINE) if match else []
     listed_files = [folder / Path(name).name for name in names]
-    return listed_files if set(listed_files) == set(found) else found
+    return listed_files if set(listed_files) == set(parts) else parts
 
 
-def _place(path: Path) -> tuple[str, int]:
-    """Name and number of a file of a bag: rosbag2 calls them NAME_0, NAME_1, ..., NAME_10."""
+def _name_and_number(path: Path) -> tuple[str, int]:
+    """Name and number of a bag's file, which rosbag2 calls NAME_0, NAME_1, ..., NAME_10; number -1 without one."""
     match = _NUMBERED.fullmatch(path.stem)
     return (match[1], int(match[2])) if match else (path.stem, -1)
 
 
 def parts_of_one_bag(first: Path, second: Path) -> bool:
-    """Whether two files are the one after the other of a bag that was split."""
+    """Whether two files are consecutive parts of a bag that was split."""
     if first.suffix.lower() not in BAGS or first.parent != second.parent or first.suffix != second.suffix:
         return False
-    (name, number), (other, following) = _place(first), _place(second)
-    return name == other and 0 <= number == following - 1
+    (name, number), (second_name, second_number) = _name_and_number(first), _name_and_number(second)
+    return name == second_name and 0 <= number == second_number - 1
 
 
 # ------------------------------------------------------------------------------------------------------------------- MCAP
 
 
-def _mcap(path: Path, bag: Bag) -> None:
+def _read_mcap(path: Path, bag: Bag) -> None:
+    """Add the messages of an MCAP file to `bag`."""
     from mcap.exceptions import McapError
 
     schemas: dict[int, Any] = {}
@@ -205,7 +208,7 @@ def _mcap(path: Path, bag: Bag) -> None:
 
 
 def _mcap_records(file: IO[bytes]) -> Iterator[Any]:
-    """The records of an MCAP file, those in its chunks among them, each within LARGEST_RECORD whatever its head claims."""
+    """The records of an MCAP file and of its chunks, each of at most LARGEST_RECORD bytes."""
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader, breakup_chunk
 
@@ -222,10 +225,11 @@ def _mcap_records(file: IO[bytes]) -> Iterator[Any]:
 # ----------------------------------------------------------------------------------------------------------------- SQLite
 
 
-def _sqlite(path: Path, bag: Bag) -> None:
+def _read_sqlite(path: Path, bag: Bag) -> None:
+    """Add the messages of an SQLite file to `bag`."""
     try:
         with sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True) as file:
-            # Neither views nor virtual tables, which have no pages: what they hold is computed.
+            # Views and virtual tables, which have no pages, are left out: a hostile file may compute their rows without end.
             tables = {
                 row[0] for row in file.execute("select name from sqlite_master where type = 'table' and rootpage")
             }
@@ -246,7 +250,7 @@ def _sqlite(path: Path, bag: Bag) -> None:
                 decode = decoders.get(number)
                 if decode is not None and isinstance(data, bytes) and isinstance(stamp, int):
                     bag.add_message(*topics[number], stamp, data, decode)
-    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: where SQLite's own words quote bytes of the file
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: where SQLite's message quotes bytes of the file
         if not bag.topics:
             raise ImportDataError(f"{path}: damaged SQLite bag ({error})") from error
         bag.notes.append(f"the bag is damaged ({error}); the whole messages before are used")

@@ -1,9 +1,9 @@
 """ArduPilot dataflash (.bin, .log as text). Series are named 'MESSAGE.field', further instances of a sensor 'MESSAGE[1].field'.
 
 Format: ArduPilot developer guide, "Log messages": each file describes its own messages (FMT: length, field letters and names;
-FMTU: units, among them '#' for the field that tells instances apart). In a binary log every message begins with A3 95 and its
-type; bytes that are no message are stepped over. In a text log each line is a message: its name and its fields, parted by commas,
-scaled already; a line that has not as many fields as its FMT says is damage. Time is TimeUS since boot.
+FMTU: units, among them '#' for the field with the number of the instance). In a binary log every message begins with A3 95 and
+its type; bytes outside messages are skipped. In a text log each line is a message: its name and its scaled fields, separated by
+commas; a line with another number of fields than its FMT is damaged. Time is TimeUS since boot.
 """
 
 import math
@@ -25,35 +25,36 @@ Rows = list[tuple[float, dict[str, object]]]
 
 HEAD = b"\xa3\x95"
 MOST_BETWEEN_HEADS = 1000
-"""Bytes to a head of a message on average in a log whose beginning is lost: chance makes one in 64 kB."""
+"""Bytes for each head of a message, at most, in a log whose beginning is lost: random bytes hold one in 64 kB."""
+FEWEST_HEADS = 10  # in such a log
 _FMT, _FMT_SIZE = 128, 89
 _DESCRIPTION = struct.Struct("<BB4s16s64s")
 _FIRST_LINE = re.compile(rb"\s*FMT\s*,\s*\d+\s*,")
 
-# Field letter -> struct code and factor; letters without a factor here are text or arrays and are left out.
+# Field letter -> struct code and factor; None for text and arrays, which become no series.
 _LETTERS: dict[str, tuple[str, float | None]] = {
     **{code: (code, 1) for code in "bBhHiIqQfd"}, "g": ("e", 1), "M": ("B", 1),
     "c": ("h", 0.01), "C": ("H", 0.01), "e": ("i", 0.01), "E": ("I", 0.01), "L": ("i", 1e-7),
     "n": ("4s", None), "N": ("16s", None), "Z": ("64s", None), "a": ("64s", None),
 }  # fmt: skip
 TIME_UNITS = {"TimeUS": 1e-6, "TimeMS": 1e-3}
-"""First field of a message that is its time since boot -> seconds; TimeMS in logs before ArduPilot 3.3."""
-EVENTS = ("MODE", "MSG", "EV", "ERR", "ARM")  # messages that are words, or events, and no samples
+"""First field of a message, its time since boot -> unit [s]; TimeMS in logs before ArduPilot 3.3."""
+EVENTS = ("MODE", "MSG", "EV", "ERR", "ARM")  # messages of text or events
 
 
 def is_text(data: bytes) -> bool:
-    """Whether a log is the text form: it begins with the description of a message in words."""
+    """Whether a log has the text form: its first line describes a message."""
     return _FIRST_LINE.match(data) is not None
 
 
 def read_dataflash(path: Path) -> Log:
-    """All numeric fields of all timed messages. Raises ImportDataError when the file is not a dataflash log."""
+    """A dataflash log: all numeric fields of all timed messages. Raises ImportDataError for another file."""
     data = read_bytes(path, error=ImportDataError)
     return with_velocities(_read_text(path, data) if is_text(data) else _read_binary(path, data))
 
 
 def with_velocities(log: Log) -> Log:
-    """The log with VN and VE [m/s] beside each GPS's speed and course [deg]."""
+    """The log with VN and VE [m/s] from each GPS's speed and course [deg]."""
     series = dict(log.series)
     for gps in [n.rsplit(".", 1)[0] for n in series if n.endswith(".Spd") and n.startswith("GPS")]:
         speed, course = series[f"{gps}.Spd"], series.get(f"{gps}.GCrs")
@@ -71,6 +72,7 @@ def _dataflash_log(
     events: Mapping[str, Rows],
     parameters: Iterable[tuple[str, float]],
 ) -> Log:
+    """The log of its series, events and parameters (the last value of each). Raises ImportDataError without series."""
     if not series:
         raise ImportDataError(f"{path}: no timed messages in this dataflash log")
     marks = dataflash_marks(events, max(float(s.time[-1]) for s in series.values()))
@@ -104,7 +106,7 @@ class _BinaryMessage:
         return self.column(0) * TIME_UNITS[self.fields[0]]
 
     def column(self, index: int) -> Array:
-        """All values of one field (N,), in its unit. A field of text is none."""
+        """(N,) values of a numeric field, in its unit."""
         code, factor = _LETTERS[self.letters[index]]
         offset = struct.calcsize("<" + "".join(_LETTERS[c][0] for c in self.letters[:index]))
         kind = np.dtype({"names": ["x"], "formats": [f"<{code}"], "offsets": [offset], "itemsize": self.layout.size})
@@ -116,11 +118,11 @@ class _BinaryMessage:
         return _LETTERS[self.letters[index]][1] is not None
 
     def rows(self) -> Iterator[dict[str, object]]:
-        """The messages as fields by name."""
+        """Field by name of each message."""
         return (dict(zip(self.fields, row, strict=True)) for row in self.layout.iter_unpack(bytes(self.bodies)))
 
     def instances(self) -> Array:
-        """(N,) number of the sensor of each message; logs older than FMTU tell instances by a field named I."""
+        """(N,) number of the sensor of each message, by the field that FMTU marks, or I in logs older than FMTU."""
         index = self.instance
         if index is None:
             index = self.fields.index("I") if "I" in self.fields else 0
@@ -130,13 +132,13 @@ class _BinaryMessage:
 
 def _read_binary(path: Path, data: bytes) -> Log:
     headless = not data.startswith(HEAD)
-    if headless and data.count(HEAD) * MOST_BETWEEN_HEADS < max(len(data), 10 * MOST_BETWEEN_HEADS):
+    if headless and data.count(HEAD) * MOST_BETWEEN_HEADS < max(len(data), FEWEST_HEADS * MOST_BETWEEN_HEADS):
         raise ImportDataError(f"{path}: not an ArduPilot dataflash log (it does not begin with a message head)")
     messages, skipped = _binary_messages(data)
     if headless and not messages:
         raise ImportDataError(
             f"{path}: the beginning of this ArduPilot log is lost, and with it the descriptions of its messages (FMT): nothing "
-            "of the rest can be read; copy the log from the card anew"
+            "of the rest can be read; copy the log from the card again"
         )
     headless_note = "; its first bytes are lost, and messages described only there" if headless else ""
     notes = (f"{skipped} bytes of the log are damaged and left out{headless_note}",) if skipped or headless_note else ()
@@ -148,10 +150,9 @@ def _read_binary(path: Path, data: bytes) -> Log:
 
 
 def _binary_messages(data: bytes) -> tuple[dict[int, _BinaryMessage], int]:
-    """The messages by type, and how many bytes belong to none.
+    """The messages by type, and the number of bytes outside messages.
 
-    Behind damage the next head of a type that is described is searched as a pattern, so that any bytes are passed over in
-    time in proportion to their number.
+    After damage a regular expression finds the next head of a known type, in time proportional to the bytes.
     """
     messages: dict[int, _BinaryMessage] = {}
     heads = _heads(messages)
@@ -159,7 +160,7 @@ def _binary_messages(data: bytes) -> tuple[dict[int, _BinaryMessage], int]:
     while position + 3 <= len(data):
         size = _message_size(data, position, messages)
         if size:
-            if _keep_message(data, position, size, messages):
+            if _add_message(data, position, size, messages):
                 heads = _heads(messages)
             position += size
             continue
@@ -171,13 +172,13 @@ def _binary_messages(data: bytes) -> tuple[dict[int, _BinaryMessage], int]:
 
 
 def _heads(messages: dict[int, _BinaryMessage]) -> "re.Pattern[bytes]":
-    """What any message of a known type begins with."""
+    """A pattern for the beginning of a message of a known type."""
     kinds = b"".join(re.escape(bytes([kind])) for kind in (_FMT, *messages))
     return re.compile(re.escape(HEAD) + b"[" + kinds + b"]")
 
 
 def _message_size(data: bytes, position: int, messages: dict[int, _BinaryMessage]) -> int:
-    """Length of the message at a position, 0 when none that is known begins there, or it is cut off."""
+    """Length of the message at a position; 0 where no known one begins, or it is cut off."""
     if data[position : position + 2] != HEAD:
         return 0
     kind = data[position + 2]
@@ -185,14 +186,14 @@ def _message_size(data: bytes, position: int, messages: dict[int, _BinaryMessage
     return size if position + size <= len(data) else 0
 
 
-def _keep_message(data: bytes, position: int, size: int, messages: dict[int, _BinaryMessage]) -> bool:
-    """Keep the message at a position; whether it described a new type."""
+def _add_message(data: bytes, position: int, size: int, messages: dict[int, _BinaryMessage]) -> bool:
+    """Add the message at a position; returns whether it described a new type."""
     kind = data[position + 2]
     if kind == _FMT:
         number, length, name, letters, labels = _DESCRIPTION.unpack_from(data, position + 3)
         if number == _FMT or number in messages:
             return False
-        message = _described(_text(name), length, _text(letters), _text(labels))
+        message = _message_type(_text(name), length, _text(letters), _text(labels))
         if message is not None:
             messages[number] = message
         return message is not None
@@ -207,8 +208,8 @@ def _keep_message(data: bytes, position: int, size: int, messages: dict[int, _Bi
     return False
 
 
-def _described(name: str, length: int, letters: str, labels: str) -> _BinaryMessage | None:
-    """A message type from its FMT; None when the description does not fit together (damage)."""
+def _message_type(name: str, length: int, letters: str, labels: str) -> _BinaryMessage | None:
+    """A message type from its FMT; None for a description that contradicts itself (damage)."""
     fields = tuple(labels.split(",")) if labels else ()
     if not fields or len(fields) != len(letters) or any(c not in _LETTERS for c in letters):
         return None
@@ -233,6 +234,7 @@ def _binary_parameters(messages: dict[int, _BinaryMessage]) -> Iterator[tuple[st
 
 
 def _binary_series(messages: dict[int, _BinaryMessage]) -> dict[str, TimeSeries]:
+    """Series by MESSAGE.field, of each instance."""
     series: dict[str, TimeSeries] = {}
     names: set[str] = set()
     for kind, message in messages.items():
@@ -285,16 +287,16 @@ def _read_text(path: Path, data: bytes) -> Log:
             message.rows.append(cells)
     series: dict[str, TimeSeries] = {}
     for name, message in messages.items():
-        columns, unread = _text_series(name, message)
+        columns, damaged_lines = _text_series(name, message)
         series |= columns
-        damaged += unread
+        damaged += damaged_lines
     notes = (f"{damaged} lines of the log are damaged and left out",) if damaged else ()
     events = {n: _text_events(messages[n]) for n in EVENTS if n in messages}
     return _dataflash_log(path, series, notes, events, _text_parameters(messages.get("PARM")))
 
 
 def _describe_text(rest: str, messages: dict[str, _TextMessage]) -> bool:
-    """Use a FMT line: type, length, name, letters, fields."""
+    """Add the message of an FMT line (type, length, name, letters, fields); returns whether the line is sound."""
     cells = [c.strip() for c in rest.split(",")]
     if len(cells) < 5:
         return False
@@ -306,7 +308,7 @@ def _describe_text(rest: str, messages: dict[str, _TextMessage]) -> bool:
 
 
 def _text_series(name: str, message: _TextMessage) -> tuple[dict[str, TimeSeries], int]:
-    """The series of a message, and how many lines hold what are no numbers."""
+    """The series of a message, and the number of lines whose time is no number."""
     if not message.rows:
         return {}, 0
     numeric = [i for i, is_number in enumerate(message.numeric) if is_number]
@@ -322,7 +324,7 @@ def _text_series(name: str, message: _TextMessage) -> tuple[dict[str, TimeSeries
 
 
 def _text_events(message: _TextMessage) -> Rows:
-    """Time [s] and fields of messages that are words or events."""
+    """Time [s] and fields of a message of text or events."""
     unit = TIME_UNITS.get(message.fields[0], 0.0)
     rows = [(_number(row[0]) * unit, dict[str, object](zip(message.fields, row, strict=True))) for row in message.rows]
     return [(time, row) for time, row in rows if math.isfinite(time)]

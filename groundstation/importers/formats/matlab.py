@@ -24,12 +24,14 @@ from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import ImportedTable
 from groundstation.importers.mapping import FileFormat
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-_DESCRIPTIONS = ("units", "meaning", "about")  # structs of texts, which `sideslip export` writes beside the vectors
+_HDF5 = b"\x89HDF\r\n\x1a\n"  # at the beginning, or after MATLAB's own header of 512 bytes
+_BYTE_ORDERS = (b"IM", b"MI")  # at byte 126 of a MATLAB 5 file
+_DESCRIPTIONS = ("units", "meaning", "about")  # structs of texts that `sideslip export` writes beside the vectors
 MOST_RECORDS = 1000  # of a file; each becomes a segment
 FEWEST_ROWS = 2
 LEAST_UNPACKED, MOST_TIMES_PACKED = 2**26, 16
-"""A file may unpack to 64 MiB, or to 16 times its length: flight data compresses to a half, constants to almost nothing."""
+"""Bytes to which a file may decompress: 64 MiB, or 16 times its length. Flight data compress to a half, constants to almost
+nothing."""
 LONGEST_READING = 60  # [s] for a file; 100 MB take some 2 s
 _CHILD = Path(__file__).with_name("matlab_child.py")
 _NO_PACKAGE = 3  # exit status of the child without h5py
@@ -37,13 +39,14 @@ _NO_PACKAGE = 3  # exit status of the child without h5py
 
 def read_variables(path: Path) -> tuple[dict[str, Any], int]:
     """Variables by name: dictionaries (structs), lists (cells, arrays of structs), texts and arrays of numbers; and the number of
-    parts that were left out.
+    parts left out.
 
-    The file is read in a child process with limited memory and time. Raises ImportDataError for a damaged or another file.
+    A child process with limited memory and time reads the file. Raises ImportDataError for a damaged file or one of another
+    format.
     """
     data = read_bytes(path, error=ImportDataError)
     version = "7.3" if _HDF5 in (data[:8], data[512:520]) else "5"
-    if version == "5" and data[126:128] not in (b"IM", b"MI"):
+    if version == "5" and data[126:128] not in _BYTE_ORDERS:
         raise ImportDataError(
             f"{path}: not a MATLAB 5 or 7.3 file; save it with -v7 or -v7.3 (older ones, of MATLAB 4, are not read)"
         )
@@ -53,17 +56,17 @@ def read_variables(path: Path) -> tuple[dict[str, Any], int]:
         process = subprocess.run(child, capture_output=True, timeout=LONGEST_READING, check=False)
     except subprocess.TimeoutExpired:
         raise ImportDataError(
-            f"{path}: damaged MATLAB {version} file (no end after {LONGEST_READING} s); save it anew"
+            f"{path}: damaged MATLAB {version} file (no end after {LONGEST_READING} s); save it again"
         ) from None
     if process.returncode == _NO_PACKAGE:
         raise ImportDataError(
             f"{path}: reading MATLAB 7.3 files needs the package h5py; pip install 'sideslip[ground]'"
         )
     if process.returncode < 0 and version == "5":
-        raise ImportDataError(f"{path}: damaged MATLAB 5 file, at which its reader crashes; save it anew")
+        raise ImportDataError(f"{path}: damaged MATLAB 5 file, at which its reader crashes; save it again")
     if process.returncode:
         raise ImportDataError(
-            f"{path}: damaged MATLAB {version} file, or larger than {most_bytes} bytes when unpacked; save it anew with -v7"
+            f"{path}: damaged MATLAB {version} file, or larger than {most_bytes} bytes when unpacked; save it again with -v7"
         )
     with np.load(io.BytesIO(process.stdout), allow_pickle=False) as arrays:
         tree = json.loads(str(arrays["tree"]))
@@ -84,10 +87,11 @@ def _from_tree(node: Any, arrays: Any) -> Any:
     return None
 
 
-def tables_of(path: Path, variables: Mapping[str, Any], left_out: int, layout: FileFormat) -> list[ImportedTable]:
-    """The records among the variables of a MATLAB file, at most MOST_RECORDS. Raises ImportDataError where there is none."""
-    notes = (f"{left_out} variables that only MATLAB can read, or damaged, left out",) if left_out else ()
-    records = _records(_chosen(path, variables, layout.variable))[:MOST_RECORDS]
+def tables_of(path: Path, variables: Mapping[str, Any], excluded: int, layout: FileFormat) -> list[ImportedTable]:
+    """The records among the variables of a MATLAB file, at most MOST_RECORDS. excluded: number of parts that were left out.
+    Raises ImportDataError for a file without records."""
+    notes = (f"{excluded} variables that only MATLAB can read, or damaged, left out",) if excluded else ()
+    records = _records(_record_variable(path, variables, layout.variable))[:MOST_RECORDS]
     tables = [table for table in (_table(record, notes) for record in records) if table.numeric]
     if not tables:
         names = listed(map(plain_name, variables), 12) or "nothing that can be read"
@@ -98,8 +102,8 @@ def tables_of(path: Path, variables: Mapping[str, Any], left_out: int, layout: F
     return tables
 
 
-def _chosen(path: Path, variables: Mapping[str, Any], name: str | None) -> Any:
-    """The variable that a mapping names; all variables without a name."""
+def _record_variable(path: Path, variables: Mapping[str, Any], name: str | None) -> Any:
+    """The variable that a mapping names; all variables where it names none."""
     if name is None:
         return variables
     if name not in variables:
@@ -124,6 +128,7 @@ def _records(variable: Any) -> list[Mapping[str, Any]]:
 
 
 def _is_vector(value: Any) -> bool:
+    """Whether a value is an array with the rows of a record."""
     return isinstance(value, np.ndarray) and value.size >= FEWEST_ROWS
 
 

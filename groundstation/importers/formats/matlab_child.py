@@ -1,11 +1,12 @@
-"""Reads one MATLAB file and writes what is in it to standard output as .npz: run by `matlab`, never imported.
+"""Reads one MATLAB file and writes its content to standard output as .npz: run by `matlab`, never imported.
 
-Arguments: the file, and the most bytes of numbers in it. It imports nothing of ours, for it runs without our path. The libraries
-trust what a file says of itself; a spoilt one can make them crash, turn in circles or take all memory, which ends here.
+Arguments: the file, and the largest number of bytes of its numbers. It runs without Sideslip's path and imports nothing of it.
+The libraries trust a file's own sizes and offsets: a damaged one can crash them, loop forever or take all memory, and this
+process contains that.
 
 Format: MathWorks, "MAT-File Format" (level 5) and "MAT-File Versions" (7.3: HDF5). In HDF5 as MATLAB uses it a struct is a group,
 an array of structs a group of arrays of references, a cell an array of references, all into `#refs#`; arrays are transposed;
-MATLAB_class tells which is which.
+the attribute MATLAB_class distinguishes them.
 """
 
 import contextlib
@@ -19,34 +20,39 @@ from typing import Any
 
 DEEPEST = 16  # structs within structs; flight records have three or four
 MOST_NODES = 100_000  # arrays within arrays
+LONGEST_TEXT = 4096  # letters, in HDF5
 CPU_S = 30
-OTHER_MEMORY = 2**29  # Python, numpy, scipy and HDF5 themselves
+OTHER_MEMORY = 2**29  # bytes of Python, numpy, scipy and HDF5 themselves
+COPIES = 4  # of the numbers, that reading and writing hold at once
 NO_PACKAGE = 3  # exit status
 HDF5 = b"\x89HDF\r\n\x1a\n"
-V5_HEADER, COMPRESSED = 128, 15
+V5_HEADER = 128  # bytes
 
 
 class Tree:
-    """What a file holds as JSON ({"struct": ...}, {"list": ...}, {"text": ...}, {"array": name}) and the arrays beside it."""
+    """Budget and arrays of a file's content, which becomes JSON: {"struct": ...}, {"list": ...}, {"text": ...}, {"array": name}.
 
-    def __init__(self, most: int) -> None:
-        self.bytes, self.nodes, self.left_out = most, MOST_NODES, 0
+    bytes, nodes: that may still come; left_out: number of parts that cannot be read.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self.bytes, self.nodes, self.left_out = most_bytes, MOST_NODES, 0
         self.arrays: dict[str, Any] = {}
 
     def count(self, depth: int) -> None:
-        """Raise MemoryError for one part too many."""
+        """Count one part. Raises MemoryError for one too many."""
         self.nodes -= 1
         if self.nodes < 0 or depth > DEEPEST:
             raise MemoryError("too many parts")
 
     def reserve(self, elements: int) -> None:
-        """Raise MemoryError where so many numbers more, in double precision, are more than is allowed."""
+        """Count so many numbers in double precision. Raises MemoryError where they are too many."""
         self.bytes -= 8 * elements
         if self.bytes < 0:
             raise MemoryError("larger than allowed")
 
     def array(self, values: Any) -> dict[str, str]:
-        """Keep an array of numbers."""
+        """Store an array of numbers; returns its node."""
         name = f"a{len(self.arrays)}"
         self.arrays[name] = values.astype(float)
         return {"array": name}
@@ -56,7 +62,7 @@ class Tree:
 
 
 def v5_variables(data: bytes, tree: Tree) -> dict[str, Any]:
-    """Each variable by itself, so that a damaged one, or one that only MATLAB can read, costs only itself."""
+    """The variables, read one by one, so that a damaged one, or one that only MATLAB can read, affects no other."""
     from scipy.io import loadmat
 
     variables: dict[str, Any] = {}
@@ -70,6 +76,7 @@ def v5_variables(data: bytes, tree: Tree) -> dict[str, Any]:
 
 
 def _v5_elements(data: bytes) -> Iterator[bytes]:
+    """The data elements of a file, each with its head."""
     order = "<" if data[126:V5_HEADER] == b"IM" else ">"
     start = V5_HEADER
     while start + 8 <= len(data):
@@ -79,7 +86,7 @@ def _v5_elements(data: bytes) -> Iterator[bytes]:
 
 
 def _v5_node(value: Any, tree: Tree, depth: int = 0) -> Any:
-    """Raises ValueError for what only MATLAB can read: objects, tables, functions; and for sparse matrices."""
+    """The node of a value. Raises ValueError for objects, tables and functions, which only MATLAB reads, and sparse matrices."""
     import numpy as np
 
     tree.count(depth)
@@ -105,7 +112,7 @@ def _v5_node(value: Any, tree: Tree, depth: int = 0) -> Any:
 
 
 def hdf5_variables(path: str, tree: Tree) -> dict[str, Any]:
-    """The variables of the file; references are followed."""
+    """The variables of the file, with references followed."""
     import h5py
 
     with h5py.File(path, "r") as file:
@@ -113,7 +120,7 @@ def hdf5_variables(path: str, tree: Tree) -> dict[str, Any]:
 
 
 def _hdf5_node(item: Any, file: Any, tree: Tree, depth: int = 0) -> Any:
-    """None for what is no struct, list, text or array."""
+    """The node of a group or dataset; None for what is no struct, list, text or array."""
     import h5py
 
     tree.count(depth)
@@ -126,7 +133,7 @@ def _hdf5_node(item: Any, file: Any, tree: Tree, depth: int = 0) -> Any:
     if item.attrs.get("MATLAB_empty", 0):
         return {"text": ""} if matlab_class == "char" else None
     if matlab_class == "char":
-        return {"text": "".join(map(chr, _hdf5_values(item, tree).ravel()[:4096].tolist()))}
+        return {"text": "".join(map(chr, _hdf5_values(item, tree).ravel()[:LONGEST_TEXT].tolist()))}
     if item.dtype.kind not in "biuf" or matlab_class.startswith("function"):
         tree.left_out += 1
         return None
@@ -134,6 +141,7 @@ def _hdf5_node(item: Any, file: Any, tree: Tree, depth: int = 0) -> Any:
 
 
 def _hdf5_group(item: Any, file: Any, tree: Tree, depth: int) -> Any:
+    """The node of a struct or of an array of structs."""
     fields = {str(n): _hdf5_node(item[n], file, tree, depth + 1) for n in item if not str(n).startswith("#")}
     lists = [v["list"] for v in fields.values() if isinstance(v, dict) and "list" in v]
     unclassed = [n for n in item if isinstance(fields.get(n), dict) and "MATLAB_class" not in item[n].attrs]
@@ -143,6 +151,7 @@ def _hdf5_group(item: Any, file: Any, tree: Tree, depth: int) -> Any:
 
 
 def _hdf5_values(item: Any, tree: Tree) -> Any:
+    """The content of a dataset, within the budget."""
     elements = 1
     for n in item.shape:
         elements *= int(n)
@@ -151,7 +160,7 @@ def _hdf5_values(item: Any, tree: Tree) -> Any:
 
 
 def _limit(name: str, value: int) -> None:
-    """Bound this process; where the system has no such bound (Windows), time and sizes of the reader stand alone."""
+    """Limit a resource of this process; without such limits (Windows), the time and sizes that the reader allows remain."""
     try:
         import resource
     except ModuleNotFoundError:
@@ -160,7 +169,8 @@ def _limit(name: str, value: int) -> None:
         resource.setrlimit(getattr(resource, name), (value, value))
 
 
-def main(path: str, most: int) -> None:
+def main(path: str, most_bytes: int) -> None:
+    """Read the file at `path` and write the .npz."""
     _limit("RLIMIT_CPU", CPU_S)
     _limit("RLIMIT_CORE", 0)
     with open(path, "rb") as file:
@@ -175,9 +185,9 @@ def main(path: str, most: int) -> None:
             import scipy.io  # noqa: F401
     except ModuleNotFoundError:
         sys.exit(NO_PACKAGE)
-    _limit("RLIMIT_DATA", OTHER_MEMORY + 4 * most)
+    _limit("RLIMIT_DATA", OTHER_MEMORY + COPIES * most_bytes)
     warnings.simplefilter("ignore")
-    tree = Tree(most)
+    tree = Tree(most_bytes)
     variables = hdf5_variables(path, tree) if hdf5 else v5_variables(data, tree)
     text = json.dumps({"variables": variables, "left_out": tree.left_out})
     archive = io.BytesIO()

@@ -26,7 +26,7 @@ def topics_of(variables: object) -> tuple[Log, Map] | None:
     """The topics of a MATLAB file as one log, with the mapping of its kind; None for a file without topics."""
     if not isinstance(variables, Mapping):
         return None
-    topics = _labelled(variables) or _structs(variables)
+    topics = _labelled_matrices(variables) or _structs(variables)
     if len(topics) < 2:
         return None
     for kind, times, base in (("dataflash", TIME_UNITS, "ardupilot"), ("ulog", _PX4_TIME, "px4")):
@@ -38,12 +38,11 @@ def topics_of(variables: object) -> tuple[Log, Map] | None:
     lengths = {s.time.size for s in series.values()}
     if len(lengths) < 2:
         return None  # topics of one length are records, or parts of one: `matlab.tables_of`
-    return Log("table", series, notes=(f"{len(topics)} topics with times of their own, joined on time",)), _by_name(
-        series
-    )
+    log = Log("table", series, notes=(f"{len(topics)} topics with times of their own, joined on time",))
+    return log, _map_by_name(series)
 
 
-def _labelled(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
+def _labelled_matrices(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
     """Topic -> column -> values (n,), of matrices with labels."""
     topics = {}
     for name, table in variables.items():
@@ -84,7 +83,7 @@ def _series(
     return series
 
 
-def _by_name(series: Mapping[str, TimeSeries]) -> Map:
+def _map_by_name(series: Mapping[str, TimeSeries]) -> Map:
     """A mapping of the fields that have names of flight columns, in SI."""
     columns: dict[str, tuple[ColumnSource, ...]] = {}
     for name in series:

@@ -1,7 +1,7 @@
-"""Messages of ROS 1, as MCAP files carry them that were made of its bags: encoding `ros1`, definitions `ros1msg`.
+"""Messages of ROS 1 in MCAP files that were converted from its bags: encoding `ros1`, definitions `ros1msg`.
 
-Fields stand one behind the other, little-endian, nothing between them; a string and an array without a length begin with their
-count (wiki.ros.org/msg, mcap.dev/spec/registry).
+Fields follow each other, little-endian, without padding; a string and an array of variable length begin with their count
+(wiki.ros.org/msg, mcap.dev/spec/registry).
 """
 
 import re
@@ -16,14 +16,14 @@ NUMBERS: Mapping[str, str] = {
 }  # fmt: skip
 STAMPS: Mapping[str, str] = {"time": "<II", "duration": "<ii"}
 MOST_PARTS = 1 << 16
-"""Messages within one message: parts that take no bytes could stand in it without end."""
+"""Messages within one message: an array of messages without fields takes no bytes and could be endless."""
 _SECTION = re.compile(r"^=+\n", re.MULTILINE)
 _FIELD = re.compile(r"([\w/]+)(\[(\d*)\])?\s+(\w+)")
 
 
 @dataclass(frozen=True, slots=True)
 class _MessageField:
-    """kind: of its elements; count: of an array, -1 where each message says it, None of a single value."""
+    """kind: of its elements; count: of an array, -1 where each message states it, None for a single value."""
 
     name: str
     kind: str
@@ -31,54 +31,54 @@ class _MessageField:
 
 
 def ros1_decoder(name: str, definition: str) -> Callable[[bytes], dict[str, Any]]:
-    """What reads messages of a kind; a stamp is a mapping with `sec` and `nanosec`. Raises ValueError for a definition that
+    """The decoder of a kind of message; a stamp is a mapping with `sec` and `nanosec`. Raises ValueError for a definition that
     lacks one of its parts."""
-    head, *others = _SECTION.split(definition.replace("\r\n", "\n"))
+    head, *sections = _SECTION.split(definition.replace("\r\n", "\n"))
     texts = {name: head}
-    for section in others:
+    for section in sections:
         first, _, text = section.partition("\n")
         texts[first.removeprefix("MSG:").strip()] = text
     kinds = {kind: [_field(line, kind, texts) for line in _lines(text)] for kind, text in texts.items()}
     parts = 0
 
-    def message(kind: str, data: bytes, at: int) -> tuple[dict[str, Any], int]:
+    def message(kind: str, data: bytes, offset: int) -> tuple[dict[str, Any], int]:
         nonlocal parts
         parts += 1
         if parts > MOST_PARTS:
             raise ValueError(f"more than {MOST_PARTS} messages within one")
         values: dict[str, Any] = {}
         for field in kinds[kind]:
-            values[field.name], at = value(field, data, at)
-        return values, at
+            values[field.name], offset = value(field, data, offset)
+        return values, offset
 
-    def value(field: _MessageField, data: bytes, at: int) -> tuple[Any, int]:
+    def value(field: _MessageField, data: bytes, offset: int) -> tuple[Any, int]:
         count = field.count
         if count == -1:
-            count, at = struct.unpack_from("<I", data, at)[0], at + 4
-        if count is not None and count > len(data) - at:
-            raise ValueError(f"{count} elements in {len(data) - at} bytes")
+            count, offset = struct.unpack_from("<I", data, offset)[0], offset + 4
+        if count is not None and count > len(data) - offset:
+            raise ValueError(f"{count} elements in {len(data) - offset} bytes")
         if field.kind in NUMBERS and count is not None:
             layout = struct.Struct(f"<{count}{NUMBERS[field.kind]}")
-            return layout.unpack_from(data, at), at + layout.size
+            return layout.unpack_from(data, offset), offset + layout.size
         if count is None:
-            return single(field.kind, data, at)
+            return single(field.kind, data, offset)
         items = []
         for _ in range(count):
-            item, at = single(field.kind, data, at)
+            item, offset = single(field.kind, data, offset)
             items.append(item)
-        return items, at
+        return items, offset
 
-    def single(kind: str, data: bytes, at: int) -> tuple[Any, int]:
+    def single(kind: str, data: bytes, offset: int) -> tuple[Any, int]:
         if kind in NUMBERS:
             layout = struct.Struct(f"<{NUMBERS[kind]}")
-            return layout.unpack_from(data, at)[0], at + layout.size
+            return layout.unpack_from(data, offset)[0], offset + layout.size
         if kind in STAMPS:
-            sec, nanosec = struct.unpack_from(STAMPS[kind], data, at)
-            return {"sec": sec, "nanosec": nanosec}, at + 8
+            sec, nanosec = struct.unpack_from(STAMPS[kind], data, offset)
+            return {"sec": sec, "nanosec": nanosec}, offset + 8
         if kind == "string":
-            end = at + 4 + struct.unpack_from("<I", data, at)[0]
-            return data[at + 4 : end].decode("utf-8", "replace"), end
-        return message(kind, data, at)
+            end = offset + 4 + struct.unpack_from("<I", data, offset)[0]
+            return data[offset + 4 : end].decode("utf-8", "replace"), end
+        return message(kind, data, offset)
 
     def decode(data: bytes) -> dict[str, Any]:
         nonlocal parts
@@ -89,12 +89,13 @@ def ros1_decoder(name: str, definition: str) -> Callable[[bytes], dict[str, Any]
 
 
 def _lines(text: str) -> list[str]:
-    """The lines of a definition that are fields: no remarks, no constants."""
+    """The lines of a definition that are fields, without comments and constants."""
     lines = (line.partition("#")[0].strip() for line in text.split("\n"))
     return [line for line in lines if line and "=" not in line]
 
 
-def _field(line: str, owner: str, known: Mapping[str, str]) -> _MessageField:
+def _field(line: str, owner: str, kinds: Mapping[str, str]) -> _MessageField:
+    """The field of a line in the definition of `owner`. kinds: of messages that are defined. Raises ValueError."""
     match = _FIELD.fullmatch(line)
     if match is None:
         raise ValueError(f"no field: {line[:60]}")
@@ -104,7 +105,7 @@ def _field(line: str, owner: str, known: Mapping[str, str]) -> _MessageField:
         return _MessageField(name, kind, count)
     package = owner.rpartition("/")[0]
     candidates = (kind, f"{package}/{kind}", *(["std_msgs/Header"] if kind == "Header" else []))
-    full = next((c for c in candidates if c in known), None)
+    full = next((c for c in candidates if c in kinds), None)
     if full is None:
-        raise ValueError(f"nothing says what {kind} is")
+        raise ValueError(f"no definition of {kind}")
     return _MessageField(name, full, count)

@@ -54,10 +54,11 @@ _MESSAGES: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }  # fmt: skip
 
 
-def _whole(text: str, parts: tuple[str, ...]) -> str:
+def _with_parts(text: str, parts: tuple[str, ...]) -> str:
+    """A definition followed by those of its parts."""
     names = ("std_msgs/Header", "builtin_interfaces/Time", *parts)
     return text + "".join(f"{_LINE}\nMSG: {n}\n{_PARTS[n]}" for n in names)
 
 
-STANDARD: Mapping[str, str] = {name: _whole(*made) for name, made in _MESSAGES.items()}
-"""Type -> its definition with those of its parts, as MCAP writes them."""
+STANDARD: Mapping[str, str] = {name: _with_parts(*message) for name, message in _MESSAGES.items()}
+"""Type -> its definition with those of its parts, in the form that MCAP uses."""

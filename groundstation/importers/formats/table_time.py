@@ -1,10 +1,10 @@
-"""The time of a table's rows from a column of numbers, dates, times of day, IRIG time or day numbers; clocks that were set back.
+"""The time of a table's rows from a column of numbers, dates, times of day, IRIG time or day numbers; clocks that step back.
 
 IRIG 200-04: day of the year, hours, minutes and seconds as DDD:HH:MM:SS.mmm.
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -18,16 +18,27 @@ from groundstation.flight.files.csv_columns import is_number
 from groundstation.flight.quality.plausibility import DAY_NUMBERS
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import Time
+from groundstation.importers.series import RECORD_GAP
 from groundstation.importers.units import find_unit
 
 DAY, HOUR = 86400.0, 3600.0
-RECORD_GAP = 1.0  # s between two records of one file, where its clock restarts or was set back
 SHORTEST_RUN = 8  # rows between two steps back of a clock that was set; shorter runs are rows out of order
 EXCEL_DAYS, MATLAB_DAYS = DAY_NUMBERS
+LONGEST_FLIGHT_DAYS = 2.0  # of values that are recognised as day numbers
+LARGEST_SECONDS = 1e6
+"""[s] of a first stamp: larger ones (us since 1970, days since 1899) are counted from the first, to keep their digits."""
+FEWEST_ROWS = 10  # of coarse stamps that are put on even times
+MOST_STEPS, STEP_DECIMALS = 4, 6
+"""Different steps of coarse stamps, at most, and the decimals [s] to which steps are compared."""
+SENTINELS = (-9999.0, -999.0, -99999.0, -9999.99, -999.99, -32768.0, 9999.0, 99999.0, 1e20, -1e20)
+"""Numbers that programs write for a missing value."""
+OUTLIER_FACTOR = 5.0  # times the largest other value of a column, from which such a number counts as missing
+FEWEST_VALUES = 3  # other values of a column, for that comparison
+COARSE_TOLERANCE = 1.1  # resolutions of a coarse stamp, by which it may differ from its even time
 
 YEAR_DAYS = 365
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,:]\d*)?)(?:\s*([AaPp])\.?[Mm]\.?)?")
-"""Time of day, with the day of the year before it in IRIG time, or which half of the day behind it."""
+"""Time of day, after the day of the year in IRIG time, or before AM or PM."""
 _MINUTES = re.compile(r"(\d{1,2}):(\d{2}[.,]\d+)")
 """Minutes and seconds, as Excel shows a time of day and writes it to CSV."""
 _CALENDAR = re.compile(r"(\d{1,4}[./-]\d{1,2}[./-]\d{1,4})[ T,]+(\d.*)")
@@ -41,7 +52,7 @@ _ONE_STAMP = (re.compile(r"(?i)(?:.*[._/])?header[._/]stamp"), re.compile(r"%tim
 @dataclass(frozen=True)
 class Stamps:
     """seconds: (N,) times of the rows [s], NaN where missing; record: (N,) number of each row's record, None for one record;
-    notes: sentences; origin: the file's clock at 0 [s]."""
+    origin: time of the file's clock at 0 [s]."""
 
     seconds: Array
     record: Array | None = None
@@ -56,7 +67,7 @@ def stamps_of(
     dates: Mapping[str, Array],
     time: Time,
 ) -> Stamps:
-    """Seconds of each row. numeric: columns of numbers (N,), dates: of moments (N,) [s], words: cells of those of text.
+    """The time of each row. numeric: columns of numbers (N,); words: cells of text columns; dates: columns of dates (N,) [s].
 
     Raises ImportDataError naming column and cell for a time that cannot be read.
     """
@@ -67,9 +78,11 @@ def stamps_of(
     elif name in dates:
         stamps = _with_seconds_filled(name, Stamps(dates[name]))
     elif name in words:
-        stamps = _with_seconds_filled(name, _of_words(path, name, words[name], words.get(time.date or "", ()), time))
+        stamps = _with_seconds_filled(
+            name, _stamps_of_words(path, name, words[name], words.get(time.date or "", ()), time)
+        )
     elif name in numeric:
-        stamps = _of_numbers(path, name, numeric[name], time)
+        stamps = _stamps_of_numbers(path, name, numeric[name], time)
     else:
         columns = listed([*numeric, *words, *dates], 12)
         raise ImportDataError(f"{path}: no column {name!r} for the time; found {columns}")
@@ -95,8 +108,8 @@ class SenderStamp:
 
 
 def stamp_columns(names: Sequence[str]) -> tuple[str, ...]:
-    """The columns of a ROS header's stamp as exporters of bags write them: seconds and nanoseconds (bagpy, ros2 tools), or one of
-    nanoseconds (`rostopic echo -p`: field.header.stamp, and %time of its receiver); empty without a stamp."""
+    """The columns of a ROS header's stamp as exporters of bags write them: seconds and nanoseconds (bagpy, ros2 tools), or one
+    with nanoseconds (`rostopic echo -p`: field.header.stamp, or %time of the receiver); empty without a stamp."""
     for name in names:
         match = _SECONDS.fullmatch(name.strip())
         if match:
@@ -120,7 +133,8 @@ def sender_stamp(numeric: Mapping[str, Array]) -> SenderStamp | None:
 # ------------------------------------------------------------------------------------------------------------- numbers
 
 
-def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
+def _stamps_of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
+    """Stamps from numbers (N,) in the unit of `time`."""
     if time.unit == "iso":
         raise ImportDataError(f"{path}: time column {name!r} is a number, not a date; state its unit instead of iso")
     unit = find_unit(time.unit)
@@ -128,14 +142,13 @@ def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
         raise ImportDataError(f"{path}: time unit {time.unit!r} is not known; s, ms, us, ns, min, h, days or iso")
     if not np.isfinite(values).any():
         raise ImportDataError(f"{path}: time column {name!r} holds no number")
-    epoch = _epoch(values)
+    epoch = _epoch_words(values)
     if epoch and unit.scale in (60.0, 3600.0):
         raise ImportDataError(
             f"{path}: time column {name!r} runs from {np.nanmin(values):.6f} to {np.nanmax(values):.6f}, which are days {epoch}, "
             f'not {time.unit}; say so in a mapping file: [time] unit = "days"'
         )
-    # large stamps (us since 1970, days since 1899) lose digits as seconds in double precision: count from the first
-    first = np.nanmin(values) if unit.scale != 1 and np.nanmin(values) * unit.scale > 1e6 else 0.0
+    first = np.nanmin(values) if unit.scale != 1 and np.nanmin(values) * unit.scale > LARGEST_SECONDS else 0.0
     seconds = np.asarray((values - first) * unit.scale)
     origin = float(first * unit.scale)
     if unit.scale == DAY:
@@ -147,11 +160,11 @@ def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
     return _with_seconds_filled(name, Stamps(seconds, origin=origin))
 
 
-def _epoch(values: Array) -> str:
-    """The words for the epoch of values that are probably days: fractional, of the present age, within two days; empty for
-    others."""
+def _epoch_words(values: Array) -> str:
+    """The epoch in words of values that are probably day numbers: fractional, of the present age, within LONGEST_FLIGHT_DAYS;
+    empty for others."""
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    if high - low > 2.0 or not np.any(values % 1.0):
+    if high - low > LONGEST_FLIGHT_DAYS or not np.any(values % 1.0):
         return ""
     for (first, last), words in ((EXCEL_DAYS, "since 1899-12-30 (Excel)"), (MATLAB_DAYS, "since the year 0 (MATLAB)")):
         if first < low and high < last:
@@ -160,37 +173,43 @@ def _epoch(values: Array) -> str:
 
 
 def _regular_times(seconds: Array) -> Array | None:
-    """Evenly spaced times of which the stamps are the rounded values; None where the stamps are not rounded or not even."""
+    """(N,) even times that the stamps (N,) round; None for stamps that are not coarse, or not even."""
     steps = np.diff(seconds)
-    if seconds.size < 10 or not np.all(steps > 0):
+    if seconds.size < FEWEST_ROWS or not np.all(steps > 0):
         return None
-    kinds = np.unique(np.round(steps, 6))
-    if kinds.size > 4:
+    distinct = np.unique(np.round(steps, STEP_DECIMALS))
+    if distinct.size > MOST_STEPS:
         return None
-    quantum = float(np.min(np.diff(kinds))) if kinds.size > 1 else 0.0
+    resolution = float(np.min(np.diff(distinct))) if distinct.size > 1 else 0.0
     row = np.arange(seconds.size)
     step = (seconds[-1] - seconds[0]) / (seconds.size - 1)
     regular = seconds[0] + step * row
     regular = regular + float(np.median(seconds - regular))
-    return regular if np.max(np.abs(seconds - regular)) <= 1.1 * quantum else None
+    return regular if np.max(np.abs(seconds - regular)) <= COARSE_TOLERANCE * resolution else None
 
 
 def _with_seconds_filled(name: str, stamps: Stamps) -> Stamps:
-    """The stamps; where they are whole seconds, the rows are spread over each second."""
-    spread = _spread(stamps.seconds)
+    """The stamps, with the rows spread over each second where stamps are whole seconds."""
+    spread = _spread_over_seconds(stamps.seconds)
     if spread is None:
         return stamps
     note = f"time column {plain_name(name)} has whole seconds only: its rows were spread over each second"
     return replace(stamps, seconds=spread, notes=(*stamps.notes, note))
 
 
-def _spread(seconds: Array) -> Array | None:
-    """Stamps with the rows of each whole second spread over it, in their order; None where stamps are not whole seconds, or too
-    few rows share one.
+def _spread_over_seconds(seconds: Array) -> Array | None:
+    """(N,) stamps with the rows of each whole second spread over it, in their order; None where stamps are not whole seconds, or
+    too few rows share one.
 
-    The first and the last second are usually incomplete: their rows lie at the end, and at the beginning, of the second.
+    The first second is usually incomplete, and so is the last: the rows of the first are put at its end, those of the last at
+    its beginning.
     """
-    if seconds.size < 10 or not np.all(np.isfinite(seconds)) or np.any(seconds % 1.0) or np.any(np.diff(seconds) < 0):
+    if (
+        seconds.size < FEWEST_ROWS
+        or not np.all(np.isfinite(seconds))
+        or np.any(seconds % 1.0)
+        or np.any(np.diff(seconds) < 0)
+    ):
         return None
     begins = np.flatnonzero(np.concatenate([[True], np.diff(seconds) > 0]))
     counts = np.diff(np.append(begins, seconds.size))
@@ -207,22 +226,23 @@ def _spread(seconds: Array) -> Array | None:
 # --------------------------------------------------------------------------------------------------------------- words
 
 
-def _of_words(path: Path, name: str, cells: Sequence[str], days: Sequence[str], time: Time) -> Stamps:
+def _stamps_of_words(path: Path, name: str, cells: Sequence[str], days: Sequence[str], time: Time) -> Stamps:
+    """Stamps from text: dates or times of day. days: cells of the column of dates, or empty."""
     first = next((c for c in cells if c), "")
     if _CLOCK.fullmatch(first):
-        return _clocks(path, name, cells, days)
+        return _stamps_of_times_of_day(path, name, cells, days)
     if _MINUTES.fullmatch(first):
-        return _minutes(path, name, cells)
+        return _stamps_of_minutes(path, name, cells)
     match = _CALENDAR.fullmatch(first)
     if match is not None and _CLOCK.fullmatch(match[2]) and not _is_date(first):
         split = [cell.partition(match[0][len(match[1])]) for cell in cells]
-        return _clocks(path, name, [c.lstrip(" T,") for _, _, c in split], [day for day, _, _ in split])
+        return _stamps_of_times_of_day(path, name, [c.lstrip(" T,") for _, _, c in split], [day for day, _, _ in split])
     if time.unit != "iso" and not _is_date(first):
         word = next((c for c in cells if c and not is_number(c)), first)
         raise ImportDataError(
             f'{path}: time column {name!r} holds {one_line(word, 60)!r}, not a number; dates need unit = "iso"'
         )
-    return _dates(path, name, cells)
+    return _stamps_of_dates(path, name, cells)
 
 
 def _is_date(cell: str) -> bool:
@@ -233,7 +253,7 @@ def _is_date(cell: str) -> bool:
     return not cell.isdigit()
 
 
-def _dates(path: Path, name: str, cells: Sequence[str]) -> Stamps:
+def _stamps_of_dates(path: Path, name: str, cells: Sequence[str]) -> Stamps:
     stamps = []
     for cell in cells:
         try:
@@ -256,8 +276,8 @@ def _dates(path: Path, name: str, cells: Sequence[str]) -> Stamps:
     return Stamps(seconds, origin=(stamps[0] - epoch).total_seconds())
 
 
-def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) -> Stamps:
-    """Times of day, with the day of the year before them (IRIG) or with a column of dates; over midnight too."""
+def _stamps_of_times_of_day(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) -> Stamps:
+    """Stamps from times of day, with the day of the year before them (IRIG) or a column of dates; also over midnight."""
     clock = np.full(len(cells), np.nan)
     irig = False
     for i, cell in enumerate(cells):
@@ -280,8 +300,8 @@ def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) ->
     return Stamps(clock - first, notes=(f"time column {name}: {words}, counted from the first",), origin=float(first))
 
 
-def _minutes(path: Path, name: str, cells: Sequence[str]) -> Stamps:
-    """Minutes and seconds without the hour; a step back by more than half an hour means that an hour has passed."""
+def _stamps_of_minutes(path: Path, name: str, cells: Sequence[str]) -> Stamps:
+    """Stamps from minutes and seconds without the hour; a step back of more than half an hour begins the next hour."""
     clock = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
         match = _MINUTES.fullmatch(cell)
@@ -291,26 +311,26 @@ def _minutes(path: Path, name: str, cells: Sequence[str]) -> Stamps:
             )
         if match is not None:
             clock[i] = 60.0 * float(match[1]) + float(match[2].replace(",", "."))
-    known = np.flatnonzero(np.isfinite(clock))
-    clock[known[1:]] += HOUR * np.cumsum(np.diff(clock[known]) < -0.5 * HOUR)
+    rows = np.flatnonzero(np.isfinite(clock))
+    clock[rows[1:]] += HOUR * np.cumsum(np.diff(clock[rows]) < -0.5 * HOUR)
     note = f"time column {plain_name(name)}: minutes and seconds without the hour, counted from the first"
-    return Stamps(clock - clock[known[0]], notes=(note,), origin=float(clock[known[0]]))
+    return Stamps(clock - clock[rows[0]], notes=(note,), origin=float(clock[rows[0]]))
 
 
 def _days_passed(clock: Array, irig: bool) -> Array:
     """(N,) [s] to add to the clock: a day for every midnight; in IRIG time a year wherever the day of the year restarts, of 366
-    days if the last row before was of day 366."""
-    known = np.flatnonzero(np.isfinite(clock))
-    values = clock[known]
+    days if the row before was of day 366."""
+    rows = np.flatnonzero(np.isfinite(clock))
+    values = clock[rows]
     falls = np.diff(values) < (-0.5 * YEAR_DAYS * DAY if irig else -0.5 * DAY)
     lengths = np.where(values[:-1] // DAY > YEAR_DAYS, YEAR_DAYS + 1, YEAR_DAYS) * DAY if irig else DAY
-    later = np.zeros(clock.size)
-    later[known[1:]] = np.cumsum(falls * lengths)
-    return later
+    passed = np.zeros(clock.size)
+    passed[rows[1:]] = np.cumsum(falls * lengths)
+    return passed
 
 
 def _day_numbers(days: Sequence[str]) -> Array:
-    """(N,) day number of each row: by the calendar for ISO dates, else one more wherever the date changes."""
+    """(N,) day number of each row: of the calendar for ISO dates; for other dates one more wherever the date changes."""
     try:
         return np.array([float(datetime.fromisoformat(d.replace("/", "-")).toordinal()) for d in days])
     except ValueError:
@@ -322,8 +342,8 @@ def _day_numbers(days: Sequence[str]) -> Array:
 
 
 def _records_where_set_back(stamps: Stamps) -> Stamps:
-    """Stamps with a new record wherever the clock steps back between two long runs of rows and repeats times: such rows must not
-    be merged by sorting. Runs that do not overlap are only in another order, which sorting corrects."""
+    """Stamps with a new record wherever the clock steps back between two long runs of rows and repeats times: sorting would mix
+    these rows. Runs that do not overlap are only in another order, which sorting corrects."""
     seconds = stamps.seconds
     if not np.all(np.isfinite(seconds)):
         return stamps
@@ -337,7 +357,7 @@ def _records_where_set_back(stamps: Stamps) -> Stamps:
     repeats = f", and {len(runs) - 2} times more" if len(runs) > 2 else ""
     text = (
         f"the clock falls back by {seconds[row - 1] - seconds[row]:.4g} s after row {row} (t = {seconds[row - 1]:.4g} s)"
-        f"{repeats}: what follows is a record of its own"
+        f"{repeats}: the rows after it are a separate record"
     )
     return _records_in_sequence(replace(stamps, notes=(*stamps.notes, text)), falls)
 
@@ -350,19 +370,19 @@ def _records_in_sequence(stamps: Stamps, restarts: Mask) -> Stamps:
     return replace(stamps, seconds=stamps.seconds + shift, record=number)
 
 
-SENTINELS = (-9999.0, -999.0, -99999.0, -9999.99, -999.99, -32768.0, 9999.0, 99999.0, 1e20, -1e20)
-"""Numbers that programs write for a missing value."""
-OUTLIER_FACTOR = 5.0  # over the largest other value of a column, from which such a number counts as missing
+# ------------------------------------------------------------------------------------------------------- missing values
 
 
-def without_sentinels(columns: Mapping[str, Array], shown: Callable[[str], str]) -> tuple[dict[str, Array], list[str]]:
-    """The columns with NaN in place of SENTINELS, and notes on them."""
+def without_sentinels(columns: Mapping[str, Array]) -> tuple[dict[str, Array], list[str]]:
+    """The columns (N,) with NaN in place of SENTINELS, and notes on them."""
     cleaned, notes = dict(columns), []
     for name, values in columns.items():
         for number in SENTINELS:
             sentinel = values == number
             rest = values[np.isfinite(values) & ~sentinel] if sentinel.any() else np.zeros(0)
-            if rest.size >= 3 and OUTLIER_FACTOR * float(np.max(np.abs(rest))) < abs(number):
+            if rest.size >= FEWEST_VALUES and OUTLIER_FACTOR * float(np.max(np.abs(rest))) < abs(number):
                 cleaned[name] = np.where(sentinel, np.nan, cleaned[name])
-                notes.append(f"column {shown(name)}: {int(sentinel.sum())} cells of {number:g} taken as not measured")
+                notes.append(
+                    f"column {plain_name(name)}: {int(sentinel.sum())} cells of {number:g} taken as not measured"
+                )
     return cleaned, notes

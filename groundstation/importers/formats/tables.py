@@ -32,15 +32,16 @@ from groundstation.importers.formats.table_text import (
 from groundstation.importers.formats.table_time import sender_stamp, stamp_columns, stamps_of, without_sentinels
 from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time
 from groundstation.importers.series import Log, TimeSeries
-from groundstation.importers.units import conversion, find_unit
+from groundstation.importers.units import conversion, find_unit, is_unit_of
 
-RECORD = "record number"  # series that counts the records of a file in which time begins anew
-WORDS_AMONG_NUMBERS = 0.1  # a column with a larger share of cells that are no numbers is one of words
+RECORD = "record number"  # series with the number of each row's record, in a file whose time restarts
+WORDS_AMONG_NUMBERS = 0.1  # share of a column's cells that are no numbers, above which it is a column of text
 DATE_NAMES = ("date", "Date", "DATE")  # columns that hold the day beside a time of day
 _TIME_NAMES = ("time", "t", "Time", "TIME", "time_s")
 FEW_UNEVEN, UNEVEN = 2, 0.01
-"""Lines, and share of them, without as many cells as the header that are left out: a logger's slips, not another table."""
-_CELLS_AT_ONCE = 400_000  # turned into numbers together: 30 MB as text
+"""Lines with another number of cells than the header that are left out, as a number or a share: more are another table."""
+FIRST_ROWS = 50  # by which units and the decimal mark are recognised
+_CELLS_AT_ONCE = 400_000  # converted together: 30 MB of text
 _HEADER_UNIT = re.compile(r"^\s*(?P<name>[^\[\](]+?)\s*[\[(]\s*(?P<unit>[^\])]*)\s*[\])]\s*$")
 _DIGIT = re.compile(r"\d")
 NAME_THE_TIME = (
@@ -57,8 +58,8 @@ def _bare(header: str) -> str:
 
 @dataclass(frozen=True)
 class ImportedTable:
-    """A table as read: columns of numbers (N,), of dates (N,) [s] after the first (firsts: [s since 1970]) and of words,
-    units of a row below the header, and notes. Cells of words are kept only of a column that can be the time."""
+    """A table as read. numeric: columns of numbers (N,); words: cells of text columns, empty unless the column can be the time;
+    dates: columns of dates (N,) [s] after the first, which is in firsts [s since 1970]; units: of a row below the header."""
 
     numeric: dict[str, Array]
     words: dict[str, list[str]]
@@ -67,11 +68,11 @@ class ImportedTable:
     units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     of_topic: bool = False
-    """Whether its rows are messages of a ROS topic, with the stamp of their header."""
+    """Whether its rows are messages of one ROS topic, with the stamps of their headers."""
 
 
 def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> ImportedTable:
-    """A CSV or Parquet table. time: where it is, as far as that is stated. Raises ImportDataError."""
+    """A CSV or Parquet table. time: the time column, None where the mapping does not state it. Raises ImportDataError."""
 
     def can_be_time(name: str) -> bool:
         return name in (time.column, time.date) if time else _bare(name) in (*_TIME_NAMES, *DATE_NAMES)
@@ -88,7 +89,7 @@ def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> Impo
 
 
 def _with_sender_stamp(table: ImportedTable) -> ImportedTable:
-    """The table with the stamp of a ROS header as its time, where it has one and no column `time`."""
+    """The table with the stamp of a ROS header as its time, where it has a stamp and no column `time`."""
     stamp = None if any(_bare(n) == "time" for n in table.numeric) else sender_stamp(table.numeric)
     if stamp is None:
         return table
@@ -98,6 +99,7 @@ def _with_sender_stamp(table: ImportedTable) -> ImportedTable:
 
 
 def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> ImportedTable:
+    """A text table. needs_time: whether one of the columns must be the time. Raises ImportDataError."""
     text, notes = without_end(text_of(path), layout)
     first_lines = list(itertools.islice(lines_of(text), LONGEST_PREAMBLE))
     last_line = text[text.rfind("\n", 0, -1) + 1 : -1]
@@ -114,7 +116,7 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
     _check_header(path, header)
     if needs_time:
         _check_time_column(path, header, can_be_time)
-    first_rows = list(itertools.islice(rows, layout.skip_after_header, layout.skip_after_header + 50))
+    first_rows = list(itertools.islice(rows, layout.skip_after_header, layout.skip_after_header + FIRST_ROWS))
     if not first_rows:
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
     units = unit_row(header, first_rows[0])
@@ -131,24 +133,25 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
 
 
 def _check_time_column(path: Path, header: list[str], can_be_time: Callable[[str], bool]) -> None:
+    """Raise ImportDataError for a header without a time column, or with nothing else."""
     if not any(can_be_time(h) and h not in DATE_NAMES for h in header) and not stamp_columns(header):
         raise ImportDataError(
             f"{path}: no column 'time', or the one named for it; found {listed(header, 12)}; {NAME_THE_TIME}"
         )
     if len(header) == 1:
         raise ImportDataError(
-            f"{path}: one column only, {header[0]!r}, and nothing beside it; if the cells are parted by a character that was not "
-            'seen, say which in a mapping file: [file] delimiter = "|"'
+            f"{path}: one column only, {header[0]!r}; if another character separates the cells, "
+            'name it in a mapping file: [file] delimiter = "|"'
         )
 
 
 class _MixedColumns:
-    """Cells turned into numbers, some hundred thousand at a time. first: line of the first row."""
+    """Columns of numbers and text, converted _CELLS_AT_ONCE cells at a time. first: line of the first row."""
 
     def __init__(
         self, path: Path, header: list[str], decimal: str, first: int, can_be_time: Callable[[str], bool]
     ) -> None:
-        self._path, self._header, self._decimal, self._first, self._row = path, header, decimal, first, first
+        self._path, self._header, self._decimal, self._first, self._line = path, header, decimal, first, first
         self._values: list[list[Array]] = [[] for _ in header]
         self._wrong = [0] * len(header)
         self._example: list[tuple[str, int] | None] = [None] * len(header)
@@ -157,49 +160,50 @@ class _MixedColumns:
         self._words: dict[int, list[str]] = {i: [] for i, name in enumerate(header) if can_be_time(name)}
 
     def read(self, rows: Iterator[list[str]], needs_time: bool) -> None:
-        """Use all rows. Raises ImportDataError naming the first of many lines that have not as many cells as the header.
+        """Read all rows. Raises ImportDataError naming the first line, where many have another number of cells than the header.
 
-        needs_time: one of the columns that can be the time must hold it; where none of some hundred thousand rows has a digit
-        there, no more are read.
+        needs_time: whether a column must hold the time; reading stops where none of the first block's rows has a digit there.
         """
-        at_once = max(1, _CELLS_AT_ONCE // len(self._header))
-        while block := list(itertools.islice(rows, at_once)):
-            whole = self._whole_rows(block)
-            columns = list(zip(*(row for _, row in whole), strict=True))
-            if needs_time and len(whole) == at_once and self._row == self._first:
+        rows_at_once = max(1, _CELLS_AT_ONCE // len(self._header))
+        while block := list(itertools.islice(rows, rows_at_once)):
+            complete = self._complete_rows(block)
+            columns = list(zip(*(row for _, row in complete), strict=True))
+            if needs_time and len(complete) == rows_at_once and self._line == self._first:
                 self._check_time(columns)
             for i, cells in enumerate(columns):
                 values, bad_rows = numbers_of_cells(cells, self._decimal)
                 self._values[i].append(values)
                 self._wrong[i] += len(bad_rows)
                 if bad_rows and self._example[i] is None:
-                    self._example[i] = (cells[bad_rows[0]].strip(), whole[bad_rows[0]][0])
+                    self._example[i] = (cells[bad_rows[0]].strip(), complete[bad_rows[0]][0])
                 if i in self._words:
                     self._words[i] += [cell.strip() for cell in cells]
-            self._row += len(block)
+            self._line += len(block)
 
-    def _whole_rows(self, block: list[list[str]]) -> list[tuple[int, list[str]]]:
-        """The rows of a block that have as many cells as the header and do not repeat it, each with its line."""
+    def _complete_rows(self, block: list[list[str]]) -> list[tuple[int, list[str]]]:
+        """The rows of a block with as many cells as the header that do not repeat it, each with its line number."""
         width = len(self._header)
-        numbered = list(enumerate(block, start=self._row))
+        numbered = list(enumerate(block, start=self._line))
         if set(map(len, block)) == {width} and self._header not in block:
             self._rows += len(block)
             return numbered
         self._uneven += [(line, len(row)) for line, row in numbered if len(row) != width]
-        whole = [(line, row) for line, row in numbered if len(row) == width and row != self._header]
-        self._repeated += len(block) - sum(len(row) != width for row in block) - len(whole)
-        self._rows += len(whole)
-        if len(self._uneven) > max(FEW_UNEVEN, UNEVEN * (self._row + len(block) - self._first)) or not whole:
+        complete = [(line, row) for line, row in numbered if len(row) == width and row != self._header]
+        self._repeated += block.count(self._header)
+        self._rows += len(complete)
+        rows_read = self._line + len(block) - self._first
+        if len(self._uneven) > max(FEW_UNEVEN, UNEVEN * rows_read) or not complete:
             line, cells = self._uneven[0] if self._uneven else (self._first, width)
             raise ImportDataError(
                 f"{self._path}: table line {line} has {cells} cells, the header has {width}; if the column names stand further "
-                "down, say in which line in a mapping file: [file] header_line"
+                "down, state their line in a mapping file: [file] header_line"
             )
-        return whole
+        return complete
 
     def _check_time(self, columns: Sequence[Sequence[str]]) -> None:
+        """Raise ImportDataError where no cell of a column that can be the time has a digit."""
         if not self._words or any(_DIGIT.search(" ".join(columns[i])) for i in self._words):
-            return  # the time is a stamp of numbers, or it is there
+            return  # without such columns the time is a stamp of numbers
         i = next(iter(self._words))
         word = next((cell.strip() for cell in columns[i] if cell.strip()), "")
         raise ImportDataError(
@@ -207,7 +211,7 @@ class _MixedColumns:
         )
 
     def table(self, units: dict[str, str], notes: list[str]) -> ImportedTable:
-        """What was read."""
+        """The table of all rows read, with notes added to `notes`."""
         numeric: dict[str, Array] = {}
         words: dict[str, list[str]] = {}
         if self._repeated:
@@ -233,16 +237,17 @@ class _MixedColumns:
         return ImportedTable(numeric, words, units=units, notes=tuple(notes))
 
 
-def _plain_columns(text: str, header: list[str], above: int, delimiter: str, decimal: str) -> list[Array] | None:
-    """The columns below so many lines, where they are nothing but numbers."""
+def _plain_columns(text: str, header: list[str], skip_lines: int, delimiter: str, decimal: str) -> list[Array] | None:
+    """The columns (N,) below the skipped lines where all cells are numbers or empty; else None."""
     if '"' in text or delimiter == " " or len(set(header)) < len(header):
         return None
     style = {"delimiter": delimiter, "decimal": decimal}
-    columns = plain_columns(text, header, skip_lines=above, empty=tuple(EMPTY), **style)
+    columns = plain_columns(text, header, skip_lines=skip_lines, empty=tuple(EMPTY), **style)
     return columns and [np.where(np.isinf(values), np.nan, values) for values in columns]
 
 
 def _check_header(path: Path, header: list[str]) -> None:
+    """Raise ImportDataError for no or too many names, numbers in place of names, or a repeated name."""
     if not any(header) or len(header) > MOST_COLUMNS:
         raise ImportDataError(
             f"{path}: {sum(map(bool, header))} column names of {len(header)}; 1 to {MOST_COLUMNS} can be read"
@@ -257,9 +262,9 @@ def _check_header(path: Path, header: list[str]) -> None:
         raise ImportDataError(f"{path}: column {plain_name(duplicates[0])!r} appears twice in the header")
 
 
-def header_map(table: ImportedTable, given: Container[str] = ()) -> tuple[Map, tuple[str, ...]]:
+def header_map(table: ImportedTable, mapped: Container[str] = ()) -> tuple[Map, tuple[str, ...]]:
     """A mapping guessed from headers that are flight columns, with or without a unit: 'phi', 'phi [deg]', 'V (knots)';
-    and notes on what stands in brackets and is no unit. given: columns that need no guess.
+    and notes on text in brackets that is no unit. mapped: columns that need no guess.
 
     Raises ImportDataError for a unit of another quantity.
     """
@@ -270,15 +275,15 @@ def header_map(table: ImportedTable, given: Container[str] = ()) -> tuple[Map, t
         match = _HEADER_UNIT.match(name)
         bare, unit = (match["name"], match["unit"]) if match else (name, table.units.get(name, ""))
         lower = bare.lower()
-        if bare not in COLUMN_BY_NAME and lower in COLUMN_BY_NAME and _is_unit_of(unit, lower):
-            bare = lower  # capitals alone are no name: with its unit it is
+        if bare not in COLUMN_BY_NAME and lower in COLUMN_BY_NAME and is_unit_of(unit, COLUMN_BY_NAME[lower].unit):
+            bare = lower  # a name in other capitals counts only with a fitting unit
         if bare == "time" or (time is None and bare in _TIME_NAMES):
             time = Time(column=name, unit=unit or "s")
         elif bare in DATE_NAMES and name in table.words:
             date = name
         elif bare == "segment":
             segment = name
-        elif bare in COLUMN_BY_NAME and bare not in given:
+        elif bare in COLUMN_BY_NAME and bare not in mapped:
             si = COLUMN_BY_NAME[bare].unit
             if unit and find_unit(unit) is None:
                 taken_as = f"taken as {si or 'it stands'}"
@@ -294,19 +299,14 @@ def header_map(table: ImportedTable, given: Container[str] = ()) -> tuple[Map, t
     return Map(format=1, time=time, segment=segment, columns=columns), tuple(notes)
 
 
-def _is_unit_of(unit: str, column: str) -> bool:
-    known = find_unit(unit) if unit else None
-    return known is not None and known.si == COLUMN_BY_NAME[column].unit
-
-
 def table_log(path: Path, table: ImportedTable, time: Time | None) -> Log:
-    """The table as series over its time column [s]. Raises ImportDataError when there is none."""
+    """The table as series over its time [s]. Raises ImportDataError for one without time."""
     if time is None:
         columns = listed([*table.numeric, *table.words, *table.dates], 12)
         raise ImportDataError(f"{path}: no column 'time'; found {columns}; {NAME_THE_TIME}")
     stamps = stamps_of(path, table.numeric, table.words, table.dates, time)
     time_columns = {time.column, time.date}
-    numeric, absent = without_sentinels({n: v for n, v in table.numeric.items() if n not in time_columns}, plain_name)
+    numeric, absent = without_sentinels({n: v for n, v in table.numeric.items() if n not in time_columns})
     if stamps.record is not None:
         numeric[RECORD] = stamps.record
     series = {name: TimeSeries(stamps.seconds, values) for name, values in numeric.items()}
@@ -318,6 +318,6 @@ def table_log(path: Path, table: ImportedTable, time: Time | None) -> Log:
 
 
 def _header_units(names: Iterable[str]) -> dict[str, str]:
-    """Units that stand in brackets behind a name."""
+    """Name -> the unit in brackets after it."""
     matches = {name: _HEADER_UNIT.match(name) for name in names}
     return {name: match["unit"] for name, match in matches.items() if match}

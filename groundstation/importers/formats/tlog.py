@@ -19,21 +19,21 @@ from daq.transport.mavlink_codec import padded
 from daq.utilities.input_files import read_bytes
 from daq.utilities.packages import optional
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.formats.tlog_series import LONGEST_ARRAY, ReceivedMessages, by_boot
-from groundstation.importers.series import Log
+from groundstation.importers.formats.tlog_series import ReceivedMessages, by_boot
+from groundstation.importers.series import LONGEST_ARRAY, Log
 
-_MAGIC = (0xFD, 0xFE)
+_V1, _V2 = 0xFE, 0xFD  # first byte of a frame of MAVLink 1 and 2
 _NEXT = re.compile(rb"\0[\x00-\x0e](?s:.{6})[\xfd\xfe]")
-"""Begin of a record: a stamp before the year 2100, whose first two bytes are small, and the first byte of a frame."""
+"""Beginning of a record: a stamp before the year 2100, whose first two bytes are small, and the first byte of a frame."""
 _STAMP = 8  # bytes before each frame
-_OUR_FRAME = 44100  # message id of our downlink
+_DOWNLINK_FRAME = 44100  # message id of Sideslip's downlink
 _GROUND_STATION = 255  # system id
 _V1_EXTRA, _V2_EXTRA, _SIGNATURE = 8, 12, 13  # bytes of header and checksum, and of a signature
 
 
 def read_tlog(path: Path) -> list[Log]:
-    """The numeric fields of one aircraft's standard messages, as a log for each boot of its autopilot. Raises ImportDataError for
-    a file without messages of an aircraft."""
+    """A log for each boot of one aircraft's autopilot, with the numeric fields of its standard messages. Raises ImportDataError
+    for a file without messages of an aircraft."""
     scan = TlogScan(read_bytes(path, error=ImportDataError))
     systems: Counter[int] = Counter()
     for (system, _, _), rows in scan.rows.items():
@@ -56,7 +56,7 @@ def read_tlog(path: Path) -> list[Log]:
     logs = []
     for number, boot in enumerate(boots, start=1):
         notes = scan.notes(sorted(set(aircraft) - {system}), system) if number == 1 else []
-        notes += [f"boot {number} of {len(boots)} in this log: a record of its own"] if len(boots) > 1 else []
+        notes += [f"boot {number} of {len(boots)} in this log: imported as a separate record"] if len(boots) > 1 else []
         detail = {"system": str(system), "component": str(boot.component)}
         log = Log("tlog", boot.series, notes=(*notes, *boot.notes), detail=detail, parameters=parameters)
         logs.append(replace(log, contradictions=boot.contradictions, marks=boot.marks))
@@ -112,12 +112,12 @@ class TlogScan:
     """Every message of a log with a valid checksum. Messages that are not in the dialect are skipped where another frame follows.
     After damage the scan continues at the next bytes that can begin a record.
 
-    rows: by system, component and message id; ours: frames of our downlink; skipped: damaged bytes.
+    rows: by system, component and message id; downlink_frames: number of those of Sideslip's downlink; skipped: damaged bytes.
     """
 
     def __init__(self, data: bytes) -> None:
         self.rows: dict[tuple[int, int, int], _Rows] = {}
-        self.ours = self.skipped = 0
+        self.downlink_frames = self.skipped = 0
         start = 0
         while start + _STAMP + _V1_EXTRA <= len(data):
             size = _frame_size(data, start + _STAMP)
@@ -132,12 +132,12 @@ class TlogScan:
     def _add_record(self, data: bytes, start: int, following: int) -> bool:
         """Add the record in data[start:following]; returns False where its frame is damaged."""
         first = start + _STAMP
-        is_v1 = data[first] == 0xFE
+        is_v1 = data[first] == _V1
         head = 6 if is_v1 else 10
         kind = data[first + 5] if is_v1 else int.from_bytes(data[first + 7 : first + 10], "little")
         layout = layouts().get(kind)
         if layout is None:
-            self.ours += kind == _OUR_FRAME
+            self.downlink_frames += kind == _DOWNLINK_FRAME
             return following == len(data) or _frame_size(data, following + _STAMP) > 0
         end = first + head + data[first + 1]
         checksum = fastcrc.crc16.mcrf4xx(data[first + 1 : end] + bytes([layout.crc_extra]))
@@ -150,28 +150,28 @@ class TlogScan:
         rows.payloads += padded(data[first + head : end], layout.dtype.itemsize)
         return True
 
-    def notes(self, others: list[int], system: int) -> list[str]:
-        """Notes on what was left out. others: systems that are not imported; system: the imported one."""
+    def notes(self, excluded: list[int], system: int) -> list[str]:
+        """Notes on what was left out. excluded: systems that are not imported; system: the imported one."""
         notes = []
-        if self.ours:
+        if self.downlink_frames:
             notes.append(
-                f"{self.ours} frames of Sideslip's own downlink are not used here: 'sideslip ground --replay' makes the flight "
-                "of them"
+                f"{self.downlink_frames} frames of Sideslip's own downlink are not used here: 'sideslip ground --replay' makes "
+                "the flight of them"
             )
-        if others:
-            notes.append(f"messages of systems {', '.join(map(str, others))} left out; system {system} is imported")
+        if excluded:
+            notes.append(f"messages of systems {', '.join(map(str, excluded))} left out; system {system} is imported")
         if self.skipped:
             notes.append(f"{self.skipped} bytes of the log are damaged and left out")
         return notes
 
 
-def _frame_size(data: bytes, at: int) -> int:
-    """Length in bytes of the MAVLink frame that begins at `at`; 0 where none does."""
-    if at + 3 > len(data) or data[at] not in _MAGIC:
+def _frame_size(data: bytes, offset: int) -> int:
+    """Length in bytes of the MAVLink frame that begins at `offset`; 0 where none does."""
+    if offset + 3 > len(data) or data[offset] not in (_V1, _V2):
         return 0
-    if data[at] == 0xFE:
-        return data[at + 1] + _V1_EXTRA
-    return data[at + 1] + _V2_EXTRA + (_SIGNATURE if data[at + 2] & 1 else 0)
+    if data[offset] == _V1:
+        return data[offset + 1] + _V1_EXTRA
+    return data[offset + 1] + _V2_EXTRA + (_SIGNATURE if data[offset + 2] & 1 else 0)
 
 
 def _parameters(received: list[ReceivedMessages]) -> dict[str, float]:

@@ -1,9 +1,9 @@
-"""Time series of the messages of one aircraft in a telemetry log, with time on the autopilot's clock, separately for each boot.
+"""Time series of one aircraft's messages in a telemetry log, with time on the autopilot's clock, separately for each boot.
 
-Messages of the autopilot are called 'MESSAGE.field'; those of another output port or sensor 'MESSAGE[1].field', of another
-component (a gimbal, a companion) '154:MESSAGE.field'. Time is the message's time_usec or time_boot_ms. A message without one gets
-a time between those of its neighbours in the log: a radio may deliver late, but in order. Where the autopilot's clock goes
-back, or stands still while the receiver's runs, the autopilot was booted again.
+Series of the autopilot are called 'MESSAGE.field'; of a further output port or sensor 'MESSAGE[1].field', of another component (a
+gimbal, a companion) '154:MESSAGE.field'. Time is the message's time_usec or time_boot_ms. A message without one gets a time
+between those of its neighbours in the log: a radio may deliver late, but in order. Where the autopilot's clock goes back, or
+stands still while the receiver's runs, the autopilot was booted again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from groundstation.flight.contradictions import Contradiction
 from groundstation.flight.marks import FlightMode, Mark, Marks, mode_changes
+from groundstation.importers.evidence import FIX_3D
 from groundstation.importers.modes import ARMED, armings, heartbeat_mode, mark_text
-from groundstation.importers.series import Array, TimeSeries
+from groundstation.importers.series import CLOCK_BACK_S, LONGEST_ARRAY, Array, TimeSeries
 
-LONGEST_ARRAY = 32
-"""Elements of an array field, at most, that become series (32 outputs of ACTUATOR_OUTPUT_STATUS); longer fields are binary
-data."""
 _NOT_KNOWN = {
     **{("SYS_STATUS", "voltage_battery"): 65535, ("SYS_STATUS", "current_battery"): -1},
     **{("GPS_RAW_INT", name): 65535 for name in ("vel", "cog", "eph", "epv")},
@@ -28,17 +26,17 @@ _NOT_KNOWN = {
 }
 """Values that mean "not known" in the message definitions, by message and field."""
 _INSTANCE = {"SERVO_OUTPUT_RAW": "port", "HIGHRES_IMU": "id", "BATTERY_STATUS": "id", "DISTANCE_SENSOR": "id"}
-"""Message -> field with the number of the port or sensor, of messages that a component sends for several."""
-_FIX_3D = 3
+"""Message that a component sends for several ports or sensors -> field with their number."""
+EPOCH_US = 1e15  # a larger time_usec counts from 1970, not from boot: 1e15 us are the year 2001
+DELAY_PERCENTILES = (95, 5)
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
-CLOCK_BACK_S = 1.0
-"""[s] by which a message's own time goes back after a boot only: messages are up to some tenths of a second old."""
 OFF_TIME = 10.0
 """[s] by which an interval by the receiver's clock exceeds that by the sender's, where the sender was off in between."""
-DENSE_STEP = 0.3  # [s] between two messages with a time, at most, for one between them to be dated by its place
-CLOCK_RATE = 0.02  # relative difference of the clocks' rates that no quartz has
+DENSE_STEP = 0.3  # [s] between two messages with a time, at most, for the time of one between them to be interpolated
+CLOCK_RATE = 0.02  # relative difference of the clocks' rates, larger than of any quartz
 SHORTEST_DRIFT_SPAN = 20.0  # [s] over which late deliveries do not look like a difference of rate
-FEWEST_DRIFT_MESSAGES = 20
+FEWEST_DRIFT_MESSAGES = 20  # with a time, for the rate of a clock
+LEAST_SPAN = 1e-9  # [s] guards the division by the span of equal times
 STOPPING_CLOCK_RATE = 0.05  # difference of rate from which no estimate is recommended
 
 
@@ -61,7 +59,7 @@ class ReceivedMessages:
         if "time_boot_ms" in names:
             return np.asarray(self.table["time_boot_ms"] * 1e-3)
         if "time_usec" in names:
-            return np.where(self.table["time_usec"] < 1e15, self.table["time_usec"] * 1e-6, np.nan)
+            return np.where(self.table["time_usec"] < EPOCH_US, self.table["time_usec"] * 1e-6, np.nan)
         return np.full(len(self.table), np.nan)
 
     def part(self, use: NDArray[np.bool_]) -> "ReceivedMessages":
@@ -72,32 +70,32 @@ class ReceivedMessages:
 
 @dataclass(frozen=True)
 class Boot:
-    """One run of the autopilot. series: by name, on its clock, shifted for later boots by the receiver's clock; component: the
-    autopilot's; notes, contradictions: on the messages; marks: modes, events and texts."""
+    """One run of the autopilot. series: by name, on its clock, for later boots shifted by the receiver's clock; component: id of
+    the autopilot; notes, contradictions: on the messages; marks: modes, events and texts."""
 
     series: dict[str, TimeSeries]
     component: int
     notes: tuple[str, ...] = ()
-    contradictions: tuple[Contradiction, ...] = field(default_factory=tuple)
+    contradictions: tuple[Contradiction, ...] = ()
     marks: Marks = field(default_factory=Marks)
 
 
 @dataclass(frozen=True)
 class _Clock:
-    """Messages with a time of their own, in the order of sending: rank of each, time received [s], own time [s]."""
+    """(n,) rank, time received [s] and sender's time [s] of messages that carry a time, in the order of sending."""
 
-    place: Array
+    rank: Array
     stamp: Array
     sender_time: Array
 
     @property
     def offset(self) -> float:
-        """Receiver's less sender's clock [s], by the message with the shortest delay."""
+        """Receiver's less sender's clock [s], by the message with the shortest delay; 0 without messages."""
         return float(np.min(self.stamp - self.sender_time)) if self.sender_time.size else 0.0
 
     def part(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> "_Clock":
         """The messages at some rows."""
-        return _Clock(self.place[rows], self.stamp[rows], self.sender_time[rows])
+        return _Clock(self.rank[rows], self.stamp[rows], self.sender_time[rows])
 
 
 def by_boot(received: Sequence[ReceivedMessages]) -> list[Boot]:
@@ -110,8 +108,8 @@ def by_boot(received: Sequence[ReceivedMessages]) -> list[Boot]:
     boots = []
     for begin, end in pairwise(edges):
         part = clock.part(slice(begin, end))
-        low = -np.inf if begin == 0 else float(clock.place[begin])
-        high = np.inf if end == clock.sender_time.size else float(clock.place[end])
+        low = -np.inf if begin == 0 else float(clock.rank[begin])
+        high = np.inf if end == clock.sender_time.size else float(clock.rank[end])
         messages = [r.part((r.rank >= low) & (r.rank < high)) for r in received]
         messages = [r for r in messages if len(r.table)]
         delay = part.offset - first_offset if part.sender_time.size else 0.0
@@ -134,7 +132,7 @@ def _autopilot(received: Sequence[ReceivedMessages]) -> int:
 
 
 def _ranked(received: Sequence[ReceivedMessages]) -> list[ReceivedMessages]:
-    """The messages with their ranks: the position in the file, or the time received where the file is not in that order."""
+    """The messages with their ranks: the position in the file; the time received where a merged file is not in its order."""
     places = np.concatenate([r.places for r in received])
     stamps = np.concatenate([r.stamps for r in received])[np.argsort(places, kind="stable")]
     by_stamp = bool(np.any(np.diff(stamps) < -CLOCK_BACK_S))
@@ -142,10 +140,10 @@ def _ranked(received: Sequence[ReceivedMessages]) -> list[ReceivedMessages]:
 
 
 def _clock(received: Sequence[ReceivedMessages]) -> _Clock:
-    """The messages that have a time of their own, without those of a damaged time."""
+    """The times of the messages that carry one, without damaged ones."""
     time = np.concatenate([r.sender_time for r in received])
     clock = _Clock(np.concatenate([r.rank for r in received]), np.concatenate([r.stamps for r in received]), time)
-    order = np.lexsort((clock.sender_time, clock.place))
+    order = np.lexsort((clock.sender_time, clock.rank))
     clock = clock.part(order[np.isfinite(clock.sender_time[order])])
     damaged = np.abs(clock.sender_time - _median_of_five(clock.sender_time)) > OFF_TIME
     return clock.part(~damaged)
@@ -176,7 +174,7 @@ def _series(
         prefix = "" if r.component == component else f"{r.component}:"
         for label, use in _instances(r):
             for name, values in _fields(r.table):
-                series[f"{prefix}{r.name}{label}.{name}"] = _known(r, name, time, values, use)
+                series[f"{prefix}{r.name}{label}.{name}"] = _valid_samples(r, name, time, values, use)
     components = sorted({r.component for r in received} - {component})
     if not components:
         return series, ()
@@ -230,39 +228,39 @@ def _fields(table: NDArray[np.void]) -> Iterator[tuple[str, Array]]:
 
 
 def _time(r: ReceivedMessages, component: int, clock: _Clock) -> Array:
-    """(n,) time of messages on the autopilot's clock [s]: their own; else interpolated by rank; else by the time received."""
+    """(n,) time of messages on the autopilot's clock [s]: that in the message, else interpolated by rank, else by the time
+    received."""
     by_receiver = r.stamps - clock.offset
     sender_time = r.sender_time if r.component == component else np.full(len(r.table), np.nan)
     if clock.sender_time.size < 2:
         return np.where(np.isfinite(sender_time), sender_time, by_receiver)
-    following = np.clip(np.searchsorted(clock.place, r.rank), 1, clock.sender_time.size - 1)
+    following = np.clip(np.searchsorted(clock.rank, r.rank), 1, clock.sender_time.size - 1)
     delay = clock.stamp - clock.sender_time
-    spread = float(np.subtract(*np.percentile(delay, [95, 5])))  # a burst is late by up to its length
+    spread = float(np.subtract(*np.percentile(delay, DELAY_PERCENTILES)))  # a burst is late by up to its length
     dense = np.abs(clock.sender_time[following] - clock.sender_time[following - 1]) < max(DENSE_STEP, spread)
-    by_order = np.interp(r.rank, clock.place, clock.sender_time)
-    placeable = dense & (r.rank >= clock.place[0]) & (r.rank <= clock.place[-1])
+    by_order = np.interp(r.rank, clock.rank, clock.sender_time)
+    placeable = dense & (r.rank >= clock.rank[0]) & (r.rank <= clock.rank[-1])
     return np.where(np.isfinite(sender_time), sender_time, np.where(placeable, by_order, by_receiver))
 
 
-def _known(r: ReceivedMessages, name: str, time: Array, values: Array, use: NDArray[np.bool_]) -> TimeSeries:
-    """The samples of a field at the messages `use`, without values that mean "not known" by the message's definition."""
+def _valid_samples(r: ReceivedMessages, name: str, time: Array, values: Array, use: NDArray[np.bool_]) -> TimeSeries:
+    """The samples of a field at the messages `use` (n,), without values that mean "not known" by the message's definition."""
     usable = use & (values != _NOT_KNOWN.get((r.name, name), np.nan))
     if r.name == "GPS_RAW_INT" and name in ("lat", "lon", "alt"):
-        usable &= r.table["fix_type"] >= _FIX_3D
+        usable &= r.table["fix_type"] >= FIX_3D
     return TimeSeries(time, values) if usable.all() else TimeSeries(time[usable], values[usable])
 
 
 def _clock_rates(clock: _Clock) -> Iterator[Contradiction]:
-    """The rate of the sender's clock against the receiver's."""
-    if (
-        clock.sender_time.size < FEWEST_DRIFT_MESSAGES
-        or clock.sender_time[-1] - clock.sender_time[0] < SHORTEST_DRIFT_SPAN
-    ):
+    """A contradiction where the rates of the sender's and the receiver's clock differ by more than CLOCK_RATE."""
+    if clock.sender_time.size < FEWEST_DRIFT_MESSAGES:
+        return
+    if clock.sender_time[-1] - clock.sender_time[0] < SHORTEST_DRIFT_SPAN:
         return
     half = clock.sender_time.size // 2
     delay = clock.stamp - clock.sender_time
     rise, span = (float(np.median(v[half:])) - float(np.median(v[:half])) for v in (delay, clock.sender_time))
-    drift = rise / max(span, 1e-9)
+    drift = rise / max(span, LEAST_SPAN)
     if abs(drift) <= CLOCK_RATE:
         return
     text = (

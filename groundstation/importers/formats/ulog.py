@@ -14,17 +14,18 @@ from daq.utilities.packages import missing
 from daq.utilities.plain_words import LONGEST_NAME, one_line
 from groundstation.flight.marks import Mark
 from groundstation.importers.attitude import euler_from_quaternion
+from groundstation.importers.endings import ULOG_MAGIC
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.formats.ulog_scan import MAGIC, UlogScan
+from groundstation.importers.formats.ulog_scan import UlogScan
 from groundstation.importers.modes import mark_text, px4_marks
 from groundstation.importers.series import Log, TimeSeries
 
 _DAMAGE = (KeyError, IndexError, ValueError, TypeError, OSError, AttributeError)
-"""What pyulog raises on bytes that are not what was written."""
+"""Exceptions of pyulog on damaged bytes."""
 
 
 def read_ulog(path: Path) -> Log:
-    """All numeric fields of all topics. Raises ImportDataError when the file is not a ULog or has no data."""
+    """A PX4 log: all numeric fields of all topics. Raises ImportDataError for another file, or one without data."""
     try:
         from pyulog import ULog
         from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
@@ -32,12 +33,12 @@ def read_ulog(path: Path) -> Log:
         raise missing(error, f"{path}: a ULog") from error
 
     data = read_bytes(path, error=ImportDataError)
-    if not data.startswith(MAGIC):
+    if not data.startswith(ULOG_MAGIC):
         raise ImportDataError(f"{path}: not a ULog file (its first bytes are not 'ULog')")
     scan = UlogScan(data)
     printed = io.StringIO()
     try:
-        # pyulog prints about damage; the notes say it instead
+        # pyulog prints messages about damage; the notes report it instead
         with contextlib.redirect_stdout(printed):
             log = ULog(io.BytesIO(scan.stream))
     except (*_DAMAGE, ULogException, ULogIncompatibleFlagException) as error:

@@ -1,1 +1,1 @@
-"""What is kept of a session: journal, recording, the papers that came down, and the disk they go to."""
+"""Storage of a session: its journal, recording and papers, and their files on a disk that may fail."""

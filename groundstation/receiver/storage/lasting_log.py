@@ -1,7 +1,7 @@
-"""An append-only file that survives failures of its disk: records that cannot be written wait in memory until they can.
+"""An append-only file that survives failures of its disk: records wait in memory until they can be written.
 
-A disk may be full, read-only, or removed and replaced. A partly written record is completed when there is room, and written
-again from its start where the file is a new one.
+A disk may be full, read-only, or removed and replaced. A partly written record is completed when there is room; in a new file it
+is written again from its start.
 """
 
 import errno
@@ -16,6 +16,7 @@ from daq.utilities.durable import open_log, sync_directory
 
 MOST_WAITING = 64 << 20
 """Bytes that may wait for a disk: half a day of telemetry at 1.5 kB/s. Further records are refused and counted."""
+_COPY_BYTES = 1 << 20  # copied to a new file at once
 
 
 class LastingLog:
@@ -32,7 +33,7 @@ class LastingLog:
         self._file: IO[bytes] = open_log(path, buffering=0)
 
     @property
-    def waiting(self) -> int:
+    def bytes_waiting(self) -> int:
         """Bytes that are in memory only."""
         return self._size
 
@@ -64,11 +65,11 @@ class LastingLog:
                 self._written = 0
 
     def look_after(self) -> bool:
-        """Whether the open file is still the one at its path; if not, it is created again, with its former content where that can
-        be read. Raises OSError while the folder is missing."""
+        """Check that the open file is still the one at its path; else create it again, with the old content if that can be read.
+        Returns whether it was the same file. Raises OSError while the folder is missing."""
         try:
-            current, ours = self.path.stat(), os.fstat(self._file.fileno())
-            if (current.st_dev, current.st_ino) == (ours.st_dev, ours.st_ino):
+            at_path, opened = self.path.stat(), os.fstat(self._file.fileno())
+            if (at_path.st_dev, at_path.st_ino) == (opened.st_dev, opened.st_ino):
                 return True
         except FileNotFoundError:
             pass
@@ -86,8 +87,8 @@ class LastingLog:
         """Copy the old file up to its last complete record to `new`; nothing where the old disk is gone."""
         try:
             size = os.fstat(self._file.fileno()).st_size - self._written
-            for offset in range(0, size, 1 << 20):
-                new.write(os.pread(self._file.fileno(), min(1 << 20, size - offset), offset))
+            for offset in range(0, size, _COPY_BYTES):
+                new.write(os.pread(self._file.fileno(), min(_COPY_BYTES, size - offset), offset))
         except OSError:
             return
 
@@ -99,6 +100,7 @@ class LastingLog:
         return records
 
     def truncate(self, size: int) -> None:
+        """Shorten the file to `size` bytes. Raises OSError."""
         self._file.truncate(size)
 
     def descriptor(self) -> int:
@@ -120,13 +122,13 @@ class Disk:
     def __init__(self) -> None:
         self._worker: ThreadPoolExecutor | None = None
         self._round: Future[None] | None = None
-        self._named: set[Path] = set()  # files whose folder was synced, so that their names are on the disk
+        self._named: set[Path] = set()  # files whose folder was synced, and with it their names
 
     def sync(self, files: Iterable[LastingLog]) -> None:
         """Start to sync these files; does nothing while the last round runs. Raises the OSError of the last round."""
         if self.busy:
             return
-        # Duplicates, since the files may be closed meanwhile.
+        # duplicated, since the files may be closed before the round ends
         descriptors = [(os.dup(f.descriptor()), f.path) for f in files]
         if not descriptors:
             return

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from daq.contract.link.papers_dictionary import PAPERS_DICTIONARY
 from daq.contract.recordings.messages import EventMessage
 from daq.contract.recordings.recording import CALIBRATION_PREFIX, CONFIG_ATTACHMENT, RecordingInfo
+from groundstation.receiver.continuity import FASTEST_HZ
 
 MAX_PAPERS_BYTES = 1 << 20  # of the papers decompressed; compressed they fit 255 fragments of 190 bytes
 MAX_ARCHIVE_BYTES = 1 << 20  # of the archive compressed: one record of the journal
@@ -25,7 +26,6 @@ MAX_TEXT_BYTES, MAX_LINE_BYTES = 1 << 18, 4096
 the square of the length of a line."""
 MAX_EVENTS = 1000
 MAX_TIME_NS = 2**63 - 1  # of a signed 64-bit time in a file: 292 years from 1970
-MAX_RATE_HZ = 2000.0  # that a logger's configuration allows
 
 _Time = Annotated[int, Field(ge=0, le=MAX_TIME_NS)]
 _Number = Annotated[int, Field(ge=0, le=2**32 - 1)]
@@ -42,7 +42,7 @@ class Papers(BaseModel):
     session: Annotated[str, Field(min_length=1, max_length=128)]
     source: _Name
     aircraft: _Name
-    scan_rate_hz: Annotated[float, Field(gt=0.0, le=MAX_RATE_HZ)]
+    scan_rate_hz: Annotated[float, Field(gt=0.0, le=FASTEST_HZ)]
     started_utc_ns: _Time
     software: _Name
     details: Annotated[dict[_Name, _Text], Field(max_length=1024)]
@@ -58,10 +58,12 @@ class Papers(BaseModel):
         return session
 
     def info(self, attachments: Mapping[str, bytes]) -> RecordingInfo:
+        """Identity of the received recording, with these attachments by name."""
         identity = self.model_dump(exclude={"events", "archive_bytes", "archive_sha256"})
         return RecordingInfo(**identity, role="received", attachments=attachments)
 
     def marks(self) -> list[EventMessage]:
+        """The recording's events."""
         return [EventMessage(*row) for row in self.events]
 
 

@@ -1,4 +1,4 @@
-"""The recorders of one aircraft's sessions: opened at the first event, a bounded number at once, written at the end."""
+"""The recorders of one aircraft's sessions: opened at the first event, and of a bounded number."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -9,8 +9,8 @@ from groundstation.receiver.findings import Faults
 from groundstation.receiver.link_accounting import SessionAccounting
 from groundstation.receiver.storage.recording import SessionRecorder
 
-_MAX_OPEN = 8
-RECORDING = "recording"
+_MAX_OPEN = 8  # recorders: later sessions close the oldest one
+RECORDING = "recording"  # name of its fault
 
 
 class Sessions:
@@ -29,22 +29,22 @@ class Sessions:
         return MappingProxyType(self._open)
 
     def recorder(self, session: ev.Session) -> SessionRecorder:
-        """The recorder of a session; the oldest other one is written and closed when too many are open."""
+        """The recorder of a session; where too many are open, the oldest is written and closed first."""
         if session not in self._open:
             if len(self._open) >= _MAX_OPEN:
                 recorder = self._open.pop(next(iter(self._open)))
                 self._closed_states[recorder.session] = (recorder.journal.on_disk, 0)
-                self._closed_paths += self._written(recorder)
+                self._closed_paths += self._write(recorder)
                 self._close(recorder)
             self._open[session] = SessionRecorder(self._folder, session)
         return self._open[session]
 
     def keep(self, event: ev.Event) -> bool:
-        """Record an event in its session; False where the recorder refuses it, since there were too many."""
+        """Record an event in its session; False where the recorder refuses it, since there are too many."""
         if isinstance(event, ev.ScanReceived):
             try:
                 (self._open.get(event.session) or self.recorder(event.session)).scan(event)
-            except OSError as error:  # cleared by `look_after` when the disk works again
+            except OSError as error:  # `look_after` clears the fault when the disk works again
                 self._faults.note(RECORDING, error)
             return True
         with self._faults.watch(RECORDING):
@@ -61,8 +61,7 @@ class Sessions:
                 recorder.journal.look_after()
 
     def state(self, accounting: SessionAccounting) -> tuple[int, int] | None:
-        """Number of a session's scans that are on the disk, and of received ones that are not; None for a session without a
-        recorder."""
+        """Number of a session's scans that are on the disk, and of received ones that are not; None without a recorder."""
         recorder = self._open.get(accounting.session)
         if recorder is None:
             return self._closed_states.get(accounting.session)
@@ -74,12 +73,13 @@ class Sessions:
             self.recorder(session).note(text)
 
     def write(self) -> Iterator[Path]:
-        """Write all recordings as they are now; yields their paths, and those of the closed ones."""
+        """Write all recordings as they are now; yields their paths and those of closed recorders."""
         yield from self._closed_paths
         for recorder in self._open.values():
-            yield from self._written(recorder)
+            yield from self._write(recorder)
 
-    def _written(self, recorder: SessionRecorder) -> list[Path]:
+    def _write(self, recorder: SessionRecorder) -> list[Path]:
+        """Write a recording; returns its path, or none after a failure or without scans."""
         path = None
         with self._faults.watch(f"{recorder.path}"):
             path = recorder.write()

@@ -21,6 +21,8 @@ from groundstation.live.config import GroundConfig
 from groundstation.live.handover import hand_over
 from groundstation.live.station import Station
 from groundstation.receiver import events as ev
+from groundstation.receiver.backfill import PAPERS_PART_BYTES, BackfillClient
+from groundstation.receiver.link_accounting import SessionAccounting
 from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.storage.recording import SessionRecorder
@@ -108,6 +110,17 @@ def test_papers_that_unpack_to_more_than_any_papers_are_not_unpacked(tmp_path: P
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 40_000_000
+
+
+def test_parts_of_an_archive_keep_the_window_of_requests_full(tmp_path: Path) -> None:
+    with recorder(tmp_path) as session_recorder:
+        assert session_recorder.take_papers(zlib.compress(altered(archive_bytes=8 * PAPERS_PART_BYTES)))
+        client = BackfillClient(session_recorder, SessionAccounting(session_recorder.session), "all")
+        assert [fields["first_number"] for _, fields in client.due(0)] == [1, 2, 3, 4]
+        part = b"part 1"
+        answer = {"first_number": 1, "wanted": 0, "fragment": 0, "fragments": 1, "length": len(part), "data": part}
+        client.take_data({**answer, "checksum": zlib.crc32(part)}, 1)
+        assert [fields["first_number"] for _, fields in client.due(2)] == [5]
 
 
 @pytest.mark.parametrize(

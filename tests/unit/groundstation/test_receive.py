@@ -356,7 +356,7 @@ def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(TlogWriter, "_put", full)
+        patch.setattr(TlogWriter, "_append", full)
         patch.setattr(SessionLog, "add", full)
         fly(rig, 40, seed=2)
         assert rig.ground.port_faults == {

@@ -142,7 +142,7 @@ def test_messages_of_ros_1_in_mcap(tmp_path: Path) -> None:
 
 def test_definitions_of_ros_1_that_are_none() -> None:
     assert ros1_decoder("a/B", "byte K=1\nuint8[2] n  # two\nstring s\n")(b"\1\2\1\0\0\0x") == {"n": (1, 2), "s": "x"}
-    with pytest.raises(ValueError, match="nothing says what c/D is"):
+    with pytest.raises(ValueError, match="no definition of c/D"):
         ros1_decoder("a/B", "c/D x\n")
     endless = "B/E[999] x\n=====\nMSG: B/E\nB/F[999] y\n=====\nMSG: B/F\nB/G[999] z\n=====\nMSG: B/G\n"
     with pytest.raises(ValueError, match="messages within one"):

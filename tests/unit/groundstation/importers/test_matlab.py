@@ -95,7 +95,7 @@ def test_records_in_an_array_of_structs_become_segments(tmp_path: Path, flown: C
     np.testing.assert_allclose(flight["p"], flown["p"])
     assert np.all(np.diff(flight.time) > 0)
     assert any("2 records in a row" in n.text for n in flight.notes)
-    assert any("begin anew" in n.text for n in flight.notes)
+    assert any("begin before the end" in n.text for n in flight.notes)
 
 
 @SAVE

@@ -1,11 +1,14 @@
 """Files of several records, without a header line, or without a time."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from groundstation.flight.contradictions import CONTRADICTIONS, Contradiction
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.records import joined_flights
 from groundstation.importers.run import import_data
 
 RATE = 25.0
@@ -61,3 +64,21 @@ def test_a_table_of_bare_numbers_gets_names_rate_and_records_from_the_mapping(tm
         import_data(data)
     with pytest.raises(ImportDataError, match="either column, or rate_hz"):
         import_data(data, mapping(tmp_path, '[time]\ncolumn = "T"\nrate_hz = 25\n' + columns))
+
+
+def test_later_records_bring_the_origins_of_their_columns_and_their_contradictions(tmp_path: Path) -> None:
+    text = (
+        '[columns]\np = { column = "ROLL", unit = "deg/s" }\ndelta_e = { column = "ELEV", unit = "deg", hold = true }\n'
+    )
+    chosen = mapping(tmp_path, '[time]\ncolumn = "T"\n' + text)
+    first = import_data(write(tmp_path / "a.csv", records(60)[:, :2], "T,ROLL", ","), chosen)
+    second = import_data(write(tmp_path / "b.csv", records(60), "T,ROLL,ELEV", ","), chosen)
+    found = [Contradiction(("a", "b"), "a is twice b").to_json(), Contradiction(("c", "d"), "c is twice d").to_json()]
+    parts = [
+        replace(f, provenance=replace(f.provenance, detail={**f.provenance.detail, CONTRADICTIONS: found[i : i + 1]}))
+        for i, f in enumerate((first, second))
+    ]
+    joined = joined_flights(parts)
+    assert joined.held("delta_e") == second.held("delta_e") == pytest.approx(1 / RATE)
+    assert list(joined.provenance.detail["mapping"]) == ["p", "delta_e"]
+    assert joined.provenance.detail[CONTRADICTIONS] == found
