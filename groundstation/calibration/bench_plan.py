@@ -85,7 +85,4 @@ def parse_plan(text: str, where: str) -> BenchPlan:
     try:
         return BenchPlan.model_validate(parse_toml(text, where, CalibrationError))
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(k) for k in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        raise CalibrationError(f"{where}: {key + ': ' if key else ''}{message}") from error
+        raise CalibrationError.of_validation(where, error) from error

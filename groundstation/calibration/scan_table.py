@@ -1,6 +1,6 @@
 """Scans as arrays: one row per scan, one column per raw channel, NaN where a channel has no value.
 
-Here alone, readings of a sensor group whose state in a scan was not usable become NaN.
+This is the one place where readings of a sensor group that was not usable in a scan become NaN.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,7 +20,7 @@ from groundstation.calibration.schema import CalibrationError
 
 Array = NDArray[np.float64]
 
-_BREAK = 1000  # step of the scan number at a gap: more than any channel's spacing
+_BREAK = 1000  # step of the new scan number at a gap: more than any channel's spacing
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ _BLOCK = 4096  # scans converted to columns at a time: as objects they need ten 
 
 
 def scan_table(scans: Iterable[Scan]) -> ScanTable:
-    """The table of `scans`, sorted by time, without repeated scans; notes state both. Raises CalibrationError without a scan."""
+    """The table of `scans`, sorted by time, without repeated scans; notes say so. Raises CalibrationError without a scan."""
     rest = iter(scans)
     blocks, offsets = [], []
     while block := list(islice(rest, _BLOCK)):
