@@ -67,8 +67,8 @@ def _of_the_air_above_sea(altitude: Array, temperature: Array) -> bool:
 
 @dataclass(frozen=True)
 class DensityWay:
-    """One way to calculate the density of the air. needs: columns; build: these (N,) -> density (N,) [kg/m3]; credible: these ->
-    whether they can be quantities of the air."""
+    """One way to calculate the density of the air. needs: columns. build: their values (N,) -> density (N,) [kg/m3]. credible:
+    their values -> whether they can be quantities of the air."""
 
     needs: tuple[str, ...]
     build: Callable[..., Array]
@@ -76,7 +76,7 @@ class DensityWay:
 
     @property
     def guesses(self) -> bool:
-        """Whether the temperature is taken from the standard atmosphere."""
+        """Whether the temperature is that of the standard atmosphere."""
         return "temperature" not in self.needs
 
 
@@ -92,5 +92,5 @@ DENSITY_WAYS = (
     DensityWay(("altitude_gnss", "temperature"), _density_above_sea, _of_the_air_above_sea),
     DensityWay(("altitude_gnss",), density_at_altitude, _always),
 )
-"""The best first; used by estimates, contradictions and imports. Not among them is 2 p_dynamic / V^2, since an autopilot
-calculates V from p_dynamic with its own ratio."""
+"""The best first; used by estimates, contradictions and imports. 2 p_dynamic / V^2 is not used, since an autopilot calculates V
+from p_dynamic with its own ratio."""

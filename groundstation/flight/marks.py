@@ -1,4 +1,4 @@
-"""Marks of a log: flight modes, events and messages of the autopilot. They are stored with a flight, drawn in figures, and name
+"""Marks of a log: flight modes, events and messages of the autopilot. They are stored with a flight, drawn in figures, and select
 stretches of it.
 
 In a flight file they stand in the provenance: `modes` [{"mode", "from", "to"}], `events` and
@@ -82,10 +82,12 @@ def marks_of(flight: Flight) -> Marks:
     def text(row: Mapping[str, Any], key: str) -> str:
         return one_line(str(row.get(key, "")), LONGEST_TEXT)
 
-    rows = _rows(detail, MODES, ("from", "to"), "mode")
+    rows = rows_of(detail, MODES, ("from", "to"), "mode")
     modes = [FlightMode(text(row, "mode"), float(row["from"]), float(row["to"])) for row in rows]
     events, messages = (
-        tuple(Mark(float(r["time"]), text(r, "text"), text(r, "origin")) for r in _rows(detail, key, ("time",), "text"))
+        tuple(
+            Mark(float(r["time"]), text(r, "text"), text(r, "origin")) for r in rows_of(detail, key, ("time",), "text")
+        )
         for key in (EVENTS, MESSAGES)
     )
     return Marks(tuple(m for m in modes if m.start <= m.stop), events, messages)
@@ -99,13 +101,13 @@ def mode_changes(time: Iterable[float], names: Iterable[str], end: float) -> tup
     return tuple(FlightMode(name, start, stop) for (start, name), stop in zip(begins, stops, strict=False))
 
 
-def _rows(detail: Mapping[str, Any], key: str, numbers: tuple[str, ...], word: str) -> list[Mapping[str, Any]]:
-    """The entries under `key` whose fields `numbers` are numbers and whose field `word` is text."""
+def rows_of(detail: Mapping[str, Any], key: str, numbers: tuple[str, ...], text: str) -> list[Mapping[str, Any]]:
+    """The entries of a provenance under `key` whose fields `numbers` are finite numbers and whose field `text` is text."""
     rows = detail.get(key)
     return [
         row
         for row in (rows[:MOST] if isinstance(rows, list) else [])
         if isinstance(row, Mapping)
         and all(isinstance(row.get(n), int | float) and abs(row[n]) < LATEST for n in numbers)
-        and isinstance(row.get(word), str)
+        and isinstance(row.get(text), str)
     ]

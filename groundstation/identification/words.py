@@ -11,11 +11,12 @@ from groundstation.identification.session import LiveState
 
 LONGEST_S = 600.0  # to go; a longer time is not shown
 MOST_NAMES = 4  # derivatives in one line
-GO_ON_S = 60.0  # to go until the next bound, beyond which the present input should stop
-LEAST_GAIN = 1.1  # ratio of bounds before and after a test point, from which it is shown
-LEAST_PEAK = math.radians(0.5)  # of a control that the test point moved
+GO_ON_S = 60.0  # to go until the next bound; if longer, the present input should stop
+LEAST_GAIN = 1.1  # ratio of the bounds before and after a test point from which it is shown
+LEAST_PEAK = math.radians(0.5)  # from which a test point has moved a control [rad]
 LINE = 99  # characters of a line on the link: two messages of STATUSTEXT
-EXCITED = math.radians(0.5)  # rms of the last seconds, from which a control is shown as moved
+EXCITED = math.radians(0.5)  # rms of the last seconds from which a control is shown as moved [rad]
+CONTRADICTION = 3.0  # standard deviations between estimate and belief from which they contradict each other
 FIRST = "a doublet of each control: nothing can be identified before both have moved"
 
 
@@ -49,7 +50,7 @@ def lines(state: LiveState) -> Iterator[str]:
 
 
 def markdown(state: LiveState) -> str:
-    """The complete state for the viewer's text pane; what to do next comes first, since the pane may be low."""
+    """The complete state for the viewer's text pane; what to fly next comes first, since the pane may be small."""
     e, point = state.estimates, list(point_lines(state))
     to_do = [f"**{line}**" for line in (*point[-1:], _next_line(state))]
     rows = [
@@ -228,7 +229,11 @@ def _remark(state: LiveState, d: LiveDerivative) -> str:
     if not d.told:
         return d.why
     belief = state.aircraft.airframe.beliefs.get(d.name)
-    if belief is not None and belief.std > 0.0 and abs(d.estimate - belief.value) > 3.0 * math.hypot(d.std, belief.std):
+    if (
+        belief is not None
+        and belief.std > 0.0
+        and abs(d.estimate - belief.value) > CONTRADICTION * math.hypot(d.std, belief.std)
+    ):
         return "not what was believed, by more than three standard deviations"
     return ""
 

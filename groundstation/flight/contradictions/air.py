@@ -30,7 +30,7 @@ DENSITY_TOLERANCE = 0.08  # between two densities: 25 K of temperature, or a day
 SIGMAS = 4.0  # by chance once in 16000 comparisons
 LEAST_CHI_SQUARE = 9.0  # difference by which the ground velocity favours one scale of V over another: three sigmas
 CREDIBLE_SCALE = 0.1  # a scale further than this, and 2 sigma, from that of the ground velocity is not favoured
-LEAST_FAST = 0.1  # of a flight: fewer fast samples may be a taxi run, or errors of the fix
+LEAST_FAST = 0.1  # share of fast samples: fewer may be a taxi run, or errors of the fix
 PRESSURE_ALTITUDE = 600.0  # [m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes
 
 

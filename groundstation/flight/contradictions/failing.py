@@ -32,7 +32,7 @@ FROZEN, FROZEN_SAMPLES = 2.0, 20  # [s] and samples of one value, from which a s
 WEIGHTLESS, PARABOLA = (
     0.2 * GRAVITY,
     3.0,
-)  # [m/s2] of specific force for longer than so many [s], which no aeroplane flies
+)  # less specific force [m/s2] for longer [s] than any aeroplane flies a parabola
 OTHER_INSTANCE = "take another sensor's instance"
 PITOT = ("V", "p_dynamic", "V_cas")
 SENSED = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V", "p_dynamic")
@@ -76,7 +76,7 @@ def failing_sensors(time: Array, c: Columns) -> tuple[tuple[Contradiction, ...],
 
 def _frozen(time: Array, c: Columns) -> dict[tuple[str, ...], Mask]:
     """Columns -> the samples (N,) at which they show one value while others change; only columns with noise elsewhere. Columns
-    that freeze at the same samples, as those of one device, are one entry."""
+    that freeze at the same samples, as those of one device do, share an entry."""
     masks: dict[bytes, tuple[tuple[str, ...], Mask]] = {}
     present = [n for n in SENSED if n in c]
     for name in present:
@@ -107,7 +107,7 @@ def _weightless(time: Array, c: Columns) -> Mask:
     weightless = np.zeros(time.size, bool)
     for a, b in true_runs(force < WEIGHTLESS):
         weightless[a:b] = time[b - 1] - time[a] >= PARABOLA and not _pushes_over(c, slice(a, b))
-    return weightless & bool(np.nanmax(force) > 0.5 * GRAVITY)  # else the accelerometers never worked
+    return weightless & bool(np.nanmax(force) > 0.5 * GRAVITY)  # else they never worked in this flight
 
 
 def _pushes_over(c: Columns, run: slice) -> bool:

@@ -22,9 +22,7 @@ integral of its cause (n,)."""
 
 
 REVERSED_AGREEMENT = 0.85  # least share of a motion's variance that is explained with the sign reversed
-MOST_REMAINING = (
-    1.0 / 3.0
-)  # of the variance that is unexplained with the recorded sign, at most, may then be unexplained
+MOST_REMAINING = 1.0 / 3.0  # of the variance unexplained with the recorded sign, that may then remain unexplained
 SLOPE_TOLERANCE = 0.25  # of the slope about 1, with the sign reversed
 LEAST_AGREEMENT = 0.7  # share of an angle's variance that its rate explains, for their slope to count
 LARGEST_RADIANS = 1.6  # of theta, or a bank angle in ordinary flight: a larger one is in degrees

@@ -277,7 +277,7 @@ ROWS_MOVING = 0.5  # of them must differ from the row before: all aircraft at re
 SHARED = 0.25  # of the shorter flight: flights simulated without noise may have the same beginning
 FEWEST_COLUMNS = 3  # that all flights have measured
 TENTH_OF_STEP = (
-    0.1  # five digits of a channel are a thousandth of its noise or less: one window of five has a row that flips
+    0.1  # rounding to five digits is a thousandth of a channel's noise: it flips a row in one window of five
 )
 
 

@@ -44,6 +44,7 @@ LARGEST_MISSING = 0.1  # of the time span, beyond which gaps make the check fail
 LARGEST_EXTRAPOLATED = 0.01  # of the samples, beyond which an extrapolated calibration is warned of
 SINGLE_MISSING, LARGEST_JITTER = 0.02, 0.1  # of the samples, and of the sample interval, that are warned of
 SPIKE_SIGMAS = 10  # of a channel's noise, from both neighbours
+LARGEST_STATED = 1e12  # number of a provenance that is used: no count or noise is as large
 NOISE_RATIO = 4  # of measured over sensor noise, from which vibration or a bad contact is likely
 
 
@@ -352,9 +353,10 @@ def _measured(flight: Flight) -> Iterator[tuple[str, Array]]:
 
 
 def _counts(flight: Flight, key: str) -> dict[str, float]:
-    """Numbers by instrument or column under a key of the provenance's detail, as the calibration states them."""
+    """Positive numbers by instrument or column under a key of the provenance's detail, as the calibration states them."""
     counts = flight.provenance.detail.get(key, {})
-    return dict(counts) if isinstance(counts, dict) else {}
+    entries = counts.items() if isinstance(counts, dict) else ()
+    return {n: v for n, v in entries if isinstance(v, int | float) and 0 < v < LARGEST_STATED}
 
 
 def _unit(name: str) -> str:
