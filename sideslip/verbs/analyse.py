@@ -1,4 +1,4 @@
-"""The verb `analyse`: from logs to one page, each stage kept so that a rerun does what has changed and no more."""
+"""The verb `analyse`: from logs to one page; stages are stored, so that a rerun repeats only what has changed."""
 
 from pathlib import Path
 
