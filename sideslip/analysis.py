@@ -80,7 +80,7 @@ def _imported(
     target = stages.path(f"import_{number}.mcap")
 
     def work() -> dict[str, object]:
-        flight = _read(path, mapping)
+        flight = _read_or_import(path, mapping)
         target.parent.mkdir(parents=True, exist_ok=True)
         write_flight(flight, target)
         return {"name": flight.name, "path": flight.provenance.path, "sha256": flight.provenance.sha256}
@@ -93,7 +93,7 @@ def _imported(
     return (flight if aircraft is None else with_aircraft(flight, aircraft)), stage.key, stage.repeated
 
 
-def _read(path: Path, mapping: Path | None) -> "Flight":
+def _read_or_import(path: Path, mapping: Path | None) -> "Flight":
     """The flight of a file: a flight file, a calibrated raw recording, or an imported foreign log."""
     from groundstation.importers.about import is_foreign_log
     from groundstation.importers.run import import_data

@@ -125,7 +125,7 @@ def export(
 
     folder = None if calibration is None else Path(calibration)
     exported = export_file(Path(file), output, units_row=units_row, raw=raw, calibration=folder)
-    return _written(file, output.suffix[1:], [exported.path], notes=exported.notes)
+    return _file_answer(file, output.suffix[1:], [exported.path], notes=exported.notes)
 
 
 def _model_table(file: Path, output: Path) -> FileAnswer:
@@ -133,10 +133,10 @@ def _model_table(file: Path, output: Path) -> FileAnswer:
     from estimation.report.model_export import export_model
 
     export_model(file, output)
-    return _written(file, output.suffix[1:], [output])
+    return _file_answer(file, output.suffix[1:], [output])
 
 
-def _written(
+def _file_answer(
     file: object,
     kind: str,
     files: Sequence[Path],
@@ -205,7 +205,7 @@ def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from:
         proved.sentence(),
         proved.of_the_steps(),
     ]
-    return _written(file, "jsbsim", [exported.file], lines, passed=not proof.failed)
+    return _file_answer(file, "jsbsim", [exported.file], lines, passed=not proof.failed)
 
 
 def _from_jsbsim(spec: str, output: Path | None, out: Path | None) -> FileAnswer:
@@ -217,4 +217,4 @@ def _from_jsbsim(spec: str, output: Path | None, out: Path | None) -> FileAnswer
         raise EstimationError("a JSBSim aircraft becomes one file: give -o MODEL.toml")
     proved = import_from_jsbsim(spec, output)
     sentences = (*proved.imported.sentences(), *proved.notes)
-    return _written(spec, "model", [output], [*(f"  {line}" for line in sentences), proved.sentence()])
+    return _file_answer(spec, "model", [output], [*(f"  {line}" for line in sentences), proved.sentence()])

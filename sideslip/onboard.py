@@ -28,8 +28,8 @@ WANTED = 0.05  # bound to be reached, as a share of a derivative; only texts use
 
 def answer_of(state: LiveState, point: str = "", alarm: str = "") -> CompanionReply:
     """The reply with the identified derivatives of a state. point, alarm: texts on a new test point or alarm, or empty."""
-    known = state.estimates.derivatives
-    identified = {n: (known[n].estimate, known[n].std) for n in state.aircraft.shown if known[n].told}
+    derivatives = state.estimates.derivatives
+    identified = {n: (derivatives[n].estimate, derivatives[n].std) for n in state.aircraft.shown if derivatives[n].told}
     return CompanionReply(state.time, identified, short_line(state), "", point, alarm)
 
 

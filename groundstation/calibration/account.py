@@ -143,9 +143,9 @@ def column_uncertainty(calibration: CalibrationSet, columns: Mapping[str, Array]
     Columns without a stated uncertainty are missing. Noise is not in it; see `noise`.
     """
     sigmas: dict[str, float] = {}
-    _put(sigmas, "p_dynamic", _curve_sigma(calibration.get("pitot")))
+    _set_sigma(sigmas, "p_dynamic", _curve_sigma(calibration.get("pitot")))
     for direct in direct_columns(calibration):
-        _put(sigmas, direct.column.name, _curve_sigma(direct.instrument))
+        _set_sigma(sigmas, direct.column.name, _curve_sigma(direct.instrument))
     _controls(calibration, sigmas)
     _air(calibration, columns, sigmas)
     _vanes(calibration, sigmas)
@@ -156,7 +156,7 @@ def column_uncertainty(calibration: CalibrationSet, columns: Mapping[str, Array]
     return {name: sigma for name, sigma in sigmas.items() if name in columns and np.isfinite(columns[name]).any()}
 
 
-def _put(sigmas: dict[str, float], column: str, sigma: float | None) -> None:
+def _set_sigma(sigmas: dict[str, float], column: str, sigma: float | None) -> None:
     if sigma:
         sigmas[column] = sigma
 
@@ -176,7 +176,7 @@ def _controls(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
         left, right = _curve_sigma(calibration.get(left_name)), _curve_sigma(calibration.get(right_name))
         if left is not None and right is not None:
             for column, (a, b) in zip(columns, (item.mixing.elevator, item.mixing.aileron), strict=True):
-                _put(sigmas, column, float(np.hypot(a * left, b * right)))
+                _set_sigma(sigmas, column, float(np.hypot(a * left, b * right)))
 
 
 def _air(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict[str, float]) -> None:
@@ -184,19 +184,19 @@ def _air(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict
     if item is None or item.static is None:
         return
     pressure_sigma, temperature_sigma = item.static.uncertainty, item.static.temperature_uncertainty
-    _put(sigmas, "p_static", pressure_sigma)
-    _put(sigmas, "temperature", temperature_sigma)
+    _set_sigma(sigmas, "p_static", pressure_sigma)
+    _set_sigma(sigmas, "temperature", temperature_sigma)
     rho, p, t = (_median(columns[n]) for n in ("rho", "p_static", "temperature"))
     flying = in_flight(columns["V"])  # near rest the error of V that a pressure error gives grows without bound
     q, v = (_median(columns[n][flying]) for n in ("p_dynamic", "V"))
     if rho is not None and p and t:
         relative = float(np.hypot(pressure_sigma / p, temperature_sigma / t))
-        _put(sigmas, "rho", rho * relative)
-        _put(sigmas, "altitude", pressure_sigma / (rho * GRAVITY))
+        _set_sigma(sigmas, "rho", rho * relative)
+        _set_sigma(sigmas, "altitude", pressure_sigma / (rho * GRAVITY))
         if v and q and q > 0 and "p_dynamic" in sigmas:
             # V = sqrt(2 q / rho): half of each relative error
-            _put(sigmas, "V", 0.5 * v * float(np.hypot(sigmas["p_dynamic"] / q, relative)))
-            _put(sigmas, "V_cas", 0.5 * v * sigmas["p_dynamic"] / q)
+            _set_sigma(sigmas, "V", 0.5 * v * float(np.hypot(sigmas["p_dynamic"] / q, relative)))
+            _set_sigma(sigmas, "V_cas", 0.5 * v * sigmas["p_dynamic"] / q)
 
 
 _TYPICAL_FLOW_ANGLE = 0.1  # rad, at which the error of the wash factor is stated
@@ -208,7 +208,7 @@ def _vanes(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
         sigma = _curve_sigma(item)
         if item is not None and item.vane is not None and sigma is not None:
             wash_sigma = _TYPICAL_FLOW_ANGLE * item.vane.wash_factor_uncertainty
-            _put(sigmas, column, float(np.hypot(sigma, wash_sigma) / item.vane.wash_factor))
+            _set_sigma(sigmas, column, float(np.hypot(sigma, wash_sigma) / item.vane.wash_factor))
 
 
 def _triads(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict[str, float]) -> None:
@@ -220,7 +220,7 @@ def _triads(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: d
         squares = [float(np.nanmean(columns[a] ** 2)) for a in axes if np.isfinite(columns[a]).any()]
         size = float(np.sqrt(sum(squares)))
         for axis, sigma in zip(axes, item.triad.uncertainty, strict=True):
-            _put(sigmas, axis, float(np.hypot(sigma, item.triad.matrix_uncertainty * size)))
+            _set_sigma(sigmas, axis, float(np.hypot(sigma, item.triad.matrix_uncertainty * size)))
 
 
 def _median(values: Array) -> float | None:

@@ -138,13 +138,13 @@ def _lagged_pulses(t: Array, y: Array, lag: float, target_times: Array) -> Array
     """Response (N,) of a first-order lag [s] to pulses `y` (n,) reported at `t` (n,) [s], from rest at the first. Each pulse
     begins DATED_BACK of an interval before its report. NaN outside the reports."""
     interval = float(np.median(np.diff(t)))
-    begins = t - DATED_BACK * interval
+    starts = t - DATED_BACK * interval
     error = np.zeros_like(y)  # pulse less response, at the beginning of each pulse
     for i in range(1, t.size):
-        error[i] = y[i] - y[i - 1] + error[i - 1] * math.exp((begins[i - 1] - begins[i]) / lag)
-    k = np.clip(np.searchsorted(begins, target_times, side="right") - 1, 0, t.size - 1)
-    response = y[k] - error[k] * np.exp(-np.maximum(target_times - begins[k], 0.0) / lag)
-    return np.where((target_times < begins[0]) | (target_times > t[-1] + DATED_BACK * interval), np.nan, response)
+        error[i] = y[i] - y[i - 1] + error[i - 1] * math.exp((starts[i - 1] - starts[i]) / lag)
+    k = np.clip(np.searchsorted(starts, target_times, side="right") - 1, 0, t.size - 1)
+    response = y[k] - error[k] * np.exp(-np.maximum(target_times - starts[k], 0.0) / lag)
+    return np.where((target_times < starts[0]) | (target_times > t[-1] + DATED_BACK * interval), np.nan, response)
 
 
 def hold(values: Array, number: NDArray[np.int64]) -> Array:

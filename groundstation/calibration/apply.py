@@ -109,7 +109,7 @@ class Calibrator:
                 name,
                 self.physical(table, name),
                 group,
-                self.facts.delay(name, group) - self.facts.after(name),
+                self.facts.delay(name, group) - self.facts.offset_in_group(name),
             )
         attitude = self.calibration.get("attitude")
         for axis in "wxyz":
@@ -137,7 +137,7 @@ class Calibrator:
             readings.extrapolated[item.instrument] = outside
         group = CHANNEL_BY_NAME[channel].group
         # a channel read later within its group shows a later instant, so its delay is smaller
-        delay = item.delay + self.facts.delay(item.instrument, group) - self.facts.after(channel)
+        delay = item.delay + self.facts.delay(item.instrument, group) - self.facts.offset_in_group(channel)
         _put_reading(readings, item.instrument, value, group, delay)
         if item.servo_lag:
             readings.lag[item.instrument] = -item.servo_lag

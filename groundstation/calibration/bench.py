@@ -167,13 +167,13 @@ class _InstrumentJob:
         sigma = np.hypot(
             max(spread, self.fit.reference_uncertainty) / np.sqrt(error.size), self.fit.systematic_uncertainty
         )
-        new = self.template.static.model_copy(
+        static = self.template.static.model_copy(
             update={
                 "pressure_offset": self.template.static.pressure_offset + float(error.mean()),
                 "uncertainty": float(sigma),
             }
         )
-        return {"static": new}
+        return {"static": static}
 
     # ------------------------------------------------------------------------------------------------- three axes
 

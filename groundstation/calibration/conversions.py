@@ -68,11 +68,13 @@ def apply_triad(triad: Triad, reading: Axes, temperature: Array | None = None) -
 
     With a temperature coefficient and no temperature the result is NaN.
     """
-    free = [reading[i] - triad.bias[i] for i in range(3)]
+    unbiased = [reading[i] - triad.bias[i] for i in range(3)]
     if any(triad.bias_per_kelvin):
-        warming = np.full_like(free[0], np.nan) if temperature is None else temperature - triad.reference_temperature
-        free = [free[i] - triad.bias_per_kelvin[i] * warming for i in range(3)]
-    x, y, z = (row[0] * free[0] + row[1] * free[1] + row[2] * free[2] for row in triad.matrix)
+        warming = (
+            np.full_like(unbiased[0], np.nan) if temperature is None else temperature - triad.reference_temperature
+        )
+        unbiased = [unbiased[i] - triad.bias_per_kelvin[i] * warming for i in range(3)]
+    x, y, z = (row[0] * unbiased[0] + row[1] * unbiased[1] + row[2] * unbiased[2] for row in triad.matrix)
     return x, y, z
 
 

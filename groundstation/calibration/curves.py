@@ -234,9 +234,12 @@ def _sphere_jacobian(
     theta: Array, reading: Array, upper: tuple[NDArray[np.int64], NDArray[np.int64]]
 ) -> tuple[Array, Array]:
     """Derivatives of |M (reading - b)| - 1 with respect to the six elements of M and the three of b, and its values."""
-    matrix, free = _symmetric(theta[:6], upper), reading - theta[6:]
-    vector = free @ matrix.T
+    matrix, centred = _symmetric(theta[:6], upper), reading - theta[6:]
+    vector = centred @ matrix.T
     length = np.linalg.norm(vector, axis=1)
     unit = vector / length[:, None]
-    rows = [unit[:, i] * free[:, j] + (unit[:, j] * free[:, i] if i != j else 0.0) for i, j in zip(*upper, strict=True)]
+    rows = [
+        unit[:, i] * centred[:, j] + (unit[:, j] * centred[:, i] if i != j else 0.0)
+        for i, j in zip(*upper, strict=True)
+    ]
     return np.column_stack([*rows, -(unit @ matrix)]), length - 1

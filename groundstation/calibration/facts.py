@@ -80,8 +80,8 @@ class RecordedFacts:
         key = _LAG_KEYS.get(instrument)
         return (self._number(key) or 0.0) if key else 0.0
 
-    def after(self, channel: str) -> float:
-        """How long after its group's instant a channel was sampled [s], to INSTANT_STEP; 0 when not known."""
+    def offset_in_group(self, channel: str) -> float:
+        """Time at which a channel was sampled after its group's instant [s], to INSTANT_STEP; 0 when not known."""
         key = f"{CHANNEL_BY_NAME[channel].group}.{channel}_after_s"
         measured = self._number(key) or 0.0
         return round(measured / INSTANT_STEP) * INSTANT_STEP

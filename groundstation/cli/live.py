@@ -137,13 +137,13 @@ def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iter
     dated = out is None and settings.output.dated
     base = settings.output.directory
     folder_name = out or (base / name_stamp(time.time()) if dated else base)
-    old = sorted([*folder_name.glob("*.tlog"), *folder_name.glob("*.journal")]) if replayed else []
-    if old:
+    previous = sorted([*folder_name.glob("*.tlog"), *folder_name.glob("*.journal")]) if replayed else []
+    if previous:
         raise GroundConfigError(
-            f"{folder_name} holds a session already ({old[0].name}); give another folder with --out"
+            f"{folder_name} holds a session already ({previous[0].name}); give another folder with --out"
         )
     for folder in [folder_name, *(folder_name.with_name(f"{folder_name.name}_{n}") for n in range(2, 100) if dated)]:
-        new = not folder.exists()
+        created = not folder.exists()
         with ExitStack() as lock:
             try:
                 lock.enter_context(folder_of_ones_own(folder, "ground"))
@@ -153,7 +153,7 @@ def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iter
                 yield folder, lock.enter_context(open_output(folder))
             finally:
                 lock.close()
-                if new:
+                if created:
                     _remove_unused(folder)
             return
     raise GroundConfigError(

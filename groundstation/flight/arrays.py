@@ -14,6 +14,7 @@ ALTERNATING = -0.4  # lag-one correlation of third differences: -0.75 for white 
 MOST_WINDOWS = 300
 """Of one signal, even in a long record: 20 minutes determine a scale or a sign a hundred times better than needed."""
 
+MAD_TO_SIGMA = 1.4826  # standard deviation of normal noise over its median absolute deviation
 REPEATED = 0.3  # share of samples that repeat the last one: 0.27 where noise is one quantum, less where it is more
 LONGEST_HOLD = 1.0
 """How long [s] a supply voltage, chip temperature or static pressure is used after it was read, if not in each scan."""

@@ -36,8 +36,8 @@ def standard_temperature(p_static: Array) -> Array:
 
 def is_of_the_air(p_static: Array, temperature: Array) -> bool:
     """Whether a temperature (N,) [K] can be that of the air at a static pressure (N,) [Pa], and not of a warm board."""
-    warmer = float(np.nanmedian(temperature - standard_temperature(p_static)))
-    return OUTSIDE_TEMPERATURE[0] < warmer < OUTSIDE_TEMPERATURE[1]
+    difference = float(np.nanmedian(temperature - standard_temperature(p_static)))
+    return OUTSIDE_TEMPERATURE[0] < difference < OUTSIDE_TEMPERATURE[1]
 
 
 def density_at_pressure(p_static: Array) -> Array:

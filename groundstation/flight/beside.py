@@ -41,11 +41,11 @@ def beside(first: Flight, second: Flight, by: str = "auto") -> PairedFlight:
     """Both flights in one. by: 'correlation', 'input' (first movement of a control), 'event' (first event, mode or message that
     both have), 'start', or 'auto': correlation, else input, else start. FlightError where that gives no shift, or no common
     time."""
-    ways: Mapping[str, Callable[[Flight, Flight], tuple[float, str] | None]] = {
+    finders: Mapping[str, Callable[[Flight, Flight], tuple[float, str] | None]] = {
         "correlation": _by_correlation, "input": _by_input, "event": _by_event, "start": _by_start,
     }  # fmt: skip
     methods = ("correlation", "input", "start") if by == "auto" else (by,)
-    result = next((f for f in (ways[w](first, second) for w in methods) if f is not None), None)
+    result = next((f for f in (finders[w](first, second) for w in methods) if f is not None), None)
     if result is None:
         raise FlightError(
             f"{second.name} cannot be laid on {first.name} by {by}: they have nothing of it in common; try --align start"

@@ -98,9 +98,9 @@ class Flight:
                 raise FlightError(f"{name}: column {key} has {values.size} samples, time has {time.size}")
         name = plain_name(name)
         labels = np.zeros(time.size, np.int64) if segment is None else np.asarray(segment).astype(np.int64)
-        keep, order_notes = _order(name, time)
-        time, labels = time[keep], labels[keep]
-        arrays = {k: v[keep] for k, v in arrays.items()}
+        order, order_notes = _order(name, time)
+        time, labels = time[order], labels[order]
+        arrays = {k: v[order] for k, v in arrays.items()}
         segments, gaps = _split(time, labels, gap_factor)
         # a flight read again finds the gaps it was written with
         all_notes = without_repeats([*notes, *order_notes, *gaps])
@@ -122,7 +122,7 @@ class Flight:
 
     def __getstate__(self) -> dict[str, Any]:
         """The state with plain dictionaries in place of read-only views, which cannot be sent to another process."""
-        return {**self.__dict__, "columns": dict(self.columns), "provenance": _plain(self.provenance)}
+        return {**self.__dict__, "columns": dict(self.columns), "provenance": _picklable(self.provenance)}
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
         """The Arrow stream protocol: polars, DuckDB, pandas and pyarrow take a flight as a table."""
@@ -260,7 +260,7 @@ class Flight:
         )
 
 
-def _plain(provenance: Provenance) -> Provenance:
+def _picklable(provenance: Provenance) -> Provenance:
     return replace(provenance, calibration=dict(provenance.calibration), detail=dict(provenance.detail))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from groundstation.flight.arrays import Array
+from groundstation.flight.arrays import MAD_TO_SIGMA, Array
 from groundstation.flight.errors import FlightError
 from groundstation.flight.flight import Flight
 
@@ -114,7 +114,7 @@ def _departure(values: Array, time: Array) -> Array:
 def _active(departure: Array, smallest: float) -> NDArray[np.bool_]:
     """(n,) samples at which a control is away from trim by more than `smallest` [rad] and its noise."""
     steps = np.diff(departure)
-    noise = float(np.median(np.abs(steps))) * 1.4826 / np.sqrt(2) if steps.size else 0.0
+    noise = float(np.median(np.abs(steps))) * MAD_TO_SIGMA / np.sqrt(2) if steps.size else 0.0
     return np.asarray(np.abs(departure) > max(smallest, NOISE_FACTOR * noise))
 
 

@@ -48,11 +48,11 @@ class Marks:
     def __bool__(self) -> bool:
         return bool(self.modes or self.events or self.messages)
 
-    def moved(self, later: float) -> "Marks":
-        """The same marks, `later` seconds later."""
-        modes = tuple(replace(m, start=m.start + later, stop=m.stop + later) for m in self.modes)
+    def moved(self, delay: float) -> "Marks":
+        """The same marks, `delay` seconds later."""
+        modes = tuple(replace(m, start=m.start + delay, stop=m.stop + delay) for m in self.modes)
         events, messages = (
-            tuple(replace(m, time=m.time + later) for m in marks) for marks in (self.events, self.messages)
+            tuple(replace(m, time=m.time + delay) for m in marks) for marks in (self.events, self.messages)
         )
         return Marks(modes, events, messages)
 
@@ -96,9 +96,9 @@ def marks_of(flight: Flight) -> Marks:
 def mode_changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[FlightMode, ...]:
     """Modes from samples of their name in order of time; the last lasts until `end` [s]."""
     pairs = list(zip(time, names, strict=True))
-    begins = [next(same) for _, same in groupby(pairs, key=itemgetter(1))]
-    stops = [*(t for t, _ in begins[1:]), max(end, begins[-1][0] if begins else end)]
-    return tuple(FlightMode(name, start, stop) for (start, name), stop in zip(begins, stops, strict=False))
+    starts = [next(samples) for _, samples in groupby(pairs, key=itemgetter(1))]
+    stops = [*(t for t, _ in starts[1:]), max(end, starts[-1][0] if starts else end)]
+    return tuple(FlightMode(name, start, stop) for (start, name), stop in zip(starts, stops, strict=False))
 
 
 def rows_of(detail: Mapping[str, Any], key: str, numbers: tuple[str, ...], text: str) -> list[Mapping[str, Any]]:

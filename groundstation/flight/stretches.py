@@ -134,7 +134,7 @@ def airborne(flight: Flight) -> Airborne:
         f"{seconds:.1f} s on the ground, at lift-off or landing, or in a hover are left out: slower than {limit:.3g} m/s"
         + (f", or within {FLYING_HEIGHT:g} m of the ground before and after" if (rolls & ~slow).any() else "")
     )
-    return Airborne(flying, text, bool(flying.any()) and _stood(flight, speed, standing, flying))
+    return Airborne(flying, text, bool(flying.any()) and _stands_at_an_end(flight, speed, standing, flying))
 
 
 def _standing_speed(speed: Array) -> float:
@@ -143,7 +143,7 @@ def _standing_speed(speed: Array) -> float:
     return min(STANDING_SPEED, STANDING_SHARE * float(np.quantile(known, 0.98))) if known.size else 0.0
 
 
-def _stood(flight: Flight, speed: Array, standing: float, flying: Mask) -> bool:
+def _stands_at_an_end(flight: Flight, speed: Array, standing: float, flying: Mask) -> bool:
     """Whether a segment begins or ends below the standing speed [m/s], and the ground speed, where measured, is low there,
     too."""
     count = max(round(SHORTEST_SLOW / flight.sample_interval), 1)

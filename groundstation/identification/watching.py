@@ -67,7 +67,7 @@ class LiveWatch:
             self._monitor.add(sample)
         names = [a.leading[0].effect if a.leading else "" for a in self._monitor.alarms]
         reported = [*self._reported, *[None] * (len(names) - len(self._reported))]
-        new = [a for a, name, before in zip(self._monitor.alarms, names, reported, strict=True) if name != before]
+        new = [a for a, name, previous in zip(self._monitor.alarms, names, reported, strict=True) if name != previous]
         self._reported = names
         return new
 

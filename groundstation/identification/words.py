@@ -39,7 +39,7 @@ def _identified(state: LiveState) -> list[LiveDerivative]:
 def lines(state: LiveState) -> Iterator[str]:
     """The complete state as lines for a terminal."""
     e = state.estimates
-    yield f"{state.aircraft.name}, {e.span:.0f} s of flight in {e.rows} intervals at t = {state.time:.1f} s{_late(state)}"
+    yield f"{state.aircraft.name}, {e.span:.0f} s of flight in {e.rows} intervals at t = {state.time:.1f} s{_late_note(state)}"
     yield f"{'':9}{'now':>10}{'bound':>10}{'believed':>11}  {'by whom':<21}{'to go':>7}"
     for name in state.aircraft.shown:
         d = e.derivatives[name]
@@ -54,7 +54,7 @@ def markdown(state: LiveState) -> str:
     e, point = state.estimates, list(point_lines(state))
     to_do = [f"**{line}**" for line in (*point[-1:], _next_line(state))]
     rows = [
-        f"**{state.aircraft.name}**, {e.span:.0f} s of flight, t = {state.time:.1f} s{_late(state)}",
+        f"**{state.aircraft.name}**, {e.span:.0f} s of flight, t = {state.time:.1f} s{_late_note(state)}",
         "",
         *(f"- {line}" for line in (*to_do, *point[:-1])),
         "",
@@ -119,7 +119,7 @@ def point_lines(state: LiveState) -> Iterator[str]:
     point = state.point
     if point is None:
         return
-    moves = ", ".join(f"{control} {degrees:.1f} deg" for control, degrees in _flown(point).items())
+    moves = ", ".join(f"{control} {degrees:.1f} deg" for control, degrees in _peaks_deg(point).items())
     gust = max(point.gusts.values(), default=math.nan)
     air = f", gusts {math.degrees(gust):.1f} deg" if math.isfinite(gust) else ""
     status = "under way" if point.moving else "flown"
@@ -134,7 +134,7 @@ def point_lines(state: LiveState) -> Iterator[str]:
     yield f"test point: {point_decision(state)}"
 
 
-def _flown(point: FlownPoint) -> dict[str, float]:
+def _peaks_deg(point: FlownPoint) -> dict[str, float]:
     """Control -> peak [deg], of the controls that a test point moved."""
     return {CONTROL_WORDS[n]: math.degrees(v) for n, v in point.peaks.items() if v >= LEAST_PEAK}
 
@@ -150,13 +150,13 @@ def point_decision(state: LiveState) -> str:
         return "stop, every wanted bound is reached"
     within = sorted((seconds, n) for n, seconds in lacking.items() if seconds <= GO_ON_S)
     if point.moving and within:
-        coming = ", ".join(f"{n} in {max(seconds, 1.0):.0f} s" for seconds, n in within[:MOST_NAMES])
-        return f"go on, at this rate bounds are reached of {coming}"
+        soon = ", ".join(f"{n} in {max(seconds, 1.0):.0f} s" for seconds, n in within[:MOST_NAMES])
+        return f"go on, at this rate bounds are reached of {soon}"
     if point.moving:
         return "stop, this input brings no bound within a minute"
     if point.faults:
         return f"repeat it: {point.faults[0]}"
-    if state.advice is not None and state.advice.peaks.keys() == _flown(point).keys():
+    if state.advice is not None and state.advice.peaks.keys() == _peaks_deg(point).keys():
         return "good; once more of the same axis brings most"
     return "good; need not be repeated"
 
@@ -172,7 +172,7 @@ def point_line(state: LiveState) -> str:
     point = state.point
     assert point is not None
     reached = sum(seconds == 0.0 for seconds in state.to_go.values())
-    moves = " ".join(f"{control} {degrees:.0f}" for control, degrees in _flown(point).items())
+    moves = " ".join(f"{control} {degrees:.0f}" for control, degrees in _peaks_deg(point).items())
     worst = "" if state.advice is None else f", {state.advice.worst} {state.advice.now:.1f}x"
     verdict = "repeat" if point.faults else "good"
     return f"point {moves} deg: {verdict}; {reached}/{len(state.to_go)} there{worst}; next {next_short(state)}"[:LINE]
@@ -238,5 +238,5 @@ def _remark(state: LiveState, d: LiveDerivative) -> str:
     return ""
 
 
-def _late(state: LiveState) -> str:
+def _late_note(state: LiveState) -> str:
     return f" ({state.late} late scans still to be worked in)" if state.late else ""

@@ -260,12 +260,12 @@ class AircraftMonitor:
 
 def _sequencer_words(status: ev.SequencerStatus) -> str:
     """State, its duration, increments and reason of the sequencer; unknown numbers, of a later release, stay numbers."""
-    state = _words(State, status.state)
-    reason = _words(Reason, status.reason)
+    state = _enum_words(State, status.state)
+    reason = _enum_words(Reason, status.reason)
     increments = ", ".join(f"{math.degrees(value):+.1f}" for value in status.increments)
     return f"{state} for {status.elapsed_s:.1f} s, e a r {increments} deg" + (f" ({reason})" if reason else "")
 
 
-def _words(kind: type[State] | type[Reason], number: int) -> str:
+def _enum_words(kind: type[State] | type[Reason], number: int) -> str:
     member: State | Reason | None = kind._value2member_map_.get(number)  # type: ignore[assignment]
     return f"{kind.__name__.lower()} {number}" if member is None else member.words

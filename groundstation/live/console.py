@@ -248,24 +248,24 @@ def open_output(folder: Path) -> Iterator[Callable[[str], None]]:
     """A function that prints a line and logs it in `folder`, and neither waits for a reader nor fails without one."""
     with RotatingLog(folder / LOG) as log:
 
-        def write_down(line: str) -> None:
+        def write_log(line: str) -> None:
             stamp = log_stamp(time.time())
             log.write(f"{stamp} {visible(line)}\n".encode("utf-8", "backslashreplace"))
 
         descriptor = _descriptor()
         if descriptor is None:  # within another program's Python, or a test, whose output never blocks
 
-            def both(line: str) -> None:
+            def echo_and_log(line: str) -> None:
                 click.echo(line)
-                write_down(line)
+                write_log(line)
 
-            yield both
+            yield echo_and_log
             return
         speaker = Speaker(partial(os.write, descriptor))
 
         def say(line: str) -> None:
             speaker.say(visible(line))
-            write_down(line)
+            write_log(line)
 
         try:
             yield say

@@ -70,7 +70,12 @@ class Station:
             self._echo(f"aircraft {system} heard")
         return self.monitors[system]
 
+    def _note_untimed(self, source: str, level: str, text: str) -> None:
+        """Note a line without a time of flight. source: an aircraft or the ground station."""
+        self._note(f"{'':10}    {source}  {level} {text}")
+
     def _note(self, line: str) -> None:
+        """Print a line, and write it to the event log."""
         line = legible(line)
         self._echo(line)
         self._log.write((line + "\n").encode("utf-8", "backslashreplace"))
@@ -112,18 +117,15 @@ class Station:
                 self.identifications.take_fetched(session, data, self.monitor(session.system))
             case ev.ReceptionFinding(system=system) if system not in self.monitors:
                 if event.kind is not ev.ReceptionFindingKind.REFUSED:
-                    source = f"aircraft {system}" if system else "ground station"
-                    self._note(f"{'':10}    {source}  WARN {event.text}")
+                    self._note_untimed(f"aircraft {system}" if system else "ground station", "WARN", event.text)
             case ev.StatusText() | ev.CommandResult() | ev.ManoeuvreSent() | ev.ReceptionFinding():
                 if event.system in self.monitors:
                     self.monitors[event.system].take_event(event)
             case ev.Heartbeat():
                 pass
             case ev.Trouble(what=what, words=words):
-                recovered = "works again"
-                self._note(
-                    f"{'':10}    ground station  {'INFO' if words is None else 'WARN':<4} {what}: {words or recovered}"
-                )
+                level = "INFO" if words is None else "WARN"
+                self._note_untimed("ground station", level, f"{what}: {words or 'works again'}")
                 for monitor in self.monitors.values():
                     monitor.take_event(event)
             case _:
@@ -138,7 +140,7 @@ class Station:
                 monitor.disk(self.space)
         if not (self._space_reported or math.isnan(self.space.megabytes)):
             self._space_reported = True
-            self._note(f"{'':10}    ground station  INFO disk: {self.space.words}")
+            self._note_untimed("ground station", "INFO", f"disk: {self.space.words}")
 
     def _adopt_papers(self, session: ev.Session, info: RecordingInfo) -> None:
         """Use the aircraft and the calibration that a recording's papers name, as soon as they have arrived."""

@@ -85,13 +85,13 @@ def blueprint(
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=e.TIMELINE, play_state=following),
     )
-    words = rrb.TextDocumentView(origin=e.IDENTIFIED, name=IDENTIFICATION)
+    derivatives = rrb.TextDocumentView(origin=e.IDENTIFIED, name=IDENTIFICATION)
     if layout == "phone":
-        texts = rrb.Tabs(events, words) if identified and live else events
+        texts = rrb.Tabs(events, derivatives) if identified and live else events
         return rrb.Blueprint(rrb.Vertical(texts, plots["airdata"], plots["rates"]), *panels)
     if layout == "light":
         plots_left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"])
-        right = rrb.Vertical(events, words, row_shares=[1, 1.6]) if identified and live else events
+        right = rrb.Vertical(events, derivatives, row_shares=[1, 1.6]) if identified and live else events
         return rrb.Blueprint(
             rrb.Horizontal(plots_left, right, column_shares=[3, 2 if right is not events else 1]), *panels
         )
@@ -118,10 +118,10 @@ def blueprint(
     link = rrb.Tabs(plots["link"], plots["signal"])
     right = rrb.Vertical(health, link, row_shares=[2.2, 1])
     # the log is below both, over their whole width: lines longer than its pane are cut off
-    beside = rrb.Vertical(
+    right_side = rrb.Vertical(
         rrb.Horizontal(middle, right, column_shares=[1.1, 0.9]), rrb.Tabs(events, status), row_shares=[3.4, 1.0]
     )
-    flying = rrb.Horizontal(plots_left, beside, column_shares=[1.3, 2.0], name="Flight")
+    flying = rrb.Horizontal(plots_left, right_side, column_shares=[1.3, 2.0], name="Flight")
     if not identified:
         return rrb.Blueprint(flying, *panels)
     return rrb.Blueprint(rrb.Tabs(flying, _identification(live, coefficients), active_tab=0), *panels)
@@ -184,17 +184,17 @@ def fitted(
 
 def _top(*, live: bool, narrow: bool) -> rrb.Container:
     """Read-outs; live with the alarms in words, and a lamp in the colour of the highest."""
-    readouts = _bare(rrb.TextDocumentView(origin=e.READOUTS, name="Read-outs"))
+    readouts = _without_title(rrb.TextDocumentView(origin=e.READOUTS, name="Read-outs"))
     if not live:
         return rrb.Horizontal(readouts)
-    words = _bare(rrb.TextDocumentView(origin=e.ALARM_WORDS, name="Alarms"))
+    words = _without_title(rrb.TextDocumentView(origin=e.ALARM_WORDS, name="Alarms"))
     if narrow:
         return rrb.Vertical(readouts, words, row_shares=[1.4, 1.0])
-    lamp = _bare(rrb.StateTimelineView(origin=e.ALARM, name="Alarm"))
+    lamp = _without_title(rrb.StateTimelineView(origin=e.ALARM, name="Alarm"))
     return rrb.Horizontal(readouts, words, lamp, column_shares=[3.4, 1.4, 0.4])
 
 
-def _bare(view: rrb.View) -> rrb.View:
+def _without_title(view: rrb.View) -> rrb.View:
     """The view without its title bar, which is as high as a line of read-outs."""
     view.titlebar = False
     return view

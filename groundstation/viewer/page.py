@@ -75,18 +75,25 @@ def policy(data: Sequence[str]) -> str:
 
 
 class PageServer(BoundedServer):
-    """Serves the page with the files of a rerun program that serves them at `files` (http://...), and data from `behind`.
+    """Serves the page with the files of a rerun program that serves them at `files` (http://...), and data from the
+    server `data_server`.
 
     data: other origins from which the page may load data. host: address on which to listen. key: token required of every request;
     needed beyond loopback. Raises OSError when the port is in use.
     """
 
     def __init__(
-        self, port: int, files: str, data: Sequence[str], behind: tuple[str, int], host: str = LOOPBACK, key: str = ""
+        self,
+        port: int,
+        files: str,
+        data: Sequence[str],
+        data_server: tuple[str, int],
+        host: str = LOOPBACK,
+        key: str = "",
     ) -> None:
         class Handler(_Handler):
             source = files
-            backend = behind
+            backend = data_server
             token = key
             names = LOOPBACK_NAMES if host == LOOPBACK else LOOPBACK_NAMES | {host.lower()}
             headers_of_page: ClassVar = {

@@ -141,21 +141,21 @@ def _estimates(flights: list[Path], out: Path) -> None:
     _run("match", out / "model.toml", *flights, "--free", "CY_0,Cl_0,Cn_0", *proof)
 
 
-def _gap(flown: "Sequence[Future[Path]]", out: Path) -> str:
+def _gap(futures: "Sequence[Future[Path]]", out: Path) -> str:
     """Run the gap workflow in another process once its flights are finished, the last one held out; gives its output."""
     report = out / "report"
-    *training, holdout = [_named_copy(f.result(), out, f"hidden_{i}") for i, f in enumerate(flown)]
+    *training, holdout = [_named_copy(f.result(), out, f"hidden_{i}") for i, f in enumerate(futures)]
     text = [
         str(word)
         for word in ("gap", *training, "--holdout", holdout, "--json", report / "gap.json", "--report", report / "gap")
     ]
     command = [sys.executable, "-m", "sideslip", "--quiet", *text]
-    done = subprocess.run(
+    process = subprocess.run(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8", check=False
     )
-    if done.returncode not in (0, 1):
-        raise UserError(f"demo: sideslip gap ended with status {done.returncode}: {done.stdout.strip()}")
-    return f"$ sideslip {' '.join(text)}\n\n{done.stdout.rstrip()}"
+    if process.returncode not in (0, 1):
+        raise UserError(f"demo: sideslip gap ended with status {process.returncode}: {process.stdout.strip()}")
+    return f"$ sideslip {' '.join(text)}\n\n{process.stdout.rstrip()}"
 
 
 def _start_flights(out: Path, workers: ProcessPoolExecutor) -> "tuple[list[Future[ChainFlight]], list[Future[Path]]]":
@@ -174,16 +174,16 @@ def _start_flights(out: Path, workers: ProcessPoolExecutor) -> "tuple[list[Futur
     return ordinary, hidden
 
 
-def _finished_flights(flown: "Sequence[Future[ChainFlight]]", out: Path) -> list[Path]:
+def _finished_flights(futures: "Sequence[Future[ChainFlight]]", out: Path) -> list[Path]:
     """Wait for the four flights and print what the radio delivered of each; gives their files."""
     from sideslip.verbs.delivery import Progress
 
     with Progress("flying") as bar:
-        for done, _ in enumerate(as_completed(flown), 1):
-            bar(done / len(flown))
-    for name, flight in zip(DEMO_FLIGHTS, flown, strict=True):
+        for finished, _ in enumerate(as_completed(futures), 1):
+            bar(finished / len(futures))
+    for name, flight in zip(DEMO_FLIGHTS, futures, strict=True):
         click.echo(_radio_line(name, flight.result()))
-    return [_named_copy(f.result().onboard, out, name) for name, f in zip(DEMO_FLIGHTS, flown, strict=True)]
+    return [_named_copy(f.result().onboard, out, name) for name, f in zip(DEMO_FLIGHTS, futures, strict=True)]
 
 
 def _radio_line(name: str, flight: ChainFlight) -> str:

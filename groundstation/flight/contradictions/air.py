@@ -50,8 +50,8 @@ def air_density(c: Columns) -> AirDensity | None:
 
 def independent_density(c: Columns) -> AirDensity | None:
     """Density by pressure or altitude with a credible temperature (`atmosphere.DENSITY_WAYS`), without use of a column rho."""
-    able = (w for w in DENSITY_WAYS if all(n in c for n in w.needs))
-    way = next((w for w in able if w.credible(*(c[n] for n in w.needs))), None)
+    available = (w for w in DENSITY_WAYS if all(n in c for n in w.needs))
+    way = next((w for w in available if w.credible(*(c[n] for n in w.needs))), None)
     if way is None:
         return None
     return AirDensity(way.build(*(c[n] for n in way.needs)), " and ".join(way.needs), way.guesses)
@@ -197,8 +197,8 @@ def _weather(dense: AirDensity, implied: float) -> str:
     share = implied / _median(dense.values)
     if not dense.guesses or not GUESSED_DENSITY[0] < share < GUESSED_DENSITY[1]:
         return ""
-    warmer = SEA_LEVEL_TEMPERATURE * (1.0 / share - 1.0)
+    warming = SEA_LEVEL_TEMPERATURE * (1.0 / share - 1.0)
     return (
-        f" with the standard temperature, a guess: air some {abs(warmer):.0f} K {'warmer' if warmer > 0 else 'colder'} would "
+        f" with the standard temperature, a guess: air some {abs(warming):.0f} K {'warmer' if warming > 0 else 'colder'} would "
         "make them agree, so add its temperature"
     )

@@ -156,9 +156,9 @@ class _Blocks:
             averaged = float(np.median(steps.sum(axis=1))) / MEANS_PER_BLOCK if count else 0.0
             longest = max(GAP * float(np.median(steps)), averaged) if count else 0.0
             complete &= steps.max(axis=1, initial=0.0) <= longest  # the movement across a gap is unknown
-            a, b, off = (np.where(complete, np.sqrt(np.mean(v**2, axis=1)), np.nan) for v in (x, y, x - y))
+            a, b, difference = (np.where(complete, np.sqrt(np.mean(v**2, axis=1)), np.nan) for v in (x, y, x - y))
             follows = complete & (np.mean(x * y, axis=1) > LEAST_CORRELATION * a * b)
-        return cls((a, b), follows, float(np.median(off[follows])) if follows.any() else np.inf)
+        return cls((a, b), follows, float(np.median(difference[follows])) if follows.any() else np.inf)
 
     def evident(self, side: int, margin: float = 1.0) -> Mask:
         """(m,) blocks in which the other side moves enough to judge this one. side: 0 the signal, 1 the integral."""
@@ -224,7 +224,7 @@ def _pitot_lost(time: Array, c: Columns, lost: Mask) -> Contradiction:
     )
     name = next(n for n in PITOT if n in c)
     text = (
-        f"{name} is that of {np.nanmedian(speed[lost]):.2g} m/s {_when(time, lost)} while {witness}: the pitot blocked (water, "
+        f"{name} is that of {np.nanmedian(speed[lost]):.2g} m/s {_times(time, lost)} while {witness}: the pitot blocked (water, "
         f"ice) or lost its tube there; {_leave_out(time, lost, RECONSTRUCT)}"
     )
     sides = (name, "vn", "ve") if np.isfinite(ground).any() else (name, "ax", "theta")
@@ -238,7 +238,7 @@ def _stood_still(
     stand, them = ("stand", "them") if len(sensors) > 1 else ("stands", "it")
     while_others = f"{', '.join(witnesses)} make {them} move" if witnesses else "the other sensors go on"
     text = (
-        f"{', '.join(sensors)} {stand} still {_when(time, still)} while {while_others}: frozen, blocked or old values; "
+        f"{', '.join(sensors)} {stand} still {_times(time, still)} while {while_others}: frozen, blocked or old values; "
         f"{_leave_out(time, still, cure)}"
     )
     return _failed((*sensors, *witnesses), text, time, still)
@@ -250,15 +250,16 @@ def _failed(sides: tuple[str, ...], text: str, time: Array, failed: Mask) -> Con
     return Contradiction(sides, text, favoured=", ".join(sides[1:]), moves=moves, stops=True, spans=spans)
 
 
-def _when(time: Array, failed: Mask) -> str:
+def _times(time: Array, failed: Mask) -> str:
+    """The times of the runs of True as text."""
     return " and ".join(f"from {time[a]:.1f} to {time[b - 1]:.1f} s" for a, b in true_runs(failed))
 
 
 def _leave_out(time: Array, failed: Mask, cure: str) -> str:
     """The remedy as text: the stretches without the failure in the form of `--segments`, and `cure`."""
-    rest = [(time[a], time[b - 1]) for a, b in true_runs(~failed) if time[b - 1] - time[a] >= SHORTEST_REST]
-    stretches = ",".join(f"{np.ceil(a * 10) / 10:.1f}:{np.floor(b * 10) / 10:.1f}" for a, b in rest)
-    return f"leave it out with --segments {stretches}, {cure}" if rest else cure.removeprefix("or ")
+    sound_spans = [(time[a], time[b - 1]) for a, b in true_runs(~failed) if time[b - 1] - time[a] >= SHORTEST_REST]
+    stretches = ",".join(f"{np.ceil(a * 10) / 10:.1f}:{np.floor(b * 10) / 10:.1f}" for a, b in sound_spans)
+    return f"leave it out with --segments {stretches}, {cure}" if sound_spans else cure.removeprefix("or ")
 
 
 def _mask_samples(columns: dict[str, Array], names: Sequence[str], rows: Mask) -> None:

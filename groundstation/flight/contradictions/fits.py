@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.flight.arrays import Array
+from groundstation.flight.arrays import MAD_TO_SIGMA, Array
 
 Columns = Mapping[str, Array]
 
@@ -53,8 +53,8 @@ def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Ar
     """Coefficients (k,) and their covariance (k, k), widened by the correlation of neighbouring residuals; None where
     undetermined. design: (m, k); target: (m,); windows: number of constants already removed from both."""
     rows, unknown = design.shape
-    free = rows - unknown - windows
-    if free < FEWEST_BLOCKS // 2 or np.linalg.matrix_rank(design) < unknown:
+    freedom = rows - unknown - windows
+    if freedom < FEWEST_BLOCKS // 2 or np.linalg.matrix_rank(design) < unknown:
         return None
     normal = design.T @ design
     solved = np.linalg.solve(normal, design.T @ target)
@@ -62,7 +62,7 @@ def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Ar
     spread = float(residual @ residual)
     neighbours = float(residual[1:] @ residual[:-1]) / spread if spread > 0 else 0.0
     rho = min(max(neighbours, 0.0), LARGEST_CORRELATION)
-    variance = spread / free * (1.0 + rho) / (1.0 - rho)
+    variance = spread / freedom * (1.0 + rho) / (1.0 - rho)
     return np.asarray(solved, float), np.asarray(variance * np.linalg.inv(normal), float)
 
 
@@ -108,4 +108,4 @@ def ratio_of(first: Array, second: Array) -> FitWithError | None:
     if ratio.size < FEWEST_BLOCKS:
         return None
     middle = float(np.median(ratio))
-    return FitWithError(middle, 1.4826 * float(np.median(np.abs(ratio - middle))) / np.sqrt(ratio.size / 4.0))
+    return FitWithError(middle, MAD_TO_SIGMA * float(np.median(np.abs(ratio - middle))) / np.sqrt(ratio.size / 4.0))

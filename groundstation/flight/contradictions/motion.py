@@ -53,8 +53,8 @@ def gyros_and_attitude(time: Array, c: Columns) -> Iterator[Contradiction]:
 def _wrong_scale(slope: float, agreement: float, std: float) -> bool:
     """Whether a slope of 1 is excluded by more than a sensor's scale error and the slope's own error `std`, which is large where
     the flight is a single window."""
-    off = abs(slope - 1.0)
-    significant = off > max(SCALE_TOLERANCE, SCALE_SIGMAS * std)
+    deviation = abs(slope - 1.0)
+    significant = deviation > max(SCALE_TOLERANCE, SCALE_SIGMAS * std)
     return agreement > AGREEMENT and significant and 1 / LARGEST_SCALE < slope < LARGEST_SCALE
 
 

@@ -91,8 +91,8 @@ def _check_size(path: Path, metadata: Any, columns: int, size: int, error: type[
         )
 
 
-def _add_column(out: ParquetColumns, name: str, column: Any, wanted: bool) -> None:
-    """Add an Arrow column to `out`, by its type. wanted: whether the cells of a text are read."""
+def _add_column(content: ParquetColumns, name: str, column: Any, wanted: bool) -> None:
+    """Add an Arrow column to `content`, by its type. wanted: whether the cells of a text are read."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -100,13 +100,13 @@ def _add_column(out: ParquetColumns, name: str, column: Any, wanted: bool) -> No
         stamps = column.cast(pa.int64())
         first = pc.min(stamps).as_py() or 0
         scale = _SECONDS[column.type.unit]
-        out.dates[name], out.firsts[name] = _floats(pc.subtract(stamps, first)) * scale, first * scale
+        content.dates[name], content.firsts[name] = _floats(pc.subtract(stamps, first)) * scale, first * scale
         return
     if pa.types.is_duration(column.type) or pa.types.is_time(column.type):
         integers = (
             column.cast(pa.int32()).cast(pa.int64()) if pa.types.is_time32(column.type) else column.cast(pa.int64())
         )
-        out.dates[name] = _floats(integers) * _SECONDS[column.type.unit]
+        content.dates[name] = _floats(integers) * _SECONDS[column.type.unit]
         return
     if pa.types.is_dictionary(column.type):
         column = column.unify_dictionaries()
@@ -116,14 +116,14 @@ def _add_column(out: ParquetColumns, name: str, column: Any, wanted: bool) -> No
             indices = [
                 chunk.indices.fill_null(len(dictionary)).to_numpy(zero_copy_only=False) for chunk in column.chunks
             ]
-            out.numeric[name] = values[np.concatenate(indices).astype(np.int64)] if indices else np.zeros(0)
+            content.numeric[name] = values[np.concatenate(indices).astype(np.int64)] if indices else np.zeros(0)
         except pa.ArrowException:
-            out.words[name] = _cells(dictionary.to_pylist(), column) if wanted else []
+            content.words[name] = _cells(dictionary.to_pylist(), column) if wanted else []
         return
     try:
-        out.numeric[name] = _floats(column)
+        content.numeric[name] = _floats(column)
     except pa.ArrowException:
-        out.words[name] = []
+        content.words[name] = []
 
 
 def _floats(column: Any) -> Array:

@@ -64,7 +64,7 @@ NORMAL_FORCE_TOLERANCE = 0.25
 def suspicions(time: Array, columns: Columns) -> list[Finding]:
     """Findings on columns that look like another unit, sign or axis. time: (N,) [s]; columns: name -> (N,), as recorded."""
     present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
-    units = (_time, _gravity, _angles, _rates, _speed, _others, _pressure_speed, _ground_speed)
+    units = (_time, _gravity, _angles, _rates, _speed, _other_columns, _pressure_speed, _ground_speed)
     signs = (_gravity_sign, _attitude_rate, _sideways, _upwards)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # the checks report such values
         axes = list(wrong_axes(time, present))  # explain every wrong sign, too
@@ -204,7 +204,7 @@ def _speed(time: Array, c: Columns) -> Iterator[Finding]:
         yield _suspect("V", f"median {middle:.4g} m/s, beyond {high:g}; is it in {unit}?")
 
 
-def _others(time: Array, c: Columns) -> Iterator[Finding]:
+def _other_columns(time: Array, c: Columns) -> Iterator[Finding]:
     for name, values in c.items():
         if name in (*_ANGLES, *_RATES, "ax", "ay", "az", "V", "V_cas"):
             continue

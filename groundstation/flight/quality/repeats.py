@@ -72,8 +72,8 @@ def repeats(flight: Flight, column: str) -> RepeatedValues:
     if finite.size < FEWEST or np.ptp(finite) == 0.0 or commanded:
         return RepeatedValues(column, 0.0, no_samples, no_samples, no_samples, 0.0)
     step = quantum(finite)
-    repeated = _same(flight, values)
-    held_samples, rate = _held(flight, values, repeated, step)
+    repeated = _repeated(flight, values)
+    held_samples, rate = _slow_repeats(flight, values, repeated, step)
     runs = _long_runs(flight, repeated)
     evidence = _StuckEvidence(flight, column, repeated, held_samples, step, runs)
     stuck, at_rest = no_samples.copy(), no_samples.copy()
@@ -100,7 +100,7 @@ def span_of(values: Array) -> float:
     return float(high - low) or float(np.ptp(values))
 
 
-def _same(flight: Flight, values: Array) -> Mask:
+def _repeated(flight: Flight, values: Array) -> Mask:
     """(N,) whether a sample repeats the value of the one before it in its segment."""
     span = span_of(values[np.isfinite(values)])
     repeated = np.zeros(values.size, bool)
@@ -109,19 +109,19 @@ def _same(flight: Flight, values: Array) -> Mask:
     return repeated
 
 
-def _long_runs(flight: Flight, same: Mask) -> list[tuple[int, int]]:
+def _long_runs(flight: Flight, repeated: Mask) -> list[tuple[int, int]]:
     """[start, stop) of each run of one value that is long enough for a stuck sensor."""
-    runs = [(a - 1, b) for a, b in true_runs(same)]
+    runs = [(a - 1, b) for a, b in true_runs(repeated)]
     return [(a, b) for a, b in runs if b - a >= STUCK_SAMPLES and flight.time[b - 1] - flight.time[a] >= STUCK]
 
 
-def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask, float]:
+def _slow_repeats(flight: Flight, values: Array, repeated: Mask, step: float) -> tuple[Mask, float]:
     """(N,) repeats of a slow sensor, and its rate [Hz]; none and 0 where it is as fast as the samples, or only coarse.
     step: its quantum."""
-    none = np.zeros(values.size, bool)
-    starts = np.flatnonzero(~same & np.isfinite(values))
+    no_samples = np.zeros(values.size, bool)
+    starts = np.flatnonzero(~repeated & np.isfinite(values))
     if starts.size <= SLOW_RUNS:
-        return none, 0.0
+        return no_samples, 0.0
     length = np.diff(starts)
     jump = np.abs(np.diff(values[starts]))  # into the next value
     big = jump >= BIG * step
@@ -129,11 +129,11 @@ def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask,
     complete = big[:-1] & big[1:] & (length[1:] * flight.sample_interval <= LONGEST_HOLD)
     holds = length[1:][complete]
     if holds.size < SLOW_RUNS or float(np.mean(holds >= 2)) < SLOW_SHARE:
-        return none, 0.0
+        return no_samples, 0.0
     typical = float(np.median(holds))
     if float(np.mean(np.abs(holds - typical) <= 1.0)) < EVEN or float(np.mean(holds > 2.0 * typical + 1.0)) > LATE:
-        return none, 0.0
-    return same.copy(), float(1.0 / (holds.mean() * flight.sample_interval))
+        return no_samples, 0.0
+    return repeated.copy(), float(1.0 / (holds.mean() * flight.sample_interval))
 
 
 class _StuckEvidence:

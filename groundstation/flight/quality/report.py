@@ -58,9 +58,9 @@ def quality_report(flight: Flight, contradicted: Sequence[Contradiction] | None 
     return (*(check(flight) for check in checks), *contradiction_findings(contradicted))
 
 
-def _finding(check: str, sentences: Sequence[str], good: str, severity: Severity = "warn") -> Finding:
-    """The finding of a check: its sentences with a severity, or `good` with severity "ok" where there are none."""
-    return Finding(check, "; ".join(sentences), severity) if sentences else Finding(check, good, "ok")
+def _finding(check: str, sentences: Sequence[str], summary: str, severity: Severity = "warn") -> Finding:
+    """The finding of a check: its sentences with a severity, or `summary` with severity "ok" where there are none."""
+    return Finding(check, "; ".join(sentences), severity) if sentences else Finding(check, summary, "ok")
 
 
 # -------------------------------------------------------------------------------------------------------- time base
