@@ -131,7 +131,7 @@ class _AfterLanding:
         return self._flight.clock.monotonic_ns() - self._receiver.heard_ns > SILENT_S * 1e9
 
     def _unreported(self) -> bool:
-        """Whether the aircraft has scans of which it has not reported whether they were sent."""
+        """Whether the aircraft has not yet reported for some scan whether it was sent."""
         return any(a.unknown for a in self._receiver.accounting())
 
     def _backfill_agreed(self) -> bool:

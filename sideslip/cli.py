@@ -1,4 +1,4 @@
-"""The one command line: a thin table of verbs, each importing only what it needs when it is called.
+"""The command line: a table of verbs, whose modules are imported when they are called.
 
 Exit status: 0 done; 1 done, but the answer is a failed check; 2 unusable input, with one line on standard error; 130 interrupted,
 after files are closed.

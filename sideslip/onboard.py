@@ -20,9 +20,8 @@ from groundstation.identification.words import point_line, short_line
 from groundstation.live.watches import LandingLimits
 from sideslip.live_aircraft import live_aircraft
 
-BATCH_S = (
-    2.0  # [s] of scans calibrated together, twice that of the ground station, for half the work: nobody watches here
-)
+BATCH_S = 2.0
+"""[s] of scans calibrated together, twice that of the ground station, for half the work: nobody watches here."""
 WANTED = 0.05  # bound to be reached, as a share of a derivative; only texts use it
 
 

@@ -1,4 +1,4 @@
-"""What a calibrated flight says of its making: provenance, notes for a person, and one sigma of each column."""
+"""Provenance and notes of a calibrated flight, and one sigma of each column."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -29,7 +29,7 @@ def account(
     aligned: bool,
     align_option: bool | None,
 ) -> tuple[dict[str, Any], list[str]]:
-    """What the provenance carries about this calibration, and what a person should know of it."""
+    """Entries for the provenance's detail on this calibration, and notes for a person."""
     notes = []
     present = completeness(table.number)
     if not aligned and align_option is None:

@@ -173,7 +173,7 @@ def _interpolated(t: Array, y: Array, target_times: Array, cubic: bool) -> Array
 
 
 def _lagrange(t: Array, y: Array, target_times: Array, first: NDArray[np.int64]) -> Array:
-    """At each target time the cubic through four samples, of which `first` is the index of the first."""
+    """(N,) at each target time the cubic through four samples, the first at the index `first` (N,)."""
     total = np.zeros_like(target_times)
     for a in range(4):
         weight = np.ones_like(target_times)

@@ -44,13 +44,13 @@ _HELD = ("pwm_1", "pwm_2", "pwm_3", "pwm_4")  # a pulse width holds until the ne
 _MAG_OVERFLOW = 8  # bit 3 of the magnetometer's second status byte
 _FIX_3D = 3  # type of a GNSS fix
 _OTHER_SENSOR = 2.0
-"""Ratio of two scales [Pa/count] from which they belong to different kinds of pitot sensor; specimens differ by a few percent."""
+"""Ratio of two scales [Pa/count] from which they belong to different kinds of pitot sensor: those of two kinds differ by more."""
 
 
 class Calibrator:
     """A calibration set made ready for use on scans, live or recorded.
 
-    facts: what the recording says of its sensors; takes precedence over the set's own.
+    facts: of the recording's sensors; they take precedence over those of the set.
     Raises CalibrationError when a fact is unusable.
     """
 
@@ -230,7 +230,7 @@ class Calibrator:
             _put_reading(readings, name, np.where(has_fix, self.physical(table, name), np.nan), "gnss", 0.0)
 
     def sensor_supply(self, table: ScanTable) -> Array:
-        """Voltage of the sensor supply (N,) [V]. Raises CalibrationError when the set does not say how to read it."""
+        """Voltage of the sensor supply (N,) [V]. Raises CalibrationError when the set has no file for it."""
         item = self.calibration.get("sensor_supply")
         if item is None or item.curve is None or item.channel is None:
             raise CalibrationError(
@@ -248,7 +248,9 @@ class Calibrator:
             group, smooth = readings.group[name], name not in self._linear and name not in _HELD
             sampled_at = table.time + table.known_offset(group) - readings.delay[name]
             lag = readings.lag.get(name, 0.0)
-            if self.facts.stamped(group) or lag < 0.0:  # a servo lags behind pulses, whoever times them
+            if (
+                self.facts.stamped(group) or lag < 0.0
+            ):  # a servo's lag needs the times of its pulses, whoever stamps them
                 pulse = name in _HELD or lag < 0.0
                 values[name] = by_stamp(reading, sampled_at, table.time, smooth=smooth, lag=lag, pulse=pulse)
             elif name in _HELD:
@@ -280,7 +282,7 @@ def calibrate(
 ) -> Flight:
     """The flight made from raw scans.
 
-    facts: what the recording says of its sensors (chip coefficients, filter delays, ranges).
+    facts: of the recording's sensors (chip coefficients, filter delays, ranges).
     align: bring every group to the scan's time and remove the full lever-arm effect. Where the share COMPLETE of the scan numbers
     is present (a recording from on board, or one filled up after landing) nothing is interpolated across a missing one; in a
     thinned stream scans up to BRIDGED seconds apart are neighbours. None aligns unless more than a tenth of the intervals of a

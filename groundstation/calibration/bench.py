@@ -270,7 +270,7 @@ class _InstrumentJob:
 
 
 def fitted_set(base: CalibrationSet, fits: Iterable[BenchFit]) -> CalibrationSet:
-    """The base set with the fitted files in place of its own."""
+    """The base set with the fitted files replaced."""
     texts = {f"{f.instrument.instrument}.toml": to_toml(f.instrument) for f in fits}
     return replace(base.with_texts(texts), name=base.name)
 

@@ -1,4 +1,4 @@
-"""Calibration sets: the files of all instruments of one aircraft, read, checked, and kept with their text and hash.
+"""Calibration sets: the files of all instruments of one aircraft, read and checked, with their texts and hashes.
 
 A set is a directory of such files. It is embedded in every recording as text, so that a flight can be calibrated again
 from the file alone, and a later, better set can take its place (`--calibration DIR`).

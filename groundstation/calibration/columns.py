@@ -27,7 +27,7 @@ MIXED = {("delta_e", "delta_a"): ("elevon_left", "elevon_right"), ("cmd_e", "cmd
 
 
 class CombinedColumns:
-    """Makes the columns that combine several instruments. aligned: whether the values stand at common instants."""
+    """Makes the columns that combine several instruments. aligned: whether the values are at common instants."""
 
     def __init__(
         self, calibration: CalibrationSet, table: ScanTable, values: Mapping[str, Array], aligned: bool

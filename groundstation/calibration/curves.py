@@ -20,9 +20,9 @@ MARGIN = 0.02
 _RANGE_POINTS = 21  # over which the uncertainty of a curve is averaged: it is smooth
 _FEWEST_SPHERE_READINGS = 20  # over twice the nine parameters of a sphere
 _SPHERE_COVERAGE = 0.8  # span of each axis, at least, in radii: less leaves bias and scale of the axis correlated
-_SPHERE_ITERATIONS = 50  # of Gauss-Newton; it converges in fewer than ten
+_SPHERE_ITERATIONS = 50  # of Gauss-Newton, which starts near the solution and needs only a few
 _SPHERE_TOLERANCE = 1e-12  # of the last step: near the resolution of a float
-_RANK_TOLERANCE = 1e-6  # of a singular value, as a share of the largest element: below it the axis was not excited
+_RANK_TOLERANCE = 1e-6  # of a singular value over the largest element and row: below it the axis was not excited
 
 
 def evaluate(curve: CalibrationCurve, reading: ArrayLike) -> Array:

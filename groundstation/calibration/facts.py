@@ -23,7 +23,7 @@ _LAG_KEYS = {"accelerometer": "imu.accel_delay_s", **dict.fromkeys(("gyro", "att
 _LONGEST_DELAY = 1.0  # s
 _LARGEST_SCALE = 1e3  # units a count; every real scale is far below one
 _LARGEST_OFFSET = 1e6  # Pa or K; as a pressure, ten atmospheres
-_AMBIENT_PRESSURES = 5e4, 1.2e5  # Pa; above 5.5 km the built-in aircraft do not fly
+_AMBIENT_PRESSURES = 5e4, 1.2e5  # Pa, at which a sensor may have been calibrated: up to 5.5 km of altitude
 _LARGEST_COUNT = 65535.0
 
 INSTANT_STEP = 1e-3

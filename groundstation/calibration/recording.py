@@ -31,8 +31,8 @@ def calibrate_recording(
 ) -> Flight:
     """The flight in a raw recording (file, or directory of its segments).
 
-    calibration: a set or directory that takes the place of the embedded one. salvage: use what is intact of a damaged
-    recording. Of a file that holds several sessions the one with most scans is taken, and a note says so.
+    calibration: a set or directory instead of the embedded one. salvage: use the intact part of a damaged recording. Of several
+    sessions in one file the one with most scans is used, and a note says so.
     Raises RecordingError or CalibrationError with one sentence.
     """
     if Path(path).suffix.lower() == ".tlog":

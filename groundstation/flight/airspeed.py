@@ -17,9 +17,8 @@ at times, so the median has to be half of the largest as well."""
 LOST_SHARE = 0.3
 """Of the airspeed's 0.9 quantile, below which it is taken as lost: the wings would carry a tenth of the weight."""
 SHORTEST_LOSS = 1.0  # [s]; gusts and single wild values are shorter
-GROUND_SPEED_SHARE = (
-    0.7  # of the usual ground speed, above which the aircraft flies: it rolls more slowly, also downwind
-)
+GROUND_SPEED_SHARE = 0.7
+"""Share of the usual ground speed above which the aircraft flies: it rolls more slowly, also in a tail wind."""
 AIRSPEED_OVER_GROUND = 0.4  # of the ground speed; less airspeed would be a tail wind of more than half the ground speed
 OLD_FIX, OLD_FIX_SPEED = 3.0, 1.0  # [s] of one velocity above so many [m/s]: a fix that is repeated
 FALL_TIME = 2.0  # [s] in which a pitot loses its pressure, but an aeroplane cannot lose its speed

@@ -38,9 +38,8 @@ CHANNEL_KINDS = ("measured", "computed", "assumed")
 HELD, INTERVAL, BACK = "held", "interval_s", "dated_back_s"
 """Keys of a channel's entry: whether it is a command, which holds until the next one; the interval of its records [s]; the time
 by which it was dated back [s]."""
-DATED_BACK = (
-    0.5  # of the interval, by which a recorded command is dated back: it changed at any time since the last record
-)
+DATED_BACK = 0.5
+"""Share of the interval by which a recorded command is dated back: it changed at any time since the last record."""
 RECONSTRUCTED = "reconstructed"
 """Key of a provenance's detail: columns that were reconstructed from others, with their sources and accuracy."""
 AIR_DATA, WIND = ("V", "alpha", "beta"), ("wind_n", "wind_e", "wind_d")

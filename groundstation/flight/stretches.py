@@ -23,9 +23,8 @@ SHORTEST_STRETCH = 1.0  # [s] of a stretch by mode or condition: a shorter one h
 MOST_MODES_SHOWN = 12
 STANDING_SPEED = 3.0  # [m/s] below which an aeroplane stands, taxies or hovers, and no pitot measures well
 SLOW_SHARE = 0.55  # of the median airspeed, below which wings carry less than a third of the weight
-STANDING_SHARE = (
-    0.35  # of the largest airspeed, where that is less: a model that flies at 4 m/s does not stand at 2 m/s
-)
+STANDING_SHARE = 0.35
+"""Share of the largest airspeed, used where that is less: a model that flies at 4 m/s does not stand at 2 m/s."""
 SHORTEST_SLOW = 2.0  # [s] of low airspeed: a stall or a gust is shorter
 FLYING_HEIGHT = 3.0  # [m] above the ground, below which an aeroplane at the start or end of a record rolls or flares
 LONGEST_ROLL = 60.0  # [s] from standing to that height, or back

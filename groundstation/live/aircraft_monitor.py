@@ -25,7 +25,7 @@ from groundstation.receiver.findings import legible
 IN_FLIGHT_ONLY = ("V", "alpha")  # columns whose alarms count in flight only
 _SEVERITY = {0: "CRITICAL", 1: "CRITICAL", 2: "CRITICAL", 3: "ERROR", 4: "WARN"}  # MAV_SEVERITY -> level
 STATUS_PERIOD_S = 1.0
-MOST_RECENT = 1000  # scans in memory, also of a sender whose time stands still
+MOST_RECENT = 1000  # scans in memory, also from a sender whose time does not advance
 RECENT_SPARE_S = 1.0  # of scans beyond those that prove a flight
 READOUT_PERIOD_S = 0.25  # nobody reads digits faster
 

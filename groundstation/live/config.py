@@ -29,7 +29,7 @@ class SessionOutputConfig(_GroundTable):
 
 
 class CalibrationConfig(_GroundTable):
-    """`directory`: calibration files, or the name of a built-in set, used live until the aircraft's own have come down."""
+    """`directory`: calibration files, or the name of a built-in set, used live until the aircraft's own have arrived."""
 
     directory: str = "cdfp"
 
@@ -87,7 +87,7 @@ DEFAULT_ALARMS = (
 
 
 class GroundConfig(_GroundTable):
-    """The whole file. Alarm channels are flight columns, or `link.loss_percent`, `link.silence_s`, `recorder.recording`,
+    """The configuration file. Alarm channels are flight columns, or `link.loss_percent`, `link.silence_s`, `recorder.recording`,
     `ground.free_mb`, `ground.minutes_left` (of this computer's disk), `sensors.unusable` (number of sensor groups);
     airspeed and angle of attack count in flight only.
     """

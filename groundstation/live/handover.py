@@ -28,8 +28,8 @@ class HandoverError(UserError):
 
 @dataclass(frozen=True)
 class Handover:
-    """A flight written for the estimation. path: the whole flight. manoeuvres_path: its manoeuvres, each a segment; None without
-    any. origin: of its recording."""
+    """A flight written for the estimation. path: the complete flight. manoeuvres_path: its manoeuvres, each a segment; None
+    without any. origin: of its recording."""
 
     path: Path
     manoeuvres_path: Path | None
@@ -66,7 +66,7 @@ def hand_over(
 ) -> Handover:
     """Calibrate a raw recording and write `<name>.mcap`, its manoeuvres and a summary into `folder`.
 
-    identified: what was identified live (`LiveIdentifications.result`), kept in the flight's provenance.
+    identified: what was identified live (`LiveIdentifications.result`), stored in the flight's provenance.
     Raises HandoverError when the recording holds no usable flight.
     """
     try:

@@ -31,7 +31,7 @@ def new(name: str, output: Path | None) -> None:
 def check(file: str, json_path: Path | None) -> int:
     """Say what in FILE (or a built-in aircraft) is missing, doubtful, or enough for which method.
 
-    Exit status 1 where it says something impossible, or is not enough for any model.
+    Exit status 1 where a value is impossible, or the file is not enough for any model.
     """
     from sideslip.aircraft_files import check_aircraft
     from sideslip.verbs.delivery import deliver

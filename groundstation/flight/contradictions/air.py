@@ -84,7 +84,7 @@ def speed_and_pressure(time: Array, c: Columns) -> Iterator[Contradiction]:
 
 
 def _favoured(scale: tuple[FitWithError, FitWithError] | None, name: str, ratio: float) -> tuple[str, str]:
-    """The side that the ground velocity favours, empty where neither, and the evidence as text. scale: as of `scale_by_ground`.
+    """The side that the ground velocity favours, empty where neither, and the evidence as text. scale: from `scale_by_ground`.
     ratio: dynamic pressure of V over the one measured."""
     if scale is None:
         return "", "nothing else in the flight tells which is right: check the pitot's ratio and the density"

@@ -29,10 +29,8 @@ MEANS_PER_BLOCK = 16  # of neighbouring samples, so that white noise hides no sl
 SHORTEST_REST = 3.0  # [s] of the flight before, between or after failures, that is worth estimating from
 STILL_BAND = 1.2  # times the largest movement of a failed sensor, within which it counts as still
 FROZEN, FROZEN_SAMPLES = 2.0, 20  # [s] and samples of one value, from which a sensor with noise has failed
-WEIGHTLESS, PARABOLA = (
-    0.2 * GRAVITY,
-    3.0,
-)  # less specific force [m/s2] for longer [s] than any aeroplane flies a parabola
+WEIGHTLESS, PARABOLA = 0.2 * GRAVITY, 3.0
+"""No aeroplane flies with less specific force [m/s2] for longer [s]."""
 OTHER_INSTANCE = "take another sensor's instance"
 PITOT = ("V", "p_dynamic", "V_cas")
 SENSED = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V", "p_dynamic")

@@ -87,7 +87,7 @@ def _smoothed(t: Array, change: Array, speed: Array) -> tuple[Array, Array, Arra
 
 
 def _fit_delayed(parts: list[tuple[Array, Array, Array, int]], delay: float) -> tuple[float, float, Pairs]:
-    """Slope, agreement and the averaged pairs, for a receiver that is `delay` [s] late. parts: as of `_smoothed`."""
+    """Slope, agreement and the averaged pairs, for a receiver that is `delay` [s] late. parts: from `_smoothed`."""
     pairs = [
         (np.convolve(np.interp(t - delay, t, change), np.full(width, 1.0 / width), "valid"), speed)
         for t, change, speed, width in parts

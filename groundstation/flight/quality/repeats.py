@@ -276,9 +276,8 @@ ROWS_IN_A_ROW = 20  # consecutive rows that must be equal
 ROWS_MOVING = 0.5  # of them must differ from the row before: all aircraft at rest, and simulated trims, are alike
 SHARED = 0.25  # of the shorter flight: flights simulated without noise may have the same beginning
 FEWEST_COLUMNS = 3  # that all flights have measured
-TENTH_OF_STEP = (
-    0.1  # rounding to five digits is a thousandth of a channel's noise: it flips a row in one window of five
-)
+TENTH_OF_STEP = 0.1
+"""Rounding to five digits is a thousandth of a channel's noise or less: it flips a row in one window of five."""
 
 
 def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:

@@ -49,7 +49,7 @@ NOISE_RATIO = 4  # of measured over sensor noise, from which vibration or a bad 
 
 
 def quality_report(flight: Flight, contradicted: Sequence[Contradiction] | None = None) -> tuple[Finding, ...]:
-    """All checks of a flight, in a fixed order. contradicted: result of `contradictions`, where it is at hand."""
+    """All checks of a flight, in a fixed order. contradicted: result of `contradictions`, if known."""
     checks: tuple[Callable[[Flight], Finding], ...] = (
         *(time_order, time_gaps, sample_interval, dropouts, stale_samples, clipping, spikes, plausible_values),
         *(calibrated_range, time_skew, noise_level, excitation),
