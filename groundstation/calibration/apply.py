@@ -124,7 +124,7 @@ class Calibrator:
         self, item: Instrument, curve: CalibrationCurve, channel: str, table: ScanTable, readings: Readings
     ) -> None:
         scale, offset = self.pressure_transfer(item, curve, channel)
-        reading = self.curve_input(item, curve, channel, table)
+        reading = self.curve_input(item, channel, table, scale, offset)
         value = curves.evaluate(curve, reading)
         if item.supply_sensitivity is not None:
             shift = item.supply_sensitivity
@@ -142,9 +142,11 @@ class Calibrator:
         if item.servo_lag:
             readings.lag[item.instrument] = -item.servo_lag
 
-    def curve_input(self, item: Instrument, curve: CalibrationCurve, channel: str, table: ScanTable) -> Array:
-        """Input (N,) of an instrument's curve, in the curve's input unit, referred to the sensor supply where ratiometric."""
-        scale, offset = self.pressure_transfer(item, curve, channel)
+    def curve_input(self, item: Instrument, channel: str, table: ScanTable, scale: float, offset: float) -> Array:
+        """Input (N,) of an instrument's curve, referred to the sensor supply where ratiometric.
+
+        scale, offset: from `pressure_transfer`.
+        """
         reading = self.physical(table, channel) * scale + offset
         if item.ratiometric is None:
             return reading
@@ -248,9 +250,8 @@ class Calibrator:
             group, smooth = readings.group[name], name not in self._linear and name not in _HELD
             sampled_at = table.time + table.known_offset(group) - readings.delay[name]
             lag = readings.lag.get(name, 0.0)
-            if (
-                self.facts.stamped(group) or lag < 0.0
-            ):  # a servo's lag needs the times of its pulses, whoever stamps them
+            # the lag of a servo needs the times of its pulses, also where the logger stamps them
+            if self.facts.stamped(group) or lag < 0.0:
                 pulse = name in _HELD or lag < 0.0
                 values[name] = by_stamp(reading, sampled_at, table.time, smooth=smooth, lag=lag, pulse=pulse)
             elif name in _HELD:

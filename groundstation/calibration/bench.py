@@ -112,9 +112,9 @@ class _InstrumentJob:
         template = self.template
         assert template.curve is not None, "a file of kind curve has one"
         assert template.channel is not None, "a file of kind curve names its channel"
-        reading = self.calibrator.curve_input(template, template.curve, template.channel, self.table)
-        transfer, _ = self.calibrator.pressure_transfer(template, template.curve, template.channel)
-        step = transfer * (CHANNEL_BY_NAME[template.channel].scale or 1.0)
+        scale, offset = self.calibrator.pressure_transfer(template, template.curve, template.channel)
+        reading = self.calibrator.curve_input(template, template.channel, self.table, scale, offset)
+        step = scale * (CHANNEL_BY_NAME[template.channel].scale or 1.0)
         dwells = [self._mean(d, [reading], [step]) for d in self.fit.dwell]
         references = np.array([self._reference(d) for d in self.fit.dwell])
         shift = np.zeros(len(dwells))

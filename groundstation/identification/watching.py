@@ -85,11 +85,7 @@ class LiveWatch:
         """Simulate the thresholds and start the monitor (in the thread)."""
         try:
             self._monitor = GapMonitors([self._monitor_of(plane) for plane in self._planes])
-        except (
-            LinAlgError,
-            ArithmeticError,
-            ValueError,
-        ) as error:  # with these beliefs the simulated aircraft does not fly
+        except (LinAlgError, ArithmeticError, ValueError) as error:  # by these beliefs the aircraft cannot fly
             self.trouble = f"no gap monitor: its thresholds cannot be simulated from these beliefs ({error})"
 
     def _monitor_of(self, plane: MonitoredPlane) -> GapMonitor:
