@@ -121,7 +121,9 @@ class Flight:
 
     def __getstate__(self) -> dict[str, Any]:
         """The state with plain dictionaries in place of read-only views, which cannot be sent to another process."""
-        return {**self.__dict__, "columns": dict(self.columns), "provenance": _picklable(self.provenance)}
+        p = self.provenance
+        provenance = replace(p, calibration=dict(p.calibration), detail=dict(p.detail))
+        return {**self.__dict__, "columns": dict(self.columns), "provenance": provenance}
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
         """The Arrow stream protocol: polars, DuckDB, pandas and pyarrow take a flight as a table."""
@@ -257,10 +259,6 @@ class Flight:
         return replace(
             self, name=name or self.name, time=self.time[keep], columns=columns, segment=renumbered.astype(np.int64)
         )
-
-
-def _picklable(provenance: Provenance) -> Provenance:
-    return replace(provenance, calibration=dict(provenance.calibration), detail=dict(provenance.detail))
 
 
 def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[Finding]]:

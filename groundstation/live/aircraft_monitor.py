@@ -75,8 +75,6 @@ class AircraftMonitor:
         self._fresh = FreshValues()
         self._disk = ""
         self.time = 0.0
-        self.samples = 0
-        self.values: dict[str, float] = {}
 
     @property
     def phase(self) -> Phase:
@@ -119,8 +117,7 @@ class AircraftMonitor:
         values = self._calibrated(scan)
         if late:
             return False
-        self.time, self.values = scan.time, {**self.values, **values}
-        self.samples += 1
+        self.time = scan.time
         states = {group: status.state.words for group, status in scan.groups.items()}
         unusable = [
             f"{group} ({status.state.words})"

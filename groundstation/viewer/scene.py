@@ -60,9 +60,9 @@ class Scene:
         self._track: deque[tuple[float, float, float, float, float]] = deque(maxlen=TRACK_POINTS)
         self._next_track = -math.inf
         self._derivatives = DerivativeCurves(stream)
-        self.log_statics()
+        self._log_statics()
 
-    def log_statics(self) -> None:
+    def _log_statics(self) -> None:
         """Log what does not change: names, colours, the aircraft's mesh."""
         rec = self._stream
         rec.log("/world", rr.ViewCoordinates.FRD, static=True)

@@ -127,14 +127,15 @@ def _add_column(content: ParquetColumns, name: str, column: Any, wanted: bool) -
 
 
 def _floats(column: Any) -> Array:
+    """(N,) an Arrow column as numbers, NaN where empty. Raises ArrowException where it holds none."""
     import pyarrow as pa
 
     with np.errstate(over="ignore"):
-        values = np.array(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
-    return values
+        return np.array(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
 
 
 def _cells(words: list[str], column: Any) -> list[str]:
+    """The cells of a column of text, empty ones as "". words: its dictionary."""
     labels = [*words, ""]
     return [labels[len(words) if i is None else i] for chunk in column.chunks for i in chunk.indices.to_pylist()]
 
