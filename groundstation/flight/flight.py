@@ -223,15 +223,17 @@ class Flight:
 
     def held(self, column: str) -> float | None:
         """Interval [s] at which a command was recorded: it holds in between, has no noise, and may have changed up to one
-        interval before its record. None for a measured column, or where the flight does not state it."""
+        interval before its record. None for a measured column, or where the flight states no valid interval."""
         channel = self.channels.get(column, {})
         interval = channel.get(INTERVAL)
-        return float(interval) if channel.get(HELD) is True and isinstance(interval, float | int) else None
+        if channel.get(HELD) is not True or not isinstance(interval, float | int):
+            return None
+        return float(interval) if 0.0 < interval < LATEST else None
 
     def dated_back(self, column: str) -> float:
-        """Time [s] by which an import dated a command back from its record; 0 where the flight states none."""
+        """Time [s] by which an import dated a command back from its record; 0 where the flight states no valid one."""
         back = self.channels.get(column, {}).get(BACK)
-        return float(back) if isinstance(back, float | int) else 0.0
+        return float(back) if isinstance(back, float | int) and 0.0 < back < LATEST else 0.0
 
     @property
     def known_columns(self) -> tuple[str, ...]:
