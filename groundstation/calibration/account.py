@@ -21,7 +21,7 @@ from groundstation.flight.quality.noise import noise
 Array = NDArray[np.float64]
 
 
-def account(
+def detail_and_notes(
     table: ScanTable,
     calibration: CalibrationSet,
     columns: Mapping[str, Array],

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration import conversions, curves
-from groundstation.calibration.account import account
+from groundstation.calibration.account import detail_and_notes
 from groundstation.calibration.align import (
     BRIDGED,
     COMPLETE,
@@ -298,7 +298,7 @@ def calibrate(
     calibrator = Calibrator(calibration, facts)
     calibrator.check(table)
     columns, readings = calibrator.columns(bridged(table) if aligned and not complete else table, aligned=aligned)
-    detail, notes = account(table, calibration, columns, readings, aligned, align)
+    detail, notes = detail_and_notes(table, calibration, columns, readings, aligned, align)
     if table.utc_offset is not None:
         detail["utc_offset_s"], detail["utc_accuracy_s"] = table.utc_offset
     origin = provenance or Provenance()

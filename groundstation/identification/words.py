@@ -25,7 +25,7 @@ def short_line(state: LiveState) -> str:
     identified = _identified(state)
     reached_count = sum(state.to_go.get(d.name, math.inf) == 0.0 for d in identified)
     surest = sorted(identified, key=lambda d: d.std / max(abs(d.estimate), 1e-12))[:MOST_NAMES]
-    numbers = ", ".join(f"{d.name} {number(d)}" for d in surest)
+    numbers = ", ".join(f"{d.name} {estimate_text(d)}" for d in surest)
     counts = f"{len(identified)} of {len(state.aircraft.shown)} identified, {reached_count} to the wanted bound"
     return f"live: {counts}{': ' + numbers if numbers else ''}; next: {next_words(state)}"
 
@@ -36,7 +36,7 @@ def _identified(state: LiveState) -> list[LiveDerivative]:
     return [d for d in derivatives if d.told]
 
 
-def lines(state: LiveState) -> Iterator[str]:
+def state_lines(state: LiveState) -> Iterator[str]:
     """The complete state as lines for a terminal."""
     e = state.estimates
     yield f"{state.aircraft.name}, {e.span:.0f} s of flight in {e.rows} intervals at t = {state.time:.1f} s{_late_note(state)}"
@@ -206,7 +206,7 @@ def _advised(a: ManoeuvreAdvice) -> str:
     return f"{flown} (bound of {a.worst} from {a.now:.1f} to {a.then:.1f} times the wanted one)"
 
 
-def number(d: LiveDerivative) -> str:
+def estimate_text(d: LiveDerivative) -> str:
     """Estimate and standard deviation, with as many decimals as the latter supports."""
     places = max(0, 1 - math.floor(math.log10(d.std))) if 0.0 < d.std < math.inf else 4
     return f"{d.estimate:.{min(places, 6)}f} ±{d.std:.{min(places, 6)}f}"

@@ -31,7 +31,7 @@ READOUT_PERIOD_S = 0.25  # nobody reads digits faster
 
 
 class MonitorView(Protocol):
-    """What a monitor shows things on."""
+    """The methods of a view that a monitor calls."""
 
     def sample(self, time_s: float, values: Mapping[str, float]) -> None: ...
     def states(self, time_s: float, states: Mapping[str, str]) -> None: ...

@@ -23,7 +23,7 @@ from daq.utilities.plain_words import did_you_mean, visible
 from daq.utilities.rotating_log import RotatingLog
 from daq.utilities.standard_streams import Speaker
 from daq.utilities.utc_stamps import log_stamp
-from groundstation.identification.words import lines
+from groundstation.identification.words import state_lines
 from groundstation.live.station import Station
 from groundstation.receiver.downloads import LogFetcher
 
@@ -161,7 +161,7 @@ class Console:
             case ["live"]:
                 for number in systems:
                     state = self._station.identifications.state(number)
-                    for line in ["nothing is identified yet"] if state is None else lines(state):
+                    for line in ["nothing is identified yet"] if state is None else state_lines(state):
                         self._echo(f"aircraft {number}: {line}")
             case ["ack"]:
                 for number in systems:

@@ -20,7 +20,7 @@ from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import BELIEVED, final_json
 from groundstation.identification.session import LiveIdentification, LiveState
 from groundstation.identification.watching import LiveWatch
-from groundstation.identification.words import number, short_line
+from groundstation.identification.words import estimate_text, short_line
 from groundstation.live.aircraft_monitor import AircraftMonitor
 from groundstation.live.config import LiveIdentificationConfig
 from groundstation.live.watches import LandingLimits
@@ -162,7 +162,7 @@ class LiveIdentifications:
         derivatives = state.estimates.derivatives
         for name in (n for n in state.aircraft.shown if n not in run.announced and derivatives[n].told):
             run.announced.add(name)
-            run.monitor.note("INFO", f"live: {name} identified: {number(derivatives[name])}")
+            run.monitor.note("INFO", f"live: {name} identified: {estimate_text(derivatives[name])}")
         if run.announced and state.time >= run.next_line_s:
             run.next_line_s = state.time + self._config.lines_every_s
             run.monitor.note("INFO", short_line(state))
