@@ -76,6 +76,7 @@ def ground(
     from groundstation.live.handover import hand_over_sessions
     from groundstation.live.replay import Replay, parse_speed, replay_into
 
+    pace = parse_speed(speed) if replay is not None else None
     settings = configured(config, layout, aircraft, watched, model)
     with (
         _ignore_hangup(),
@@ -93,7 +94,7 @@ def ground(
         try:
             with terminated_is_interrupt():
                 if replay is not None:
-                    replay_into(station, player, replay, parse_speed(speed))
+                    replay_into(station, player, replay, pace)
                 else:
                     _listen(station, settings, duration, views, say)
         except KeyboardInterrupt:

@@ -31,6 +31,7 @@ SIGMAS = 4.0  # by chance once in 16000 comparisons
 LEAST_CHI_SQUARE = 9.0  # difference by which the ground velocity favours one scale of V over another: three sigmas
 CREDIBLE_SCALE = 0.1  # a scale further than this, and 2 sigma, from that of the ground velocity is not favoured
 LEAST_FAST = 0.1  # share of fast samples: fewer may be a taxi run, or errors of the fix
+DENSITY_LAPSE = 0.1  # relative fall of the density in 1000 m
 PRESSURE_ALTITUDE = 600.0  # [m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes
 
 
@@ -180,7 +181,7 @@ def pressure_and_height(time: Array, c: Columns) -> Iterator[Contradiction]:
         return
     by_pressure = density_at_pressure(c[side]) if side == "p_static" else density_at_altitude(c[side])
     ratio = ratio_of(by_pressure, density_at_altitude(c["altitude_gnss"]))
-    if ratio is None or not ratio.differs_from(1.0, 0.1 * PRESSURE_ALTITUDE / 1000.0, SIGMAS):
+    if ratio is None or not ratio.differs_from(1.0, DENSITY_LAPSE * PRESSURE_ALTITUDE / 1000.0, SIGMAS):
         return
     cure = "the static port" if side == "p_static" else "whether it is above the field"
     text = (

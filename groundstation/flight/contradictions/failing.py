@@ -24,6 +24,7 @@ LARGEST_STILL = 0.25  # of the movement by the other sensors: a slow or damped s
 LEAST_MOVEMENT = 3.5  # times the usual disagreement, of the other sensors
 LEAST_CORRELATION = 0.7  # of a signal with its integrated rate, in a block in which the sensor works
 FEWEST_SAMPLES = 8  # of a block
+USUAL_STEP = 1.5  # of the 0.9 quantile of a slow sensor's intervals, up to which its samples are interpolated
 GAP = 3.0  # sample intervals without a sample
 MEANS_PER_BLOCK = 16  # of neighbouring samples, so that white noise hides no slow movement
 SHORTEST_REST = 3.0  # [s] of the flight before, between or after failures, that is worth estimating from
@@ -273,7 +274,7 @@ def _filled(time: Array, values: Array) -> Array:
     if known.all() or known.sum() < 2:
         return values
     steps = np.diff(time[known])
-    usual = 1.5 * float(np.quantile(steps, 0.9))
+    longest = USUAL_STEP * float(np.quantile(steps, 0.9))
     filled = np.interp(time, time[known], values[known], left=np.nan, right=np.nan)
     after = np.clip(np.searchsorted(time[known], time, "left"), 1, int(known.sum()) - 1)
-    return np.where(known | (steps[after - 1] <= usual), filled, np.nan)
+    return np.where(known | (steps[after - 1] <= longest), filled, np.nan)

@@ -12,6 +12,9 @@ Columns = Mapping[str, Array]
 BLOCK = 1.0  # [s] over which signals are averaged: longer than half a Dutch roll, shorter than a turn
 WINDOW = 60.0  # [s] within which wind and slow errors are taken as constant
 FEWEST_BLOCKS = 8  # of a fit; also the fewest values of a column that counts as measured
+FULL_SHARE = 0.5  # of the usual number of samples, that a block must have
+LEAST_DENOMINATOR = 0.3  # of the median, below which a ratio is mostly noise
+SAMPLES_PER_INDEPENDENT = 4.0  # samples of a ratio that count as one, since neighbours correlate
 LARGEST_CORRELATION = 0.9  # of neighbouring residuals; it widens a variance by (1 + 0.9) / (1 - 0.9) = 19
 
 
@@ -37,7 +40,7 @@ def block_means(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]
     t = time[finite]
     number = np.floor((t - t[0]) / BLOCK).astype(np.int64)
     _, label, count = np.unique(number, return_inverse=True, return_counts=True)
-    full = count >= 0.5 * np.median(count)
+    full = count >= FULL_SHARE * np.median(count)
     means = tuple((np.bincount(label, s[finite]) / count)[full] for s in signals)
     centre = (np.bincount(label, t) / count)[full]
     return np.floor((centre - t[0]) / WINDOW), means
@@ -98,14 +101,16 @@ def scale_by_ground(time: Array, c: Columns) -> tuple[FitWithError, FitWithError
 
 
 def ratio_of(first: Array, second: Array) -> FitWithError | None:
-    """Median of first / second and its 1 sigma, over the finite samples at which the second exceeds 0.3 of its median; None for
-    too few of them."""
+    """Median of first / second and its 1 sigma, over the finite samples at which the second exceeds LEAST_DENOMINATOR of its
+    median; None for too few of them."""
     if not np.isfinite(second).any():
         return None
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(second > 0.3 * np.nanmedian(second), first / second, np.nan)
+        ratio = np.where(second > LEAST_DENOMINATOR * np.nanmedian(second), first / second, np.nan)
     ratio = ratio[np.isfinite(ratio)]
     if ratio.size < FEWEST_BLOCKS:
         return None
     middle = float(np.median(ratio))
-    return FitWithError(middle, MAD_TO_SIGMA * float(np.median(np.abs(ratio - middle))) / np.sqrt(ratio.size / 4.0))
+    return FitWithError(
+        middle, MAD_TO_SIGMA * float(np.median(np.abs(ratio - middle))) / np.sqrt(ratio.size / SAMPLES_PER_INDEPENDENT)
+    )

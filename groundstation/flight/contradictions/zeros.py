@@ -10,6 +10,7 @@ from groundstation.flight.contradictions.fits import Columns
 from groundstation.flight.kinematics import GYROS
 
 BLOCK = 2.0  # [s] over which a rate and the change of its angle are averaged
+FULL_SHARE = 0.8  # of a block's samples, that must be there
 LEAST_BLOCKS = 5  # on either side of a jump
 BLOCKS_AT_JUMP = 3  # blocks next to the jump, on either side, which must show it: a drift does not
 LOCAL_SHARE = 0.7  # of the jump that these blocks must show
@@ -94,7 +95,7 @@ def _blocks(time: Array, *signals: Array) -> tuple[Array, ...]:
     """Begin [s] and mean of each signal, (m,) over the blocks without a gap or a missing value."""
     step = float(np.median(np.diff(time)))
     edges = np.searchsorted(time, np.arange(time[0], time[-1], BLOCK))
-    complete = np.diff(edges) > max(0.8 * BLOCK / step, 1.0)
+    complete = np.diff(edges) > max(FULL_SHARE * BLOCK / step, 1.0)
     means = [
         np.add.reduceat(s, edges[:-1])[complete] / np.diff(edges)[complete] if complete.any() else np.zeros(0)
         for s in signals
