@@ -20,11 +20,13 @@ from groundstation.flight.flight import Flight
 from groundstation.flight.marks import FlightMode, marks_of
 
 SHORTEST_STRETCH = 1.0  # [s] of a stretch by mode or condition: a shorter one holds no manoeuvre
-MOST_MODES_SHOWN = 12
+MOST_MODES_SHOWN, MOST_COLUMNS_SHOWN = 12, 40  # in a message
 STANDING_SPEED = 3.0  # [m/s] below which an aeroplane stands, taxies or hovers, and no pitot measures well
 SLOW_SHARE = 0.55  # of the median airspeed, below which wings carry less than a third of the weight
 STANDING_SHARE = 0.35
 """Share of the largest airspeed, used where that is less: a model that flies at 4 m/s does not stand at 2 m/s."""
+ALMOST_LARGEST = 0.98  # quantile that counts as the largest airspeed, so that spikes do not
+GROUND_SHARE = 0.5  # of the ground speed in flight, below which the aircraft stands or taxies
 SHORTEST_SLOW = 2.0  # [s] of low airspeed: a stall or a gust is shorter
 FLYING_HEIGHT = 3.0  # [m] above the ground, below which an aeroplane at the start or end of a record rolls or flares
 LONGEST_ROLL = 60.0  # [s] from standing to that height, or back
@@ -81,7 +83,7 @@ def _condition_columns(flight: Flight, condition: Expression) -> dict[str, Array
         elif flight.measured(name):
             columns[name] = flight[name]
         else:
-            measured = listed(["time", *(c for c in flight.columns if flight.measured(c))], 40)
+            measured = listed(["time", *(c for c in flight.columns if flight.measured(c))], MOST_COLUMNS_SHOWN)
             raise StretchError(f"--segments {condition.text!r}: {flight.name} has no column {name}; it has {measured}")
     return columns
 
@@ -137,9 +139,9 @@ def airborne(flight: Flight) -> Airborne:
 
 
 def _standing_speed(speed: Array) -> float:
-    """Speed [m/s] below which an aeroplane stands, by the 0.98 quantile, so that spikes do not count. speed: (N,) [m/s]."""
+    """Speed [m/s] below which an aeroplane stands. speed: (N,) [m/s]."""
     known = speed[np.isfinite(speed)]
-    return min(STANDING_SPEED, STANDING_SHARE * float(np.quantile(known, 0.98))) if known.size else 0.0
+    return min(STANDING_SPEED, STANDING_SHARE * float(np.quantile(known, ALMOST_LARGEST))) if known.size else 0.0
 
 
 def _stands_at_an_end(flight: Flight, speed: Array, standing: float, flying: Mask) -> bool:
@@ -153,7 +155,9 @@ def _stands_at_an_end(flight: Flight, speed: Array, standing: float, flying: Mas
     if ground is None or not np.isfinite(ground).any():
         return True
     on_ground, in_flight = ground[~flying & np.isfinite(ground)], ground[flying & np.isfinite(ground)]
-    return on_ground.size > 0 and in_flight.size > 0 and bool(np.median(on_ground) < 0.5 * np.median(in_flight))
+    return (
+        on_ground.size > 0 and in_flight.size > 0 and bool(np.median(on_ground) < GROUND_SHARE * np.median(in_flight))
+    )
 
 
 def _speed(flight: Flight) -> Array:

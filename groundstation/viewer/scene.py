@@ -22,6 +22,7 @@ from groundstation.viewer.entities import LinkSample, airframe_mesh, drawable
 
 TRACK_POINTS = 400  # drawn at most, the latest live, evenly spaced of a recorded flight
 TRACK_SCALE = 12.0  # of the aircraft on its track, where it would be too small to be seen
+AXIS_LENGTH = 0.7  # m, of the drawn body axes
 TRACK_PERIOD_S = 2.0  # between two drawings of the track
 READOUT_PERIOD_S = 0.5  # between read-outs of a recorded flight
 READOUTS_OF_A_FLIGHT = 4000  # some 400 kB; half an hour at the period above
@@ -74,7 +75,7 @@ class Scene:
         rec.log(f"{e.CHASED}/airframe", mesh, static=True)
         rec.log(f"{e.AIRCRAFT}/airframe", mesh, rr.Transform3D(scale=TRACK_SCALE), static=True)
         axes = rr.Arrows3D(
-            vectors=np.eye(3, dtype=np.float32) * 0.7,
+            vectors=np.eye(3, dtype=np.float32) * AXIS_LENGTH,
             colors=np.array([0xD55E00FF, 0x009E73FF, 0x56B4E9FF], np.uint32),
             labels=["x", "y", "z"],
             show_labels=False,

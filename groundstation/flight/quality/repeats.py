@@ -32,6 +32,9 @@ LONGEST_HOLD = 0.6  # [s]; slower channels (1 Hz GNSS and less) are too rare to 
 EVEN = 0.8  # share of holds, at least, within one sample of the median: those of a commanded step are uneven
 LATE = 0.05  # share of holds, at most, beyond twice the median: a slow sensor seldom loses two values in a row
 BEYOND_ERROR = 4.0  # times the usual error of a prediction, that a predicted movement must exceed
+ROWS_PER_PREDICTOR = 4  # of a regression on other channels, at least
+FEWEST_ERRORS = 3  # stretches from which the usual error of a prediction is known
+SMALL_GAPS = 0.05  # quantile
 FEWEST = 40  # finite values of a channel, below which its repeats are not judged
 GAUSSIAN = 0.6744897501960817  # median of the absolute value of a standard normal variable
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
@@ -87,11 +90,11 @@ def repeats(flight: Flight, column: str) -> RepeatedValues:
 def quantum(values: Array) -> float:
     """Step between the levels of a channel [its unit]; almost zero for one without a visible quantum. values: (n,), finite.
 
-    It is the 0.05 quantile of the gaps between levels, since a channel that was rounded twice has a few smaller ones.
+    It is the SMALL_GAPS quantile of the gaps between levels, since a channel that was rounded twice has a few smaller ones.
     """
     gaps = np.diff(np.unique(values))
     gaps = gaps[gaps > SAME * span_of(values)]
-    return float(np.quantile(gaps, 0.05)) if gaps.size else 0.0
+    return float(np.quantile(gaps, SMALL_GAPS)) if gaps.size else 0.0
 
 
 def span_of(values: Array) -> float:
@@ -193,7 +196,7 @@ class _StuckEvidence:
         error = np.where(self.still, np.nan, self.values - self.prediction)
         stretches = [error[k : k + length] for k in range(0, error.size - length, max(1, length // 2))]
         errors = [float(np.ptp(stretch)) for stretch in stretches if np.isfinite(stretch).all()]
-        return float(np.median(errors)) if len(errors) >= 3 else np.inf
+        return float(np.median(errors)) if len(errors) >= FEWEST_ERRORS else np.inf
 
 
 # ------------------------------------------------------------------------------------- a channel predicted from the others
@@ -213,7 +216,7 @@ def predicted_channel(flight: Flight, column: str, trusted: Mask) -> Array | Non
     predictors = [_standardised(flight[c]) for c in (*SENSED, *CONTROLS) if c != column and flight.measured(c)]
     X = np.column_stack([np.ones(len(flight)), *(c for c in predictors if c is not None)])
     rows = trusted & np.isfinite(flight[column]) & np.isfinite(X).all(axis=1)
-    if rows.sum() < 4 * X.shape[1]:
+    if rows.sum() < ROWS_PER_PREDICTOR * X.shape[1]:
         return None
     beta = np.linalg.lstsq(X[rows], flight[column][rows], rcond=1e-9)[0]
     return np.asarray(X @ beta)
