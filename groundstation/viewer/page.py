@@ -172,10 +172,13 @@ class _Handler(BaseHTTPRequestHandler):
     def _forward(self) -> None:
         """Forward a request for the flight's data to the server that has it; the last request of its connection."""
         self.close_connection = True
-        if not self._accepted() or not self.path.startswith(DATA):
+        if not self._accepted():
+            return
+        if not self.path.startswith(DATA):
+            self.send_error(404)
             return
         length = self.headers.get("Content-Length", "0")
-        if not length.isdigit() or int(length) > LARGEST_REQUEST or "Transfer-Encoding" in self.headers:
+        if not length.isdecimal() or int(length) > LARGEST_REQUEST or "Transfer-Encoding" in self.headers:
             self.send_error(413)
             return
         body = self.rfile.read(int(length))
