@@ -67,7 +67,7 @@ def __getattr__(name: str) -> Any:
         except ModuleNotFoundError as error:
             raise missing(error, f"sideslip.{name}") from error
     near = ""
-    if not name.startswith("_"):  # those are asked for by tools that go on without them
+    if not name.startswith("_"):  # tools look for such names and go on without them
         from daq.utilities.plain_words import did_you_mean
 
         near = did_you_mean(name, __all__)

@@ -1,4 +1,4 @@
-"""Files of aircraft in Python: what `aircraft new` and `aircraft check` do."""
+"""Aircraft files in Python: the functions behind `aircraft new` and `aircraft check`."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ def new_aircraft(name: str, output: str | Path | None = None) -> Path:
         output: the file; by default NAME.toml.
 
     Raises:
-        AircraftError: a name that is no word, or a file that is there already.
+        AircraftError: a name that is not one word, or a file that exists.
 
     Example::
 
@@ -36,12 +36,12 @@ def new_aircraft(name: str, output: str | Path | None = None) -> Path:
 
 
 def check_aircraft(file: str | Path) -> FileAnswer:
-    """What in an aircraft file is missing, doubtful, or enough for which method.
+    """What is missing or doubtful in an aircraft file, and the methods for which it is enough.
 
     Args:
         file: the file, or a built-in name.
 
-    `passed` is False where it says something impossible, or is not enough for any model.
+    `passed` is False where a value is impossible, or the file is not enough for any model.
 
     Example::
 

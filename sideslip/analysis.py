@@ -1,4 +1,4 @@
-"""From logs to an answer, for `analyse` and `ss.analyse`. Results of stages are stored, and a rerun repeats only changed ones."""
+"""From logs to an answer, for `analyse` and `ss.analyse`. Results of stages are stored; a rerun repeats only changed stages."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ def analyse(
         mapping: a file as for `import --map`.
         holdout: logs kept out of every fit.
         output: the folder to write.
-        progress: called with what is being done, and the share done.
+        progress: called with a text on the present work, and the share done.
 
     Raises:
         UserError: one sentence, for a log that cannot be read.
@@ -47,21 +47,21 @@ def analyse(
     logs = [logs] if isinstance(logs, str | Path) else list(logs)
     mapping = None if mapping is None else Path(mapping)
     aircraft = None if aircraft is None else str(aircraft)
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda what, share: None)
     stages = Stages(Path(output), software())
     aircraft_file = _content(Path(aircraft)) if aircraft and aircraft.endswith(".toml") else ""
     imported = []
     for number, path in enumerate([*logs, *holdout]):
-        tell(f"importing {Path(path).name}", 0.14 * number / (len(logs) + len(holdout)))
+        report(f"importing {Path(path).name}", 0.14 * number / (len(logs) + len(holdout)))
         imported.append(_imported(number, Path(path), mapping, aircraft, stages))
     flights = unique_names([flight for flight, _, _ in imported])
     keys, repeated = tuple(k for _, k, _ in imported), any(r for _, _, r in imported)
     imported_flights = ImportedFlights(tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), keys, repeated)
-    return analyse_flights(imported_flights, aircraft, digest([aircraft, aircraft_file]), stages, tell)
+    return analyse_flights(imported_flights, aircraft, digest([aircraft, aircraft_file]), stages, report)
 
 
 def _content(path: Path | None) -> str:
-    """The content of a small file, for the key of a stage; the text of `path` where there is no such file (a built-in name)."""
+    """The content of a small file, for the key of a stage; `path` itself as text where there is no file (a built-in name)."""
     return path.read_bytes().decode("latin-1") if path is not None and path.is_file() else str(path)
 
 
@@ -80,7 +80,7 @@ def _imported(
     target = stages.path(f"import_{number}.mcap")
 
     def work() -> dict[str, object]:
-        flight = _read(path, mapping)
+        flight = _read_or_import(path, mapping)
         target.parent.mkdir(parents=True, exist_ok=True)
         write_flight(flight, target)
         return {"name": flight.name, "path": flight.provenance.path, "sha256": flight.provenance.sha256}
@@ -93,7 +93,7 @@ def _imported(
     return (flight if aircraft is None else with_aircraft(flight, aircraft)), stage.key, stage.repeated
 
 
-def _read(path: Path, mapping: Path | None) -> "Flight":
+def _read_or_import(path: Path, mapping: Path | None) -> "Flight":
     """The flight of a file: a flight file, a calibrated raw recording, or an imported foreign log."""
     from groundstation.importers.about import is_foreign_log
     from groundstation.importers.run import import_data

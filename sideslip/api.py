@@ -6,8 +6,8 @@
     result.to_pandas()
     result.plot()
 
-Every function is what the verb of its name calls, so that the numbers are the same; what it returns prints shortly, shows a
-table in a notebook, and gives JSON, pandas frames, figures and files when asked.
+The verb of the same name calls the same function, so the numbers are the same. A result prints briefly, shows a table in a
+notebook, and has methods for JSON, pandas frames, figures and files.
 """
 
 import functools
@@ -56,11 +56,11 @@ __all__ = [
 P = ParamSpec("P")
 R = TypeVar("R")
 FLIGHTS = ("flight", "flights", "holdout")
-"""Arguments that are flights or files of them."""
+"""Names of arguments that take flights or their files."""
 
 
-def _asking(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, which asks for a package of an extra by a sentence where it is missing, and names the argument meant."""
+def _with_clear_errors(function: Callable[P, R]) -> Callable[P, R]:
+    """The function with an error in one sentence for a missing package, and a similar name for an unknown argument."""
     known = inspect.signature(function).parameters
 
     @functools.wraps(function)
@@ -77,15 +77,15 @@ def _asking(function: Callable[P, R]) -> Callable[P, R]:
     return called
 
 
-@_asking
+@_with_clear_errors
 def open(path: str | Path) -> "Flight":
-    """A flight of a file.
+    """Open a flight.
 
     Args:
-        path: a flight (.mcap, .csv, .parquet), or a raw recording, calibrated with the set it carries.
+        path: a flight (.mcap, .csv, .parquet), or a raw recording, which is calibrated with its embedded set.
 
     Raises:
-        FlightError: one sentence, for a file that is none.
+        FlightError: one sentence, for a file that is not a flight.
 
     Example::
 
@@ -97,11 +97,11 @@ def open(path: str | Path) -> "Flight":
     return open_flight(Path(path))
 
 
-def _opening(function: Callable[P, R]) -> Callable[P, R]:
-    """The function with every file of a flight opened as `open` does: raw recordings are calibrated."""
+def _with_opened_flights(function: Callable[P, R]) -> Callable[P, R]:
+    """The function with files of flights opened by `open`, so that raw recordings are calibrated."""
     signature = inspect.signature(function)
 
-    @_asking
+    @_with_clear_errors
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         bound = signature.bind(*args, **kwargs)
@@ -116,23 +116,23 @@ def _opening(function: Callable[P, R]) -> Callable[P, R]:
     return called
 
 
-check = _opening(checks.check)
-estimate = _opening(estimates.estimate)
-match = _opening(matches.match)
-gap = _opening(gaps.gap)
-watch = _opening(watching.watch)
-frequency = _opening(responses.frequency)
-performance = _opening(performances.performance)
-reconstruct = _opening(reconstruction.reconstruct)
-design = _asking(designs.design)
-analyse = _asking(analysis.analyse)
-campaign = _asking(campaigns.campaign)
-export = _asking(exports.export)
-new_aircraft = _asking(aircraft_files.new_aircraft)
-check_aircraft = _asking(aircraft_files.check_aircraft)
+check = _with_opened_flights(checks.check)
+estimate = _with_opened_flights(estimates.estimate)
+match = _with_opened_flights(matches.match)
+gap = _with_opened_flights(gaps.gap)
+watch = _with_opened_flights(watching.watch)
+frequency = _with_opened_flights(responses.frequency)
+performance = _with_opened_flights(performances.performance)
+reconstruct = _with_opened_flights(reconstruction.reconstruct)
+design = _with_clear_errors(designs.design)
+analyse = _with_clear_errors(analysis.analyse)
+campaign = _with_clear_errors(campaigns.campaign)
+export = _with_clear_errors(exports.export)
+new_aircraft = _with_clear_errors(aircraft_files.new_aircraft)
+check_aircraft = _with_clear_errors(aircraft_files.check_aircraft)
 
 
-@_asking
+@_with_clear_errors
 def import_log(
     path: str | Path,
     mapping: str | Path | None = None,
@@ -140,13 +140,13 @@ def import_log(
     *,
     aircraft: str | Path | None = None,
 ) -> "Flight":
-    """Somebody else's log as a flight.
+    """Import a log of another program as a flight.
 
     Args:
         path: CSV, Parquet, MATLAB, ULog, ArduPilot .bin, .tlog, MCAP, ROS bag.
         mapping: a file as for `import --map`, or the name of a built-in one.
         rate_hz: resample to this [Hz].
-        aircraft: a built-in name or a file, which then travels with the flight.
+        aircraft: a built-in name or a file, which is stored with the flight.
 
     Raises:
         UserError: one sentence, for a log that cannot be read.
@@ -162,9 +162,9 @@ def import_log(
     return flight if aircraft is None else with_aircraft(flight, str(aircraft))
 
 
-@_asking
+@_with_clear_errors
 def simulate(model: "AnyModel", flight: "Flight | str | Path", *, aircraft: "AnyAircraft" = None) -> "Flight":
-    """The flight with what the model shows on its measured inputs, as columns `<output>_model`.
+    """The flight with the outputs of a model on its measured inputs, as columns `<output>_model`.
 
     Args:
         model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file, "module:Class" or a Model.
@@ -180,6 +180,6 @@ def simulate(model: "AnyModel", flight: "Flight | str | Path", *, aircraft: "Any
     from estimation.resolve import resolve
 
     problem = resolve(open(flight) if isinstance(flight, str | Path) else flight, model, aircraft)
-    (read,) = problem.flights
-    y = simulated(problem.model, read)
-    return read.with_columns(**{f"{name}_model": y[:, i] for i, name in enumerate(problem.model.output_names)})
+    (prepared,) = problem.flights
+    y = simulated(problem.model, prepared)
+    return prepared.with_columns(**{f"{name}_model": y[:, i] for i, name in enumerate(problem.model.output_names)})

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from estimation.campaign.plan import CampaignPlan
     from estimation.campaign.run import CampaignEngine, CampaignOutcome
 
-SHOWN = 20  # printed sentences on failed flights, and on groups; the tables have all
+SHOWN = 20  # printed lines on failed flights, duplicates and groups each; the tables have all
 Names = str | Sequence[str] | None
 
 
@@ -44,13 +44,13 @@ def campaign(
     progress: Callable[..., None] | None = None,
     notice: Callable[[str], None] = lambda sentence: None,
 ) -> "CampaignAnswer":
-    """Estimate many flights into a data set; work that is in the data set already is not repeated.
+    """Estimate many flights into a data set; finished work of the data set is not repeated.
 
     Args:
         flights: files, patterns, folders, URLs, or one PLAN.toml, whose keys the other arguments replace.
         out: the folder of the data set.
-        methods: as `method` of `estimate`; None, here and up to time_limit: the plan's value, or its default.
-        model: as of `estimate`.
+        methods: as `method` of `estimate`. None, for this and all arguments up to time_limit: the plan's value, or its default.
+        model: as for `estimate`.
         aircraft: a built-in name or a file; by default what the flights carry.
         groups: of aircraft, configuration, day, manoeuvre.
         check: none, quality or full.
@@ -62,14 +62,14 @@ def campaign(
         seed: of all random draws.
         time_limit: of one piece of work [s].
         workers: processes of this computer, by default one for each processor.
-        scheduler: address of a dask scheduler, in place of workers.
+        scheduler: address of a dask scheduler, instead of workers.
         serial: all work in this process.
         retry: "failed" repeats failed work.
         dashboard: open the dashboard of the engine; needs bokeh.
         no_report: write the tables only.
         trust_code: run the Python code that a plan names.
         progress: called with a text and the fraction done.
-        notice: called with sentences to read before the work begins.
+        notice: called with sentences for a person before the work begins.
 
     Raises:
         CampaignError: one sentence, for a plan that cannot be carried out.
@@ -88,9 +88,9 @@ def campaign(
     sources = [str(f) for f in ([flights] if isinstance(flights, str | Path) else flights)]
     plan, folder = _plan(sources, _plan_keys(options), trust_code, notice)
     engine = partial(_engine, workers=workers, scheduler=scheduler, serial=serial, dashboard=dashboard, notice=notice)
-    tell = progress or (lambda *words_and_share: None)
+    report = progress or (lambda *words_and_share: None)
     out = Path(out)
-    outcome = _outcome(plan, folder, out, engine, tell, send=bool(scheduler), retry_failed=retry is not None)
+    outcome = _outcome(plan, folder, out, engine, report, send=bool(scheduler), retry_failed=retry is not None)
     page = None if no_report else _page(outcome, plan, out / "report")
     return CampaignAnswer(outcome, out, page, time.monotonic() - begin)
 
@@ -100,12 +100,12 @@ def _outcome(
     folder: Path,
     out: Path,
     engine: "Callable[[int], CampaignEngine]",
-    tell: Callable[..., None],
+    report: Callable[..., None],
     *,
     send: bool,
     retry_failed: bool,
 ) -> "CampaignOutcome":
-    """Run a plan into the data set `out`. folder: of the plan's relative paths; send: flights travel to workers as bytes."""
+    """Run a plan into the data set `out`. folder: of the plan's relative paths. send: whether workers get flights as bytes."""
     from estimation.campaign.run import Campaign
     from estimation.campaign.sources import entries_of
     from estimation.campaign.store import Store
@@ -114,7 +114,7 @@ def _outcome(
 
     with Store(out, time.monotonic) as store:
         work = work_list(plan, entries_of(plan, folder, simulator(), send=send), folder)
-        return Campaign(plan, work, store, engine, tell).run(retry_failed=retry_failed)
+        return Campaign(plan, work, store, engine, report).run(retry_failed=retry_failed)
 
 
 @dataclass(frozen=True, repr=False)
@@ -166,7 +166,7 @@ class CampaignAnswer(Answer):
         return ("", "number"), [(name, str(count)) for name, count in counts.items()]
 
     def plot(self, ax: Any = None) -> Any:
-        """How many flights were estimated, and how many not."""
+        """Draw the numbers of flights that were estimated and that failed."""
         return bars({"estimated": self.outcome.done, "failed": len(self.outcome.failed)}, ax)
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from groundstation.receiver.receive import Receiver
     from groundstation.viewer.live import LiveView
 
-SENT_REPORT_S = 60.0  # simulated time in which the aircraft reports of every scan whether it was sent
+SENT_REPORT_S = 60.0  # simulated time in which the aircraft reports for each scan whether it was sent
 SILENT_S = 60.0  # simulated time without a frame after which backfill is given up; requests repeat every few seconds
 BACKFILL_LIMIT_S = 3600.0  # simulated time of backfill at most
 
@@ -42,13 +42,14 @@ def fly_scenario(
     config_file: Path | None = None,
     calibration: Path | None = None,
     live: "Callable[[int], LiveView] | None" = None,
-    tell: Callable[..., None] = lambda *words_and_share: None,
+    progress: Callable[..., None] = lambda *words_and_share: None,
 ) -> ChainFlight:
     """Fly one scenario through the real logger, a simulated radio and the real ground station.
 
-    folder: to write in. seed: of the scenario by default. speed: of simulated over real time until landing; None, and after
+    folder: for all files. seed: by default the scenario's. speed: simulated over real time until landing; None, and after
     landing, as fast as possible. backfill: whether lost scans are fetched. config_file: of the logger, calibration: folder of its
-    set; by default those of the CDFP. live: system id -> view of that aircraft. tell: takes the fraction flown, later a text.
+    set; by default those of the CDFP. live: system id -> view of that aircraft. progress: called with the fraction flown, after
+    landing with a text.
     """
     from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
@@ -76,7 +77,7 @@ def fly_scenario(
 
         def in_flight(now_ns: int) -> None:
             station.step()
-            tell((now_ns - start_ns) * 1e-9 / flight.duration_s)
+            progress((now_ns - start_ns) * 1e-9 / flight.duration_s)
 
         def after_scans(now_ns: int) -> None:
             station.step()
@@ -88,7 +89,7 @@ def fly_scenario(
         after_landing = _AfterLanding(flight, receiver)
         after_landing.wait_for_sent_report()
         if backfill and receiver.systems:
-            tell("landed; fetching what the radio lost")
+            progress("landed; fetching what the radio lost")
             after_landing.backfill()
         station.close()
         summary = receiver.summary()
@@ -101,19 +102,19 @@ def fly_scenario(
         lines.append(
             f"backfill given up: nobody answered for {SILENT_S:g} s; what is missing is in the recording on board"
         )
-    sequencer = _sequencer_words(folder / "onboard") if scenario.sequencer is not None else ()
+    sequencer = _sequencer_transitions(folder / "onboard") if scenario.sequencer is not None else ()
     return ChainFlight(onboard, ground, files.truth, summary, after_landing.agreed, lines, sequencer)
 
 
 class _AfterLanding:
-    """The radio after landing. agreed: backfill has ended with the same scans in the air and on the ground."""
+    """The radio after landing. agreed: whether backfill has ended with the same scans on board and on the ground."""
 
     def __init__(self, flight: "SimulatedFlightRun", receiver: "Receiver") -> None:
         self._flight, self._receiver = flight, receiver
         self.agreed = False
 
     def wait_for_sent_report(self) -> None:
-        """Keep the radio on until the aircraft has reported of every scan whether it was sent."""
+        """Keep the radio on until the aircraft has reported for each scan whether it was sent."""
         if self._receiver.systems:
             self._flight.serve(lambda: self._files_fail() or not self._unreported(), limit_s=SENT_REPORT_S)
 
@@ -130,14 +131,14 @@ class _AfterLanding:
         return self._flight.clock.monotonic_ns() - self._receiver.heard_ns > SILENT_S * 1e9
 
     def _unreported(self) -> bool:
-        """Whether the aircraft has not yet reported of some scan whether it was sent."""
+        """Whether the aircraft has not yet reported for some scan whether it was sent."""
         return any(a.unknown for a in self._receiver.accounting())
 
     def _backfill_agreed(self) -> bool:
         return all(self._receiver.backfill_agreed(s) for s in self._receiver.systems)
 
     def _files_fail(self) -> bool:
-        """Whether files cannot be written: they would go on failing in simulated time, and scans be fetched again and again."""
+        """Whether files cannot be written: in simulated time this would not end, and scans would be fetched again and again."""
         return any(not fault.startswith("radio") for fault in self._receiver.port_faults)
 
 
@@ -164,7 +165,7 @@ def _onboard_flight(folder: Path) -> Path:
 def _received_flight(
     folder: Path, receiver: "Receiver", station: "Station", origin: str
 ) -> tuple[Path | None, list[str]]:
-    """The flight as the ground has it, from its longest recording, and what is said of it; nothing where it received none."""
+    """The flight from the longest received recording, and lines on it; None and no lines where nothing was received."""
     from groundstation.live.handover import hand_over
 
     recordings = sorted(folder.glob("aircraft*.mcap"), key=lambda p: p.stat().st_size)
@@ -176,7 +177,8 @@ def _received_flight(
     return handover.path, handover.lines()
 
 
-def _sequencer_words(onboard: Path) -> tuple[tuple[float, str], ...]:
+def _sequencer_transitions(onboard: Path) -> tuple[tuple[float, str], ...]:
+    """Time [s] and text of each transition of the sequencer, from the recording on board."""
     from daq.contract.recordings.reading import read_recording
 
     events = read_recording(onboard, salvage=True).events

@@ -1,7 +1,7 @@
-"""The one command line: a thin table of verbs, each importing only what it needs when it is called.
+"""The command line: a table of verbs, whose modules are imported when they are called.
 
-Exit status: 0 done; 1 done, but the answer is a failed check; 2 unusable input, said in one line on standard error;
-130 interrupted, after files are closed.
+Exit status: 0 done; 1 done, but the answer is a failed check; 2 unusable input, with one line on standard error; 130 interrupted,
+after files are closed.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """Where a verb lives, and the line `sideslip --help` shows for it."""
+    """Module and attribute of a verb's command, and its line in `sideslip --help`."""
 
     module: str
     attribute: str
@@ -79,17 +79,15 @@ VERBS: dict[str, Verb] = {
 }
 
 
-SUGGESTED = 3  # verbs named for a mistyped one: more would be the list again
-ALIKE = (
-    0.6  # share of letters in common, as difflib's own default: one letter wrong, left out or swapped in a word of five
-)
-BEGINNING = 2  # letters from which a beginning names a verb
+SUGGESTED = 3  # verbs suggested for a mistyped one
+ALIKE = 0.6  # least similarity, difflib's default: one letter wrong, missing or swapped in a word of five
+BEGINNING = 2  # letters from which the beginning of a verb suggests it
 
 QUIET = "sideslip.quiet"
-"""Key of the context: whether progress and what to do next stay unsaid."""
+"""Key of click's context: whether progress and the next step are not printed."""
 INTERRUPTED = "sideslip: interrupted; files are closed"
 TRACEBACK = "SIDESLIP_TRACEBACK"
-"""Environment variable with which a mistake of this program ends in Python's own traceback: for developers, and all tests."""
+"""Environment variable with which an error of this program ends in Python's traceback: for developers, and in all tests."""
 
 
 class VerbTable(click.Group):
@@ -112,7 +110,7 @@ class VerbTable(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The verb that the first word means; for a mistyped one the usage error names those that it resembles."""
+        """The verb of the first word; the usage error for a mistyped one suggests similar verbs."""
         word = args[0] if args else ""
         if word and not word.startswith("-") and self.get_command(ctx, word) is None and not ctx.resilient_parsing:
             ctx.fail(f"No such verb {word!r}{_suggestion(word, self.list_commands(ctx), args[1:])}")
@@ -126,7 +124,7 @@ class VerbTable(click.Group):
 
 
 def _suggestion(word: str, verbs: list[str], rest: list[str]) -> str:
-    """What somebody may have meant by a word that is no verb: verbs spelt alike or beginning alike; for a file, to look at it."""
+    """End of a sentence that suggests what an unknown verb may mean: similar verbs, or `info` for a file; else empty."""
     if Path(word).suffix and Path(word).exists():
         return f"; it is a file: did you mean 'sideslip {' '.join(['info', word, *rest])}'?"
     small = word.lower()
@@ -142,7 +140,7 @@ def _package_verbs() -> tuple[EntryPoint, ...]:
 
 
 def _package_verb(name: str) -> click.Command | None:
-    """The command of an installed package, None where none brings it. UserError when it cannot be had."""
+    """The command of an installed package; None where no package has it. UserError where it cannot be imported."""
     for entry in _package_verbs():
         if entry.name == name:
             try:
@@ -179,9 +177,9 @@ def cli(context: click.Context, quiet: bool) -> None:
 
 
 def run(argv: list[str] | None, interrupts: "Interrupts | None") -> None:
-    """Run a command line; turns errors a person can act on into one line and an exit status. interrupts: what Ctrl-C does."""
+    """Run a command line and end the process with its exit status; errors become one line. interrupts: handles Ctrl-C."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a file name need not be text
+        if isinstance(stream, io.TextIOWrapper):  # names of files need not be valid text
             stream.reconfigure(errors="backslashreplace")
     if interrupts is not None:
         interrupts.raise_in_work()
@@ -192,15 +190,15 @@ def run(argv: list[str] | None, interrupts: "Interrupts | None") -> None:
     with contextlib.redirect_stdout(visible_out), contextlib.redirect_stderr(visible_err):
         status = _with_streams(_status(argv, interrupts), output_stream, err)
     if interrupts is not None:
-        interrupts.leave_at_once()  # all is closed; what is left is the interpreter's own end
-        if interrupts.seen and not status:  # it came during the last import of all, and the work was done meanwhile
+        interrupts.leave_at_once()  # all files are closed, and the interpreter ends
+        if interrupts.seen and not status:  # Ctrl-C came during the last import, and did not stop the work
             click.echo(interrupts.words, err=True)
             status = interrupts.status
     sys.exit(status)
 
 
 def _with_streams(status: int, out: SafeStream, err: SafeStream) -> int:
-    """The exit status, where what was printed may not have arrived: a reader that has gone changes nothing, a full disk does."""
+    """The exit status after all output is flushed: a closed pipe leaves it, a full disk makes it 2."""
     out.flush()
     if out.trouble is not None and out.trouble.errno in DISK_ERRNOS:
         status = _error_line(
@@ -213,7 +211,7 @@ def _with_streams(status: int, out: SafeStream, err: SafeStream) -> int:
 
 
 def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> int:
-    # One process edge: everything below raises, only here is it turned into an exit status.
+    """Run a command line; its exit status. The one place where exceptions become lines and a status."""
     words, quiet = quiet_first(sys.argv[1:] if argv is None else argv)
     try:
         status = cli.main(args=["--quiet", *words] if quiet else words, prog_name="sideslip", standalone_mode=False)
@@ -227,13 +225,13 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
     except ModuleNotFoundError as error:
         return _error_line(str(missing(error, f"sideslip {(words or [''])[0]}".rstrip())))
     except (KeyboardInterrupt, click.Abort) as error:
-        if isinstance(error.__cause__, EOFError):  # click takes it for Ctrl-D at a prompt, and there is none
+        if isinstance(error.__cause__, EOFError):  # a damaged .pyc file: click takes it for Ctrl-D at a prompt
             return _error_line(f"{REMEDY} under {Path(__file__).parents[1]} and its environment")
         click.echo(INTERRUPTED if interrupts is None else interrupts.words, err=True)
         return 130 if interrupts is None else interrupts.status
-    except BrokenPipeError as error:  # of a file that is a pipe: its reader has seen enough
+    except BrokenPipeError as error:  # with a name: an output file that is a pipe, whose reader has ended
         return 0 if error.filename is not None else _unforeseen(error)
-    except Exception as error:  # noqa: BLE001  the edge of the process: whatever comes, one sentence and no status of a check
+    except Exception as error:  # noqa: BLE001  the edge of the process: any error becomes one sentence, and never the status of a check
         sentence = refusal(error)
         return _unforeseen(error) if sentence is None else _error_line(sentence)
     status = status if isinstance(status, int) else 0
@@ -243,7 +241,7 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
 
 
 def _unforeseen(error: Exception) -> int:
-    """What nobody thought of, in one sentence: a mistake of ours. With TRACEBACK in the environment it is seen whole."""
+    """One sentence on an error of this program; with TRACEBACK in the environment it is raised."""
     if os.environ.get(TRACEBACK):
         raise error
     last_frame = traceback.extract_tb(error.__traceback__)[-1:]
@@ -255,6 +253,6 @@ def _unforeseen(error: Exception) -> int:
 
 
 def _error_line(sentence: str) -> int:
-    """One line on standard error, whatever names are in it."""
+    """Print one line on standard error; the exit status 2."""
     click.echo(f"sideslip: {one_line(sentence)}", err=True)
     return 2

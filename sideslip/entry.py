@@ -1,10 +1,10 @@
-"""Where the command begins: Ctrl-C is taken care of before the imports, which take the first second."""
+"""Entry point of the command: handles Ctrl-C before the imports, which take the first second."""
 
 from daq.utilities.bytecode import spare_full_disk
 
 spare_full_disk()
 
-from daq.utilities.interrupts import Interrupts, started_as_command  # noqa: E402  what is imported is compiled
+from daq.utilities.interrupts import Interrupts, started_as_command  # noqa: E402  importing writes compiled files
 
 INTERRUPTS = Interrupts() if started_as_command("sideslip") else None
 if INTERRUPTS is not None:

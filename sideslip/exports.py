@@ -1,4 +1,4 @@
-"""Flights, recordings and models for other programs, in Python: what `export` and `ss.export` do."""
+"""Flights, recordings and models for other programs: the functions behind `export` and `ss.export`."""
 
 import math
 import re
@@ -16,14 +16,15 @@ SIMULATORS = ("ardupilot", "gazebo", "neutral")
 TARGETS = (*SIMULATORS, "jsbsim", "model")
 _MODELS = (".toml", ".json")
 _JSBSIM = "jsbsim:"
-JSBSIM_RATE = 120.0  # Hz, JSBSim's own
+JSBSIM_RATE = 120.0  # Hz, JSBSim's default
 SURFACES = ("delta_e", "delta_a", "delta_r")
 _ANGLE = re.compile(r"\s*([+-]?[0-9.]+(?:e[+-]?[0-9]+)?)\s*(deg|rad|)\s*\Z", re.IGNORECASE)
-MOST = math.pi  # rad of deflection
+LARGEST_DEFLECTION = math.pi  # rad
 
 
 def _throws_of(words: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Surface -> least and greatest deflection [rad], of `delta_e=25deg` or `delta_e=-25deg:20deg`. Raises EstimationError."""
+    """Surface -> smallest and largest deflection [rad], from `delta_e=25deg` or `delta_e=-25deg:20deg`. Raises
+    EstimationError."""
     throws = {}
     for word in words:
         name, sign, text = word.partition("=")
@@ -35,13 +36,14 @@ def _throws_of(words: Sequence[str]) -> dict[str, tuple[float, float]]:
             )
         angles = [a for a in ends if a is not None]
         low, high = (-angles[0], angles[0]) if len(angles) == 1 else angles
-        if not -MOST <= low < 0.0 < high <= MOST:
+        if not -LARGEST_DEFLECTION <= low < 0.0 < high <= LARGEST_DEFLECTION:
             raise EstimationError(f"--throw {word}: a surface goes from below zero to above, 180 deg at most")
         throws[name] = (low, high)
     return throws
 
 
 def _radians(text: str) -> float | None:
+    """An angle [rad] from `25deg`, `0.4rad` or `0.4`; None where the text is none."""
     match = _ANGLE.match(text)
     try:
         value = float(match[1]) if match else math.nan
@@ -90,7 +92,7 @@ def export(
         calibration: directory in place of the embedded set.
 
     Raises:
-        UserError: one sentence, for what cannot be written.
+        UserError: one sentence, for a file that cannot be written.
 
     `passed` is False where the written file does not reproduce the model.
 
@@ -123,7 +125,7 @@ def export(
 
     folder = None if calibration is None else Path(calibration)
     exported = export_file(Path(file), output, units_row=units_row, raw=raw, calibration=folder)
-    return _written(file, output.suffix[1:], [exported.path], notes=exported.notes)
+    return _file_answer(file, output.suffix[1:], [exported.path], notes=exported.notes)
 
 
 def _model_table(file: Path, output: Path) -> FileAnswer:
@@ -131,21 +133,22 @@ def _model_table(file: Path, output: Path) -> FileAnswer:
     from estimation.report.model_export import export_model
 
     export_model(file, output)
-    return _written(file, output.suffix[1:], [output])
+    return _file_answer(file, output.suffix[1:], [output])
 
 
-def _written(
+def _file_answer(
     file: object,
     kind: str,
     files: Sequence[Path],
     lines: Sequence[str] = (),
     notes: Sequence[str] = (),
-    sound: bool = True,
+    passed: bool = True,
 ) -> FileAnswer:
+    """The answer on written files. kind: of the output. lines: to print. notes: the same, marked as notes."""
     content = {
         "version": 1, "from": str(file), "to": kind, "files": [str(f) for f in files], "notes": [*lines, *notes]
     }  # fmt: skip
-    return FileAnswer(content, (*(f"{f}: written" for f in files), *lines, *(f"  note: {n}" for n in notes)), sound)
+    return FileAnswer(content, (*(f"{f}: written" for f in files), *lines, *(f"  note: {n}" for n in notes)), passed)
 
 
 def _to_simulator(
@@ -158,13 +161,13 @@ def _to_simulator(
     for option, number in (("--thrust", thrust), ("--alpha-stall", stall)):
         if number is not None and not (math.isfinite(number) and number >= 0.0):
             raise EstimationError(f"{option} {number:g}: give a number, zero or above")
-    does: dict[str, Callable[..., ExportedSimulator]] = {
+    writers: dict[str, Callable[..., ExportedSimulator]] = {
         "ardupilot": writing.to_ardupilot,
         "gazebo": writing.to_gazebo,
         "neutral": writing.to_neutral,
     }
     request = writing.Request(Stated(aircraft, _throws_of(throws), thrust), stall, force, prove)
-    exported = does[target](file, out, request)
+    exported = writers[target](file, out, request)
     content = {
         "version": 1, "from": str(file), "to": target, "files": [str(f) for f in exported.files],
         "proof": exported.proof.to_json(), "notes": list(exported.lines),
@@ -179,12 +182,12 @@ def _proof_lines(exported: "ExportedSimulator") -> list[str]:
     lines += [f"  {axis:<8}{value:>11.2g}{proof.limit:>11.2g}" for axis, value in proof.deviation.items()]
     lines += [f"  left out: {term.sentence()}" for term in proof.left_out]
     lines.append(proof.sentence())
-    # how to fly it is nothing to say of what must not be flown
+    # a model that failed its proof must not be flown: no instructions
     return lines if proof.failed else [*lines, *exported.lines]
 
 
 def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from: str | None, rate: float) -> FileAnswer:
-    """Write and prove an aircraft; not passed where it does not fly like the model."""
+    """Write an aircraft of JSBSim and prove it; `passed` is False where it does not fly like the model."""
     from estimation.simulation.conversion import export_to_jsbsim
 
     if out is None or output is not None:
@@ -202,7 +205,7 @@ def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from:
         proved.sentence(),
         proved.step_error_sentence(),
     ]
-    return _written(file, "jsbsim", [exported.file], lines, sound=not proof.failed)
+    return _file_answer(file, "jsbsim", [exported.file], lines, passed=not proof.failed)
 
 
 def _from_jsbsim(spec: str, output: Path | None, out: Path | None) -> FileAnswer:
@@ -214,4 +217,4 @@ def _from_jsbsim(spec: str, output: Path | None, out: Path | None) -> FileAnswer
         raise EstimationError("a JSBSim aircraft becomes one file: give -o MODEL.toml")
     proved = import_from_jsbsim(spec, output)
     sentences = (*proved.imported.sentences(), *proved.notes)
-    return _written(spec, "model", [output], [*(f"  {line}" for line in sentences), proved.sentence()])
+    return _file_answer(spec, "model", [output], [*(f"  {line}" for line in sentences), proved.sentence()])

@@ -34,16 +34,16 @@ NEXT: Mapping[str, str] = {
     "performance": "sideslip estimate {file} --model longitudinal",
     "frequency": "sideslip estimate {file} --method ml-frequency",
     "design": "sideslip fly nominal --manoeuvre {out}, before the aircraft flies it",
-    "aircraft": "sideslip estimate FLIGHT --aircraft {rest[1]}",
+    "aircraft": "sideslip estimate FLIGHT --aircraft {aircraft}",
     "campaign": "open {out}/report/index.html",
     "watch": "no alarm: watch the next flight with the same model",
     "gap": "sideslip gap again with --report DIR, for the page and the model found",
     "doctor": "sideslip demo",
 }
-"""Verb -> what to do after it. {file}: the first file on the command line; {flight}: the first that is no TOML file; {model}:
-the first word after the verb; {out}: what it wrote; {stem}: the name of {file} without ending; {rest}: the words after the verb.
+"""Verb -> next step. {file}: the first file on the command line; {flight}: the first that is not TOML; {model}: the first word
+after the verb; {aircraft}: the last word that is no option; {out}: the output; {stem}: the name of {file} without ending.
 
-`estimate`, `ground` and `info` are not here: they print a next step that depends on their result."""
+`estimate`, `ground` and `info` are missing: they print a next step that depends on their result."""
 
 AFTER_A_FAILED_CHECK: Mapping[str, str] = {
     "preflight": "put right what stands above, then sideslip preflight {file}",
@@ -54,13 +54,10 @@ AFTER_A_FAILED_CHECK: Mapping[str, str] = {
     "watch": "",  # its output contains the command
     "performance": "glides from near the slowest to near the fastest speed, then sideslip performance again",
 }
-"""Verb -> what to do after a failed check, where it differs from NEXT."""
+"""Verb -> next step after a failed check, where it differs from NEXT."""
 
 WITH_OPTION: Mapping[tuple[str, str], str] = {
-    (
-        "import",
-        "--draft-map",
-    ): "write down in {out} what is UNKNOWN, then sideslip import {file} --map {out} -o flight.mcap",
+    ("import", "--draft-map"): "write what is UNKNOWN in {out}, then sideslip import {file} --map {out} -o flight.mcap",
     ("fly", "--list"): "sideslip fly NAME",
     ("fly", "--port"): "sideslip calibrate {out}/onboard -o flight.mcap",
     ("import", "--recipe"): "sideslip import {file} --draft-map -o map.toml",
@@ -68,7 +65,7 @@ WITH_OPTION: Mapping[tuple[str, str], str] = {
     ("check", "--write"): "sideslip estimate {out}/{stem}.mcap",
     ("campaign", "--no-report"): "query {out}/results/*.parquet, as docs/campaign.md shows",
 }
-"""(Verb, option or word) -> what to do next, where that changes what the verb does."""
+"""(Verb, option or word) -> next step, where the option changes it."""
 
 OUTPUTS = ("-o", "--output", "--out", "--write")
 SIDE_FILES = ("--aircraft", "--map", "--calibration", "--plan", "--config", "--limits", "--json", "--figure", "--rrd")
@@ -85,11 +82,13 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
         text = next((t for (v, option), t in WITH_OPTION.items() if v == verb and option in rest), text)
     out = next((b for a, b in zip(rest, rest[1:], strict=False) if a in OUTPUTS), _usual_output(verb, rest))
     side_files = {b for a, b in zip(rest, rest[1:], strict=False) if a in SIDE_FILES}
-    files = [w for w in rest if w not in (out, *side_files) and not w.startswith("-") and Path(w).is_file()]
+    names = [w for w in rest if w not in (out, *side_files) and not w.startswith("-")]
+    files = [w for w in names if Path(w).is_file()]
     file = next(iter(files), "FLIGHT")
     flight = next((w for w in files if not w.endswith(".toml")), "FLIGHT")
     model = next((w for w in rest[:1] if not w.startswith("-")), "MODEL.toml")
-    line = text.format(out=out, file=file, flight=flight, model=model, rest=rest, stem=Path(file).stem)
+    aircraft = names[-1] if len(names) > 1 else "AIRCRAFT.toml"  # the first one is the word `check`
+    line = text.format(out=out, file=file, flight=flight, model=model, aircraft=aircraft, stem=Path(file).stem)
     if verb == "gap" and "--report" in rest[:-1]:
         return _after_gap(Path(rest[rest.index("--report") + 1]))
     if verb == "fly" and (Path(out) / "plan.toml").is_file():
@@ -116,7 +115,7 @@ def _usual_output(verb: str, rest: Sequence[str]) -> str:
 
 
 def _free_flight(scenario_file: Path) -> str:
-    """The option --segments without launch and landing of a simulated flight, which are scripted paths; empty without these."""
+    """The option --segments that leaves out launch and landing of a simulated flight, which are scripted; empty without these."""
     from daq.utilities.errors import UserError
     from firmware_sim.world.scenario import load_scenario
 
@@ -130,7 +129,7 @@ def _free_flight(scenario_file: Path) -> str:
 
 
 def _aircraft_option(rest: Sequence[str], flight: str) -> str:
-    """The option --aircraft for an estimate of a flight: as given before, or a placeholder where the flight names no aircraft."""
+    """The option --aircraft for an estimate of a flight: the one given, or a placeholder where the flight names no aircraft."""
     from daq.utilities.errors import UserError
     from groundstation.flight.files.reading import named_aircraft
 

@@ -17,13 +17,13 @@ from estimation.aircraft import Aircraft
 from estimation.aircraft.library import load_aircraft
 from estimation.aircraft.schema import aircraft_from_text
 
-DEFAULT_STD = 0.5  # of a believed value, where the file states no std; the same in `estimate --method live`
-NEEDED = ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz")  # of the aircraft file; "c" as well with the pitching plane
+DEFAULT_STD = 0.5  # share of a believed value where the file states no std; the same in `estimate --method live`
+NEEDED = ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz")  # keys of the aircraft file; also "c" for the pitching plane
 
 
 def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAircraft:
-    """The aircraft of a name or file. text: of the aircraft file embedded in the recording, used instead. model: name of a
-    built-in model, or a model file, whose values the gap monitor then compares with the flight; "" for the default.
+    """The aircraft of a name or file. text: content of the aircraft file embedded in the recording, which replaces these. model:
+    name of a built-in model, or a model file, whose values the gap monitor then compares with the flight; "" for the default.
 
     Raises AircraftError for an unknown aircraft, or one without geometry, mass or inertia; ModelError and EstimationError for a
     model that cannot be read, or is not linear in its parameters.
@@ -47,9 +47,9 @@ def airframe_of_model(model: str, aircraft: Aircraft) -> tuple[Airframe, tuple[P
     from estimation.estimators.recursive import airframe_of, linear_terms, values_of
     from estimation.models.load import load_model
 
-    read = load_model(model, aircraft)
-    airframe, terms = airframe_of(read, aircraft), linear_terms(read)
-    values, stds = values_of(read)
+    loaded = load_model(model, aircraft)
+    airframe, terms = airframe_of(loaded, aircraft), linear_terms(loaded)
+    values, stds = values_of(loaded)
     beliefs = {terms.names[n]: Belief(v, stds.get(n, 0.0)) for n, v in values.items()}
     return replace(airframe, beliefs=beliefs), terms.regressions
 

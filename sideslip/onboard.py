@@ -20,23 +20,24 @@ from groundstation.identification.words import point_line, short_line
 from groundstation.live.watches import LandingLimits
 from sideslip.live_aircraft import live_aircraft
 
-BATCH_S = 2.0  # [s] of scans at once, twice that of the ground station, for half its work: no screen waits here
-WANTED = 0.05  # bound to be reached, as a share of a derivative; affects the text only
+BATCH_S = 2.0
+"""[s] of scans calibrated together, twice that of the ground station, for half the work: nobody watches here."""
+WANTED = 0.05  # bound to be reached, as a share of a derivative; only texts use it
 
 
 def answer_of(state: LiveState, point: str = "", alarm: str = "") -> CompanionReply:
-    """The reply with the identified derivatives of a state. point, alarm: texts on a new test point or alarm, else empty."""
-    known = state.estimates.derivatives
-    identified = {n: (known[n].estimate, known[n].std) for n in state.aircraft.shown if known[n].told}
+    """The reply with the identified derivatives of a state. point, alarm: texts on a new test point or alarm, or empty."""
+    derivatives = state.estimates.derivatives
+    identified = {n: (derivatives[n].estimate, derivatives[n].std) for n in state.aircraft.shown if derivatives[n].told}
     return CompanionReply(state.time, identified, short_line(state), "", point, alarm)
 
 
 def answers(source: BinaryIO, sink: BinaryIO) -> None:
     """Write replies to `sink` until `source` ends. Raises UserError where calibration or aircraft cannot be used."""
-    first = read_frame(source)
-    if first is None:
+    first_frame = read_frame(source)
+    if first_frame is None:
         return
-    setup: Setup = read_setup(first)
+    setup: Setup = read_setup(first_frame)
     calibrator = Calibrator(load_calibration(setup.calibration), setup.details)
     alignment, landing = ScanAlignment(BATCH_S), LandingLimits()
     aircraft = live_aircraft(setup.aircraft, model=setup.model)

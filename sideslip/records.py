@@ -1,4 +1,4 @@
-"""Recordings in Python: what `info`, `verify`, `recover`, `calibrate` and `bench` do, with answers of the one kind."""
+"""Recordings in Python: the functions behind `info`, `verify`, `recover`, `calibrate` and `bench`."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def info(file: str | Path) -> "FileAnswer":
-    """What is in a recording, a flight, or somebody else's log.
+    """Content of a recording, a flight, or a log of another program.
 
     Args:
         file: the file, or the directory of a recording's segments.
@@ -32,12 +32,12 @@ def info(file: str | Path) -> "FileAnswer":
 
 
 def verify(recording: str | Path) -> "FileAnswer":
-    """Every byte and every scan of a recording.
+    """Check every byte and every scan of a recording.
 
     Args:
         recording: the file, or the directory of its segments.
 
-    `passed` is False where something is wrong.
+    `passed` is False where it is damaged or incomplete.
 
     Example::
 
@@ -51,13 +51,13 @@ def verify(recording: str | Path) -> "FileAnswer":
 
 
 def recover(recording: str | Path, out: str | Path) -> "FileAnswer":
-    """Save everything undamaged in a recording to a new and sound one.
+    """Save the undamaged part of a recording as a new recording.
 
     Args:
         recording: the file, or the directory of its segments.
         out: the file to write.
 
-    `passed` is False where the original is not sound.
+    `passed` is False where the original is damaged.
 
     Example::
 
@@ -83,9 +83,9 @@ def calibrate(
     Args:
         raw: the file, or the directory of its segments.
         output: the flight to write.
-        calibration: directory of calibration files, or cdfp, in place of the embedded set.
+        calibration: directory of calibration files, or cdfp, instead of the embedded set.
         align: bring all sensors to one time base; by default where scans have neighbours.
-        salvage: use what is intact of a damaged one.
+        salvage: use the intact part of a damaged recording.
 
     Example::
 
@@ -113,7 +113,7 @@ def bench(
 
     Args:
         raw: the recording.
-        plan: a TOML file of what was set, and when.
+        plan: a TOML file with the references that were set, and when.
         output: the folder to write.
         calibration: directory to refine, or cdfp, in place of the embedded set.
         day: of the bench, where the recording carries none.
@@ -162,7 +162,7 @@ class Calibrated(Answer):
         return bars(self.numbers(), ax)
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
-        """The flight as .mcap, .csv or .parquet, what is said of it as .json."""
+        """Writers of the flight as .mcap, .csv or .parquet, and of its description as .json."""
         from groundstation.flight import write_flight
 
         flights = dict.fromkeys((".mcap", ".csv", ".parquet"), lambda path: write_flight(self.flight, path))

@@ -7,12 +7,12 @@ from estimation.campaign.keys import digest_of_files
 from estimation.campaign.tasks import FlightMaker
 
 IGNORED_TABLES = ("sensors", "faults", "radio", "logger", "sequencer")
-"""Tables of a scenario without effect here, where there is no bus, no chip and no radio."""
+"""Tables of a scenario that have no effect here, without bus, chips and radio."""
 
 
 def describe_scenario(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A scenario as plain data. changes: dotted key -> value. ScenarioError for an unknown name or key, and for a key without
-    effect."""
+    """A scenario as JSON-able data. changes: dotted key -> value. Raises ScenarioError for an unknown name or key, and for a key
+    without effect."""
     from estimation.aircraft import load_aircraft
     from firmware_sim.physics.aerodynamics import true_derivatives
     from firmware_sim.tables import ScenarioError
@@ -37,8 +37,8 @@ def describe_scenario(scenario: str, changes: Mapping[str, Any]) -> Mapping[str,
 
 
 def fly_description(description: Mapping[str, Any]) -> bytes:
-    """The CSV of a flight. description: `scenario`, as of `describe_scenario`, and `seed`. Flown by the direct sensor model,
-    without bus and chips."""
+    """The CSV of a flight, simulated with the direct sensor model, without bus and chips. description: `scenario`, as from
+    `describe_scenario`, and `seed`."""
     import tempfile
     from pathlib import Path
 

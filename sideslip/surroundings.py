@@ -12,7 +12,7 @@ _REMEDIES = {
     errno.EAGAIN: "let this user have more processes (ulimit -u), or close other programs",
     errno.ENOBUFS: "close other programs",
 }
-_NO_THREAD = "can't start new thread"  # message of CPython, by which alone this RuntimeError is recognised
+_NO_THREAD = "can't start new thread"  # CPython's message: nothing else distinguishes this RuntimeError
 _NO_TEMPORARY = "No usable temporary directory"  # message of tempfile
 
 

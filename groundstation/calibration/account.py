@@ -1,4 +1,4 @@
-"""What a calibrated flight says of its making: provenance, notes for a person, and one sigma of each column."""
+"""Provenance and notes of a calibrated flight, and one sigma of each column."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -21,7 +21,7 @@ from groundstation.flight.quality.noise import noise
 Array = NDArray[np.float64]
 
 
-def account(
+def detail_and_notes(
     table: ScanTable,
     calibration: CalibrationSet,
     columns: Mapping[str, Array],
@@ -29,17 +29,17 @@ def account(
     aligned: bool,
     align_option: bool | None,
 ) -> tuple[dict[str, Any], list[str]]:
-    """What the provenance carries about this calibration, and what a person should know of it."""
+    """Entries for the provenance's detail on this calibration, and notes for a person."""
     notes = []
-    part = completeness(table.number)
+    present = completeness(table.number)
     if not aligned and align_option is None:
-        notes.append(f"{part:.0%} of the scans are here: sensor groups are left at their own instants (not aligned)")
-    if aligned and part < COMPLETE:
+        notes.append(f"{present:.0%} of the scans are here: sensor groups are left at their own instants (not aligned)")
+    if aligned and present < COMPLETE:
         notes.append(
-            f"{part:.0%} of the scans are here: brought to one instant between neighbours up to {BRIDGED:.2f} s apart"
+            f"{present:.0%} of the scans are here: brought to one instant between neighbours up to {BRIDGED:.2f} s apart"
         )
     notes += _health_notes(table, columns)
-    notes += _uncalibrated(table, calibration)
+    notes += _uncalibrated_notes(table, calibration)
     for instrument, count in readings.extrapolated.items():
         notes.append(f"{instrument}: {count} samples outside the calibrated range, extrapolated")
     for channel, count in readings.clipped.items():
@@ -56,7 +56,7 @@ def account(
         "read_offsets_s": offsets,
         "delays_s": {n: d for n, d in readings.delay.items() if d},
         "lags_s": dict(readings.lag),
-        **({CHANNELS: pulsed} if (pulsed := _by_pulses(table, calibration, readings)) else {}),
+        **({CHANNELS: pulsed} if (pulsed := _pulsed_surfaces(table, calibration, readings)) else {}),
         "uncertainty": column_uncertainty(calibration, columns),
         "noise": {n: s for n, v in columns.items() if (s := noise(v)) is not None},
         "extrapolated": dict(readings.extrapolated),
@@ -66,22 +66,22 @@ def account(
     return detail, notes
 
 
-def _by_pulses(table: ScanTable, calibration: CalibrationSet, readings: Readings) -> dict[str, dict[str, object]]:
-    """Surfaces that are known by the pulse that moves them, as an import describes a command: what a servo did between two
-    reports is open."""
+def _pulsed_surfaces(table: ScanTable, calibration: CalibrationSet, readings: Readings) -> dict[str, dict[str, object]]:
+    """Description of each surface known by its servo's pulse, in the form in which an import describes a command: what the servo
+    did between two reports is not known."""
     mixed = {n: columns for columns, names in MIXED.items() for n in names} if calibration.get("mixing") else {}
     direct: dict[str, tuple[str, ...]] = {d.reading: (d.column.name,) for d in direct_columns(calibration)}
-    found: dict[str, dict[str, object]] = {}
+    surfaces: dict[str, dict[str, object]] = {}
     for name, lag in readings.lag.items():
         item, stamps = calibration.get(name), np.unique(table.time + table.known_offset(readings.group[name]))
-        apart = np.diff(stamps[np.isfinite(stamps)])
-        if lag >= 0.0 or item is None or not np.any(apart > SAME_STAMP):
+        intervals = np.diff(stamps[np.isfinite(stamps)])
+        if lag >= 0.0 or item is None or not np.any(intervals > SAME_STAMP):
             continue
-        interval = float(np.median(apart[apart > SAME_STAMP]))
+        interval = float(np.median(intervals[intervals > SAME_STAMP]))
         entry = {"from": f"{item.channel} and its servo", "kind": "measured", "rate_hz": 1.0 / interval}
         held = {HELD: True, INTERVAL: interval, BACK: DATED_BACK * interval, "servo_lag_s": -lag}
-        found |= {column: {**entry, **held} for column in mixed.get(name) or direct.get(name, ())}
-    return found
+        surfaces |= {column: {**entry, **held} for column in mixed.get(name) or direct.get(name, ())}
+    return surfaces
 
 
 _FIRST_CHANNEL = {
@@ -89,11 +89,11 @@ _FIRST_CHANNEL = {
     **{"static": "static_pressure", "alpha_vane": "alpha_vane", "beta_vane": "beta_vane", "mixing": "elevon_left_pot"},
     **{"elevon_left": "elevon_left_pot", "elevon_right": "elevon_right_pot"},
 }
-"""Instrument whose file a combined column needs -> a channel that shows whether it was fitted."""
+"""Instrument whose file a combined column needs -> a channel that shows whether the aircraft had the instrument."""
 
 
-def _uncalibrated(table: ScanTable, calibration: CalibrationSet) -> list[str]:
-    """Instruments that were recorded and for which the set has no file, so that their columns are not measured."""
+def _uncalibrated_notes(table: ScanTable, calibration: CalibrationSet) -> list[str]:
+    """A note for each instrument that was recorded and has no file in the set, so that its columns are not measured."""
     return [
         f"{channel} was recorded, but calibration set {calibration.name} has no file for instrument {instrument}:"
         f" {', '.join(CHANNEL_BY_NAME[channel].columns)} not measured"
@@ -103,7 +103,7 @@ def _uncalibrated(table: ScanTable, calibration: CalibrationSet) -> list[str]:
 
 
 def _health_notes(table: ScanTable, columns: Mapping[str, Array]) -> list[str]:
-    """Sensor groups that were not in order: while starting, at times, or throughout, unless others measured their columns."""
+    """Notes on sensor groups that failed at the start, at times, or throughout, unless others measured their columns."""
     first = {g: _first_value(table, g) for g in table.usable}
     troubled = {g: ok for g, ok in table.usable.items() if not ok.all()}
     never = [g for g in troubled if first[g] is None]
@@ -127,8 +127,8 @@ def _health_notes(table: ScanTable, columns: Mapping[str, Array]) -> list[str]:
 
 def _unmeasured(group: str, columns: Mapping[str, Array]) -> list[str]:
     """Columns of a group that no other sensor measured either: an angle may come from a potentiometer or an encoder."""
-    own = dict.fromkeys(name for channel in channels_of(group) for name in channel.columns)
-    return [name for name in own if name not in columns or not np.isfinite(columns[name]).any()]
+    names = dict.fromkeys(name for channel in channels_of(group) for name in channel.columns)
+    return [name for name in names if name not in columns or not np.isfinite(columns[name]).any()]
 
 
 def _first_value(table: ScanTable, group: str) -> int | None:
@@ -138,15 +138,14 @@ def _first_value(table: ScanTable, group: str) -> int | None:
 
 
 def column_uncertainty(calibration: CalibrationSet, columns: Mapping[str, Array]) -> dict[str, float]:
-    """One sigma of the calibration of each column at this flight's median reading (of V: in flight), as the calibration files
-    state it.
+    """Column -> one sigma of its calibration at this flight's median reading (of V: in flight), as its files state it.
 
-    What the files do not state is not in it; noise is apart (`noise`).
+    Columns without a stated uncertainty are missing. Noise is not in it; see `noise`.
     """
     sigmas: dict[str, float] = {}
-    _put(sigmas, "p_dynamic", _curve_sigma(calibration.get("pitot")))
+    _set_sigma(sigmas, "p_dynamic", _curve_sigma(calibration.get("pitot")))
     for direct in direct_columns(calibration):
-        _put(sigmas, direct.column.name, _curve_sigma(direct.instrument))
+        _set_sigma(sigmas, direct.column.name, _curve_sigma(direct.instrument))
     _controls(calibration, sigmas)
     _air(calibration, columns, sigmas)
     _vanes(calibration, sigmas)
@@ -157,17 +156,16 @@ def column_uncertainty(calibration: CalibrationSet, columns: Mapping[str, Array]
     return {name: sigma for name, sigma in sigmas.items() if name in columns and np.isfinite(columns[name]).any()}
 
 
-def _put(sigmas: dict[str, float], column: str, sigma: float | None) -> None:
+def _set_sigma(sigmas: dict[str, float], column: str, sigma: float | None) -> None:
     if sigma:
         sigmas[column] = sigma
 
 
 def _curve_sigma(item: Instrument | None) -> float | None:
-    """Root mean square over the calibrated range: the flight's readings are not at one place of it."""
+    """Root mean square of a curve's sigma over its calibrated range: a flight's readings spread over it."""
     if item is None or item.curve is None:
         return None
-    grid = np.linspace(*item.curve.valid, 21)
-    return float(np.sqrt(np.mean(curves.standard_deviation(item.curve, grid) ** 2)))
+    return float(np.sqrt(np.mean(curves.sigma_over_range(item.curve) ** 2)))
 
 
 def _controls(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
@@ -178,27 +176,30 @@ def _controls(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
         left, right = _curve_sigma(calibration.get(left_name)), _curve_sigma(calibration.get(right_name))
         if left is not None and right is not None:
             for column, (a, b) in zip(columns, (item.mixing.elevator, item.mixing.aileron), strict=True):
-                _put(sigmas, column, float(np.hypot(a * left, b * right)))
+                _set_sigma(sigmas, column, float(np.hypot(a * left, b * right)))
 
 
 def _air(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict[str, float]) -> None:
     item = calibration.get("static")
     if item is None or item.static is None:
         return
-    pressure, warmth = item.static.uncertainty, item.static.temperature_uncertainty
-    _put(sigmas, "p_static", pressure)
-    _put(sigmas, "temperature", warmth)
+    pressure_sigma, temperature_sigma = item.static.uncertainty, item.static.temperature_uncertainty
+    _set_sigma(sigmas, "p_static", pressure_sigma)
+    _set_sigma(sigmas, "temperature", temperature_sigma)
     rho, p, t = (_median(columns[n]) for n in ("rho", "p_static", "temperature"))
-    flying = in_flight(columns["V"])  # at rest an error of the pressure is any number of m/s
+    flying = in_flight(columns["V"])  # near rest the error of V that a pressure error gives grows without bound
     q, v = (_median(columns[n][flying]) for n in ("p_dynamic", "V"))
     if rho is not None and p and t:
-        relative = float(np.hypot(pressure / p, warmth / t))
-        _put(sigmas, "rho", rho * relative)
-        _put(sigmas, "altitude", pressure / (rho * GRAVITY))
+        relative = float(np.hypot(pressure_sigma / p, temperature_sigma / t))
+        _set_sigma(sigmas, "rho", rho * relative)
+        _set_sigma(sigmas, "altitude", pressure_sigma / (rho * GRAVITY))
         if v and q and q > 0 and "p_dynamic" in sigmas:
             # V = sqrt(2 q / rho): half of each relative error
-            _put(sigmas, "V", 0.5 * v * float(np.hypot(sigmas["p_dynamic"] / q, relative)))
-            _put(sigmas, "V_cas", 0.5 * v * sigmas["p_dynamic"] / q)
+            _set_sigma(sigmas, "V", 0.5 * v * float(np.hypot(sigmas["p_dynamic"] / q, relative)))
+            _set_sigma(sigmas, "V_cas", 0.5 * v * sigmas["p_dynamic"] / q)
+
+
+_TYPICAL_FLOW_ANGLE = 0.1  # rad, at which the error of the wash factor is stated
 
 
 def _vanes(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
@@ -206,10 +207,8 @@ def _vanes(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
         item = calibration.get(f"{column}_vane")
         sigma = _curve_sigma(item)
         if item is not None and item.vane is not None and sigma is not None:
-            # the wash factor's share is stated at 0.1 rad
-            _put(
-                sigmas, column, float(np.hypot(sigma, 0.1 * item.vane.wash_factor_uncertainty) / item.vane.wash_factor)
-            )
+            wash_sigma = _TYPICAL_FLOW_ANGLE * item.vane.wash_factor_uncertainty
+            _set_sigma(sigmas, column, float(np.hypot(sigma, wash_sigma) / item.vane.wash_factor))
 
 
 def _triads(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict[str, float]) -> None:
@@ -221,7 +220,7 @@ def _triads(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: d
         squares = [float(np.nanmean(columns[a] ** 2)) for a in axes if np.isfinite(columns[a]).any()]
         size = float(np.sqrt(sum(squares)))
         for axis, sigma in zip(axes, item.triad.uncertainty, strict=True):
-            _put(sigmas, axis, float(np.hypot(sigma, item.triad.matrix_uncertainty * size)))
+            _set_sigma(sigmas, axis, float(np.hypot(sigma, item.triad.matrix_uncertainty * size)))
 
 
 def _median(values: Array) -> float | None:

@@ -20,10 +20,10 @@ COMPLETE = 0.9
 """Share of the scan numbers that must be present for a recording to be aligned by default."""
 
 BRIDGED = 0.21
-"""[s] between neighbouring scans of a thinned stream, at most: those of a 5 Hz downlink, or of 11 Hz with two lost in a row."""
+"""Longest interval [s] between neighbouring scans of a thinned stream: a 5 Hz downlink, or 11 Hz with two scans lost in a row."""
 
 SLOWEST_SCANS = 40
-"""Scans between the samples of a channel, at most, for it to be interpolated."""
+"""Largest number of scans between two samples of a channel that is interpolated."""
 
 DERIVATIVE_HALF_WIDTH = 3
 """Samples on each side of the cubic whose slope is the derivative. It loses 0.2 % of a 1 Hz motion at 20 Hz; a parabola through
@@ -97,11 +97,10 @@ def _too_sparse(finite: Mask, time: Array, number: NDArray[np.int64], furthest: 
 
 
 SAME_STAMP = 1e-3
-"""[s] between the stamps of one sample, at most: stamps are rounded to microseconds, and senders are slower."""
-
+"""Largest difference [s] of two stamps of one sample: stamps are rounded to microseconds, and senders are slower than 1 kHz."""
 
 FRAME = 0.022
-"""Period of a servo's frames [s], 50 Hz with jitter: a pulse that is reported as often holds its last value."""
+"""Period of a servo's frames [s], 50 Hz with jitter. Pulses reported this often or oftener hold until the next report."""
 
 
 def by_stamp(
@@ -111,8 +110,8 @@ def by_stamp(
 
     A sample repeats in each scan until a newer one is received; it counts once, at its stamp. Samples up to BRIDGED seconds apart
     are neighbours. lag: time constant [s] of a first-order low pass that is removed; a negative one is added, as the lag of a
-    surface behind its pulses, which began at some time since the report before. smooth: cubic instead of linear. pulse: whether
-    the values are pulse widths, which hold between reports no longer than FRAME apart.
+    surface behind its pulses (`_lagged_pulses`). smooth: cubic instead of linear. pulse: whether the values are pulse widths,
+    which hold between reports no longer than FRAME apart.
     """
     rows = np.flatnonzero(np.isfinite(values) & np.isfinite(stamped_at))
     rows = rows[np.argsort(stamped_at[rows], kind="stable")]
@@ -139,13 +138,13 @@ def _lagged_pulses(t: Array, y: Array, lag: float, target_times: Array) -> Array
     """Response (N,) of a first-order lag [s] to pulses `y` (n,) reported at `t` (n,) [s], from rest at the first. Each pulse
     begins DATED_BACK of an interval before its report. NaN outside the reports."""
     interval = float(np.median(np.diff(t)))
-    begins = t - DATED_BACK * interval
+    starts = t - DATED_BACK * interval
     error = np.zeros_like(y)  # pulse less response, at the beginning of each pulse
     for i in range(1, t.size):
-        error[i] = y[i] - y[i - 1] + error[i - 1] * math.exp((begins[i - 1] - begins[i]) / lag)
-    k = np.clip(np.searchsorted(begins, target_times, side="right") - 1, 0, t.size - 1)
-    response = y[k] - error[k] * np.exp(-np.maximum(target_times - begins[k], 0.0) / lag)
-    return np.where((target_times < begins[0]) | (target_times > t[-1] + DATED_BACK * interval), np.nan, response)
+        error[i] = y[i] - y[i - 1] + error[i - 1] * math.exp((starts[i - 1] - starts[i]) / lag)
+    k = np.clip(np.searchsorted(starts, target_times, side="right") - 1, 0, t.size - 1)
+    response = y[k] - error[k] * np.exp(-np.maximum(target_times - starts[k], 0.0) / lag)
+    return np.where((target_times < starts[0]) | (target_times > t[-1] + DATED_BACK * interval), np.nan, response)
 
 
 def hold(values: Array, number: NDArray[np.int64]) -> Array:
@@ -174,7 +173,7 @@ def _interpolated(t: Array, y: Array, target_times: Array, cubic: bool) -> Array
 
 
 def _lagrange(t: Array, y: Array, target_times: Array, first: NDArray[np.int64]) -> Array:
-    """At each target time the cubic through four samples, of which `first` is the index of the first."""
+    """(N,) at each target time the cubic through four samples, the first at the index `first` (N,)."""
     total = np.zeros_like(target_times)
     for a in range(4):
         weight = np.ones_like(target_times)

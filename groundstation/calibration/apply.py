@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration import conversions, curves
-from groundstation.calibration.account import account
+from groundstation.calibration.account import detail_and_notes
 from groundstation.calibration.align import (
     BRIDGED,
     COMPLETE,
@@ -42,15 +42,15 @@ Array = NDArray[np.float64]
 _LINEAR = ("elevon_left", "elevon_right", "rudder", *GNSS)
 _HELD = ("pwm_1", "pwm_2", "pwm_3", "pwm_4")  # a pulse width holds until the next one: never interpolated
 _MAG_OVERFLOW = 8  # bit 3 of the magnetometer's second status byte
-_FIX_3D = 3
-
+_FIX_3D = 3  # type of a GNSS fix
 _OTHER_SENSOR = 2.0
+"""Ratio of two scales [Pa/count] from which they belong to different kinds of pitot sensor: those of two kinds differ by more."""
 
 
 class Calibrator:
     """A calibration set made ready for use on scans, live or recorded.
 
-    facts: what the recording says of its sensors; takes precedence over the set's own.
+    facts: of the recording's sensors; they take precedence over those of the set.
     Raises CalibrationError when a fact is unusable.
     """
 
@@ -59,10 +59,10 @@ class Calibrator:
         self.facts = RecordedFacts({**calibration.facts, **(facts or {})})
         nvm = self.facts.nvm("static")
         self._direct = direct_columns(calibration)
-        channels = (d.channel for d in self._direct if d.as_it_is)
-        self._as_they_are = frozenset(c.name for c in channels if c.raw_type != "bit")
-        # of a channel that a table merely names it is not known that it is smooth
-        self._linear = {*_LINEAR, *(d.reading for d in self._direct if d.as_it_is or d.channel.package)}
+        channels = (d.channel for d in self._direct if d.uncalibrated)
+        self._uncalibrated = frozenset(c.name for c in channels if c.raw_type != "bit")
+        # nothing says that a channel without a calibration file is smooth
+        self._linear = {*_LINEAR, *(d.reading for d in self._direct if d.uncalibrated or d.channel.package)}
         self._static_chip = conversions.Bmp390Compensation.from_nvm(nvm) if nvm else None
 
     def sample(self, scan: Scan) -> dict[str, float]:
@@ -72,7 +72,7 @@ class Calibrator:
 
     def columns(self, table: ScanTable, *, aligned: bool) -> tuple[dict[str, Array], Readings]:
         """All flight columns (N,) of the table, NaN where not measured, and the readings they were made from."""
-        # what a sensor or a sender says can be anything: a column of it is then inf or NaN, and what uses it looks at that
+        # a sensor or a sender can report any number: its column then holds inf or NaN
         with np.errstate(all="ignore"):
             readings = self._readings(table)
             values = self._align(table, readings) if aligned else readings.values
@@ -81,7 +81,7 @@ class Calibrator:
         return {c.name: combined.get(c.name, unmeasured) for c in COLUMNS}, readings
 
     def check(self, table: ScanTable) -> None:
-        """Raise CalibrationError for a channel that was recorded and of which its column cannot be made."""
+        """Raise CalibrationError where a recorded channel cannot be turned into its column."""
         for direct in self._direct:
             if direct.why_not and np.isfinite(table.raw[direct.channel.name]).any():
                 raise CalibrationError(f"column {direct.column.name}: {direct.why_not}")
@@ -102,14 +102,14 @@ class Calibrator:
                 ambient / hold_recent(table.time, readings.values["static_pressure"])
             )
         self._read_gnss(table, readings)
-        for name in self._as_they_are:
+        for name in self._uncalibrated:
             group = CHANNEL_BY_NAME[name].group
             _put_reading(
                 readings,
                 name,
                 self.physical(table, name),
                 group,
-                self.facts.delay(name, group) - self.facts.after(name),
+                self.facts.delay(name, group) - self.facts.offset_in_group(name),
             )
         attitude = self.calibration.get("attitude")
         for axis in "wxyz":
@@ -123,10 +123,8 @@ class Calibrator:
     def _read_curve(
         self, item: Instrument, curve: CalibrationCurve, channel: str, table: ScanTable, readings: Readings
     ) -> None:
-        scale, offset = self._pressure_transfer(item, curve, channel)
-        reading = self.physical(table, channel) * scale + offset
-        if item.ratiometric is not None:
-            reading = reading * (item.ratiometric.reference / self.sensor_supply(table))
+        scale, offset = self.pressure_transfer(item, curve, channel)
+        reading = self.curve_input(item, channel, table, scale, offset)
         value = curves.evaluate(curve, reading)
         if item.supply_sensitivity is not None:
             shift = item.supply_sensitivity
@@ -138,14 +136,27 @@ class Calibrator:
         if outside:
             readings.extrapolated[item.instrument] = outside
         group = CHANNEL_BY_NAME[channel].group
-        # a channel read later within its group shows a later instant: less delay
-        delay = item.delay + self.facts.delay(item.instrument, group) - self.facts.after(channel)
+        # a channel read later within its group shows a later instant, so its delay is smaller
+        delay = item.delay + self.facts.delay(item.instrument, group) - self.facts.offset_in_group(channel)
         _put_reading(readings, item.instrument, value, group, delay)
         if item.servo_lag:
             readings.lag[item.instrument] = -item.servo_lag
 
-    def _pressure_transfer(self, item: Instrument, curve: CalibrationCurve, channel: str) -> tuple[float, float]:
-        """What turns a reading into the curve's input: nothing, but for counts of any pitot that the curve takes in pascal."""
+    def curve_input(self, item: Instrument, channel: str, table: ScanTable, scale: float, offset: float) -> Array:
+        """Input (N,) of an instrument's curve, referred to the sensor supply where ratiometric.
+
+        scale, offset: from `pressure_transfer`.
+        """
+        reading = self.physical(table, channel) * scale + offset
+        if item.ratiometric is None:
+            return reading
+        return reading * (item.ratiometric.reference / self.sensor_supply(table))
+
+    def pressure_transfer(self, item: Instrument, curve: CalibrationCurve, channel: str) -> tuple[float, float]:
+        """Scale and offset from a channel to the curve's input: 1, 0 but for a pitot's counts that the curve takes in pascal.
+
+        Raises CalibrationError when the chip's scale is not known, or the curve belongs to another kind of sensor.
+        """
         if channel != "pitot_pressure":
             return 1.0, 0.0
         transfer = self.facts.transfer(CHANNEL_BY_NAME[channel].group, "pa")
@@ -162,7 +173,7 @@ class Calibrator:
     def _refuse_other_counts(
         self, item: Instrument, curve: CalibrationCurve, transfer: tuple[float, float] | None
     ) -> None:
-        """A curve over counts is of the sensor it was made with: scales of two kinds differ by more than a factor of two."""
+        """Raise CalibrationError for a curve over counts of another kind of sensor."""
         middle = sum(curve.valid) / 2
         below, above = curves.evaluate(curve, np.array([middle - 0.5, middle + 0.5]))
         slope = abs(float(above - below))
@@ -187,17 +198,17 @@ class Calibrator:
             readings.extrapolated[item.instrument] = outside
         delay = item.delay + self.facts.delay(item.instrument, group)
         lag = self.facts.lag(item.instrument)
-        warmth = hold_recent(table.time, self.physical(table, "imu_temperature"))
-        for axis, value in zip("xyz", conversions.apply_triad(triad, reading, warmth), strict=True):
+        temperature = hold_recent(table.time, self.physical(table, "imu_temperature"))
+        for axis, value in zip("xyz", conversions.apply_triad(triad, reading, temperature), strict=True):
             _put_reading(readings, f"{item.instrument}_{axis}", value, group, delay)
             if lag:
                 readings.lag[f"{item.instrument}_{axis}"] = lag
 
     def _read_static(self, table: ScanTable, readings: Readings) -> None:
         item = self.calibration.get("static")
-        pascal, kelvin = self.facts.transfer("static", "pa"), self.facts.transfer("static", "k")
         if item is None or item.static is None:
             return
+        pascal, kelvin = self.facts.transfer("static", "pa"), self.facts.transfer("static", "k")
         pressure, temperature = table.raw["static_pressure"], table.raw["static_temperature"]
         if pascal is not None and kelvin is not None:
             pressure, temperature = pressure * pascal[0] + pascal[1], temperature * kelvin[0] + kelvin[1]
@@ -221,7 +232,7 @@ class Calibrator:
             _put_reading(readings, name, np.where(has_fix, self.physical(table, name), np.nan), "gnss", 0.0)
 
     def sensor_supply(self, table: ScanTable) -> Array:
-        """Voltage of the sensor supply (N,) [V]. Raises CalibrationError when the set does not say how to read it."""
+        """Voltage of the sensor supply (N,) [V]. Raises CalibrationError when the set has no file for it."""
         item = self.calibration.get("sensor_supply")
         if item is None or item.curve is None or item.channel is None:
             raise CalibrationError(
@@ -239,7 +250,8 @@ class Calibrator:
             group, smooth = readings.group[name], name not in self._linear and name not in _HELD
             sampled_at = table.time + table.known_offset(group) - readings.delay[name]
             lag = readings.lag.get(name, 0.0)
-            if self.facts.stamped(group) or lag < 0.0:  # a servo lags behind pulses, whoever times them
+            # the lag of a servo needs the times of its pulses, also where the logger stamps them
+            if self.facts.stamped(group) or lag < 0.0:
                 pulse = name in _HELD or lag < 0.0
                 values[name] = by_stamp(reading, sampled_at, table.time, smooth=smooth, lag=lag, pulse=pulse)
             elif name in _HELD:
@@ -271,11 +283,11 @@ def calibrate(
 ) -> Flight:
     """The flight made from raw scans.
 
-    facts: what the recording says of its sensors (chip coefficients, filter delays, ranges).
-    align: bring every group to the scan's time and remove the full lever-arm effect. Where at least 90 % of the scan numbers
-    are present (a recording from on board, or one filled up after landing) nothing is interpolated across a missing one; of a
-    thinned stream scans up to BRIDGED seconds apart are neighbours. None aligns both, and neither where more than a tenth of
-    the intervals are longer. One row per scan; a missing scan has no row, and a gap starts a new segment.
+    facts: of the recording's sensors (chip coefficients, filter delays, ranges).
+    align: bring every group to the scan's time and remove the full lever-arm effect. Where the share COMPLETE of the scan numbers
+    is present (a recording from on board, or one filled up after landing) nothing is interpolated across a missing one; in a
+    thinned stream scans up to BRIDGED seconds apart are neighbours. None aligns unless more than a tenth of the intervals of a
+    thinned stream are longer. One row per scan; a missing scan has no row, and a gap starts a new segment.
     Raises CalibrationError when nothing can be calibrated.
     """
     table = scan_table(scans)
@@ -286,7 +298,7 @@ def calibrate(
     calibrator = Calibrator(calibration, facts)
     calibrator.check(table)
     columns, readings = calibrator.columns(bridged(table) if aligned and not complete else table, aligned=aligned)
-    detail, notes = account(table, calibration, columns, readings, aligned, align)
+    detail, notes = detail_and_notes(table, calibration, columns, readings, aligned, align)
     if table.utc_offset is not None:
         detail["utc_offset_s"], detail["utc_accuracy_s"] = table.utc_offset
     origin = provenance or Provenance()

@@ -4,7 +4,6 @@ The readings of a dwell are averaged as the calibration will later see them (at 
 supply where the instrument is ratiometric), so that the fitted file replaces the nominal one as it stands.
 """
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
@@ -18,22 +17,23 @@ from daq.contract.recordings.reading import Recording, read_recording
 from groundstation.calibration import conversions, curves
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.bench_plan import BenchPlan, Dwell, InstrumentFit
-from groundstation.calibration.calibration_set import CalibrationSet
+from groundstation.calibration.calibration_set import CalibrationSet, to_toml
 from groundstation.calibration.curves import TriadFit, fit_sphere, fit_vectors
-from groundstation.calibration.recording import embedded_calibration
+from groundstation.calibration.recording import embedded_calibration, recording_sha256
 from groundstation.calibration.scan_table import ScanTable, scan_table
 from groundstation.calibration.schema import BenchPoints, BenchSource, CalibrationError, Instrument, Triad
 
 Array = NDArray[np.float64]
 
 _LATEST_UTC_NS = 4_102_444_800_000_000_000  # the year 2100; a recording that claims more does not know its date
-_FEWEST = 5  # scans in a dwell
-_QUANTISATION = 1 / np.sqrt(12)  # of one count, one sigma, when the noise does not carry the reading across counts
+_FEWEST_READINGS = 5  # in a dwell, for a mean with a standard deviation
+_QUANTISATION = 1 / np.sqrt(12)  # one sigma of rounding to counts [count]
+_ROUNDING_SEEN = 0.5  # spread [count] below which noise does not average the rounding out
 
 
 @dataclass(frozen=True)
 class DwellMean:
-    """Mean reading of a dwell, one sigma of the mean, and the number of scans: (axes,) each."""
+    """Mean reading of a dwell and one sigma of the mean, (axes,) each; number of readings; IMU temperature [K] or NaN."""
 
     mean: Array
     std: Array
@@ -59,7 +59,7 @@ def fit_bench(
     """
     recording = read_recording(path)
     calibration = base or embedded_calibration(recording)
-    bench = BenchSource(recording=Path(path).name, sha256=_digest(recording), software=recording.info.software)
+    bench = BenchSource(recording=Path(path).name, sha256=recording_sha256(recording), software=recording.info.software)
     table = scan_table(recording.scans())
     day = _date(recording, today)
     bench_fits = []
@@ -69,17 +69,16 @@ def fit_bench(
             raise CalibrationError(
                 f"{fit.instrument}: not in calibration set {calibration.name}; its file is refined by the bench"
             )
-        job = _InstrumentJob(table, fit, template, calibration, recording.info.details)
-        fitted = job.run()
+        tables = _InstrumentJob(table, fit, template, calibration, recording.info.details).fitted_tables()
         instrument = template.model_copy(
-            update={**fitted, "date": day, "method": fit.method or fit.procedure, "bench": bench}
+            update={**tables, "date": day, "method": fit.method or fit.procedure, "bench": bench}
         )
-        bench_fits.append(BenchFit(instrument, _sentence(instrument, fit)))
+        bench_fits.append(BenchFit(instrument, _summary(instrument, fit)))
     return tuple(bench_fits)
 
 
 class _InstrumentJob:
-    """One instrument of the plan."""
+    """Fits one instrument of the plan."""
 
     def __init__(
         self,
@@ -92,11 +91,10 @@ class _InstrumentJob:
         self.table = table
         self.fit = fit
         self.template = template
-        self.calibration = calibration
         self.calibrator = Calibrator(calibration, facts)
 
-    def run(self) -> dict[str, object]:
-        """The tables of the file that the fit replaces."""
+    def fitted_tables(self) -> dict[str, object]:
+        """The tables of the calibration file that the fit replaces, by name."""
         kind = self.template.kind
         if kind == "curve" and self.fit.procedure in ("static_points", "speed_sweep"):
             return self._curve()
@@ -114,10 +112,9 @@ class _InstrumentJob:
         template = self.template
         assert template.curve is not None, "a file of kind curve has one"
         assert template.channel is not None, "a file of kind curve names its channel"
-        reading = self.calibrator.physical(self.table, template.channel)
-        if template.ratiometric is not None:
-            reading = reading * (template.ratiometric.reference / self.calibrator.sensor_supply(self.table))
-        step = CHANNEL_BY_NAME[template.channel].scale or 1.0
+        scale, offset = self.calibrator.pressure_transfer(template, template.curve, template.channel)
+        reading = self.calibrator.curve_input(template, template.channel, self.table, scale, offset)
+        step = scale * (CHANNEL_BY_NAME[template.channel].scale or 1.0)
         dwells = [self._mean(d, [reading], [step]) for d in self.fit.dwell]
         references = np.array([self._reference(d) for d in self.fit.dwell])
         shift = np.zeros(len(dwells))
@@ -139,7 +136,7 @@ class _InstrumentJob:
             input_unit=template.curve.input_unit,
             output_unit=template.curve.output_unit,
         )
-        # what all references share is not seen in the residuals: it stays as a floor
+        # residuals do not show an error common to all references: it stays as a floor
         curve = curve.model_copy(update={"uncertainty": self.fit.systematic_uncertainty})
         points = BenchPoints(
             reading=tuple((float(d.mean[0]),) for d in dwells),
@@ -153,30 +150,30 @@ class _InstrumentJob:
         if self.fit.reference_unit == "output":
             return dwell.reference
         columns, _ = self.calibrator.columns(self._part(dwell), aligned=False)
-        static, warmth = float(np.nanmean(columns["p_static"])), float(np.nanmean(columns["temperature"]))
-        if not np.isfinite(static + warmth):
+        static, temperature = float(np.nanmean(columns["p_static"])), float(np.nanmean(columns["temperature"]))
+        if not np.isfinite(static + temperature):
             raise CalibrationError(
                 f"{self.fit.instrument}: a reference in m/s needs static pressure and temperature in the recording"
             )
-        return conversions.impact_pressure(dwell.reference, static, warmth)
+        return conversions.impact_pressure(dwell.reference, static, temperature)
 
     def _static(self) -> dict[str, object]:
         assert self.template.static is not None, "a file of kind static has one"
         values, _ = self.calibrator.columns(self.table, aligned=False)
-        # the bench has no wind: columns are the compensated readings with the file's own offset
+        # without wind the columns are the compensated readings with the offset of the file
         dwells = [self._mean(d, [values["p_static"]], [0.0]) for d in self.fit.dwell]
         error = np.array([self._reference(d) for d in self.fit.dwell]) - np.array([d.mean[0] for d in dwells])
         spread = float(np.std(error, ddof=1)) if error.size > 1 else 0.0
         sigma = np.hypot(
             max(spread, self.fit.reference_uncertainty) / np.sqrt(error.size), self.fit.systematic_uncertainty
         )
-        new = self.template.static.model_copy(
+        static = self.template.static.model_copy(
             update={
                 "pressure_offset": self.template.static.pressure_offset + float(error.mean()),
                 "uncertainty": float(sigma),
             }
         )
-        return {"static": new}
+        return {"static": static}
 
     # ------------------------------------------------------------------------------------------------- three axes
 
@@ -191,20 +188,20 @@ class _InstrumentJob:
             dwells = [self._mean(d, axes, steps) for d in self.fit.dwell]
             references = np.array([d.reference for d in self.fit.dwell], float)
             readings = np.array([d.mean for d in dwells])
-            warmth = np.array([d.temperature for d in dwells]) - old.reference_temperature
-            if self.fit.fit_temperature and not np.all(np.isfinite(warmth)):
+            warming = np.array([d.temperature for d in dwells]) - old.reference_temperature
+            if self.fit.fit_temperature and not np.all(np.isfinite(warming)):
                 raise CalibrationError(
                     f"{self.fit.instrument}: fit_temperature needs the IMU temperature in each dwell"
                 )
             if not self.fit.fit_temperature:
                 slope = np.array(old.bias_per_kelvin)
-                readings = readings - (np.outer(warmth, slope) if slope.any() else 0.0)
+                readings = readings - (np.outer(warming, slope) if slope.any() else 0.0)
             triad = fit_vectors(
                 readings,
                 references,
                 np.array([d.std for d in dwells]),
                 self.fit.reference_uncertainty,
-                warmth if self.fit.fit_temperature else None,
+                warming if self.fit.fit_temperature else None,
             )
             points = BenchPoints(
                 reading=tuple(tuple(d.mean.tolist()) for d in dwells),
@@ -256,37 +253,34 @@ class _InstrumentJob:
         for axis, step in zip(axes, steps, strict=True):
             values = axis[rows]
             values = values[np.isfinite(values)]
-            if values.size < _FEWEST:
+            if values.size < _FEWEST_READINGS:
                 raise CalibrationError(
                     f"{self.fit.instrument}: only {values.size} readings between {dwell.start:g} and {dwell.stop:g} s; "
-                    f"at least {_FEWEST} are needed"
+                    f"at least {_FEWEST_READINGS} are needed"
                 )
             spread = float(np.std(values, ddof=1))
-            quantum = abs(step) * _QUANTISATION if spread < 0.5 * abs(step) else 0.0
+            quantum = abs(step) * _QUANTISATION if spread < _ROUNDING_SEEN * abs(step) else 0.0
             means.append(float(np.mean(values)))
             stds.append(float(np.hypot(spread / np.sqrt(values.size), quantum)))
             fewest = min(fewest, values.size)
-        warmth = self.calibrator.physical(self.table, "imu_temperature")[rows]
-        warmth = warmth[np.isfinite(warmth)]
-        return DwellMean(
-            np.array(means), np.array(stds), fewest, float(np.mean(warmth)) if warmth.size else float("nan")
-        )
+        temperatures = self.calibrator.physical(self.table, "imu_temperature")[rows]
+        temperatures = temperatures[np.isfinite(temperatures)]
+        temperature = float(np.mean(temperatures)) if temperatures.size else float("nan")
+        return DwellMean(np.array(means), np.array(stds), fewest, temperature)
 
 
 def fitted_set(base: CalibrationSet, fits: Iterable[BenchFit]) -> CalibrationSet:
-    """The base set with the fitted files in place of its own."""
-    from groundstation.calibration.calibration_set import to_toml
-
+    """The base set with the fitted files replaced."""
     texts = {f"{f.instrument.instrument}.toml": to_toml(f.instrument) for f in fits}
     return replace(base.with_texts(texts), name=base.name)
 
 
-def _sentence(instrument: Instrument, fit: InstrumentFit) -> str:
+def _summary(instrument: Instrument, fit: InstrumentFit) -> str:
     curve, triad, static = instrument.curve, instrument.triad, instrument.static
     start = f"{instrument.instrument}: {len(fit.dwell)} {'points' if triad is None else 'dwells'}"
     if curve is not None:
         low, high = curve.valid
-        largest = float(np.max(curves.standard_deviation(curve, np.linspace(low, high, 21))))
+        largest = float(np.max(curves.sigma_over_range(curve)))
         return (
             f"{start}, degree {fit.degree}, residual {curve.residual_rms:.3g} {curve.output_unit} rms, one sigma at most "
             f"{largest:.3g} {curve.output_unit} from {low:.6g} to {high:.6g} {curve.input_unit}"
@@ -302,14 +296,8 @@ def _sentence(instrument: Instrument, fit: InstrumentFit) -> str:
     return start
 
 
-def _digest(recording: Recording) -> str:
-    digest = hashlib.sha256()
-    for file in recording.files:
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
-
-
 def _date(recording: Recording, today: date | None) -> date:
+    """The date of a recording, or `today` where it carries none. Raises CalibrationError without either."""
     started = recording.info.started_utc_ns
     if 0 < started <= _LATEST_UTC_NS:
         return datetime.fromtimestamp(started * 1e-9, UTC).date()

@@ -60,10 +60,12 @@ class InstrumentFit(_BenchPlanTable):
 
     @model_validator(mode="after")
     def _references(self) -> "InstrumentFit":
-        want = {"static_points": float, "speed_sweep": float, "vectors": tuple, "sphere": type(None)}[self.procedure]
+        required = {"static_points": float, "speed_sweep": float, "vectors": tuple, "sphere": type(None)}[
+            self.procedure
+        ]
         for d in self.dwell:
-            if not isinstance(d.reference, want):
-                shape = {float: "a number", tuple: "a vector [x, y, z]", type(None): "no reference"}[want]
+            if not isinstance(d.reference, required):
+                shape = {float: "a number", tuple: "a vector [x, y, z]", type(None): "no reference"}[required]
                 raise ValueError(f"dwell at {d.start:g} s: procedure {self.procedure} needs {shape}")
         if self.procedure == "sphere" and self.field is None:
             raise ValueError("field: procedure sphere needs the magnitude of the field")
@@ -85,7 +87,4 @@ def parse_plan(text: str, where: str) -> BenchPlan:
     try:
         return BenchPlan.model_validate(parse_toml(text, where, CalibrationError))
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(k) for k in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        raise CalibrationError(f"{where}: {key + ': ' if key else ''}{message}") from error
+        raise CalibrationError.of_validation(where, error) from error

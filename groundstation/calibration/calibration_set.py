@@ -1,4 +1,4 @@
-"""Calibration sets: the files of all instruments of one aircraft, read, checked, and kept with their text and hash.
+"""Calibration sets: the files of all instruments of one aircraft, read and checked, with their texts and hashes.
 
 A set is a directory of such files. It is embedded in every recording as text, so that a flight can be calibrated again
 from the file alone, and a later, better set can take its place (`--calibration DIR`).
@@ -85,15 +85,11 @@ def _parse(where: str, text: str) -> Instrument:
     try:
         return Instrument.model_validate(parse_toml(text, where, CalibrationError))
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(k) for k in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        further = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        raise CalibrationError(f"{where}: {key + ': ' if key else ''}{message}{further}") from error
+        raise CalibrationError.of_validation(where, error) from error
 
 
 def to_toml(instrument: Instrument) -> str:
-    """The file's text: what is unset or at its default is left out, except what identifies it."""
+    """The text of an instrument's file, without values that are unset or at their default."""
     import tomli_w
 
     return tomli_w.dumps(instrument.model_dump(exclude_defaults=True, exclude_none=True))

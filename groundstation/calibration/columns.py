@@ -3,7 +3,7 @@
 Air data, rates, specific force at the CG, attitude, flow angles at the CG, elevator and aileron.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,14 +21,13 @@ from groundstation.flight.atmosphere import density
 
 Array = NDArray[np.float64]
 
-
 GNSS = tuple("latitude_e7 longitude_e7 height_msl_mm velocity_north_mm velocity_east_mm velocity_down_mm".split())
 MIXED = {("delta_e", "delta_a"): ("elevon_left", "elevon_right"), ("cmd_e", "cmd_a"): ("pwm_1", "pwm_2")}
-"""Elevator and aileron -> what they are mixed of."""
+"""Elevator and aileron -> the readings that they are mixed from."""
 
 
 class CombinedColumns:
-    """The columns that combine several instruments, from their values at common instants."""
+    """Makes the columns that combine several instruments. aligned: whether the values are at common instants."""
 
     def __init__(
         self, calibration: CalibrationSet, table: ScanTable, values: Mapping[str, Array], aligned: bool
@@ -40,12 +39,15 @@ class CombinedColumns:
         self.columns: dict[str, Array] = {}
 
     def make(self) -> dict[str, Array]:
-        steps: tuple[Callable[[], None], ...] = (
-            *(self._air, self._rates_and_field, self._acceleration, self._attitude, self._flow, self._controls),
-            *(self._gnss, self._direct),
-        )
-        for step in steps:
-            step()
+        """Column -> (N,) values, NaN where not measured."""
+        self._air()
+        self._rates_and_field()
+        self._acceleration()
+        self._attitude()
+        self._flow()  # needs V
+        self._controls()
+        self._gnss()  # needs attitude and rates
+        self._direct()
         return self.columns
 
     def _value(self, name: str) -> Array:
@@ -114,7 +116,7 @@ class CombinedColumns:
                     self.columns[column] = weights[0] * left + weights[1] * right
 
     def _direct(self) -> None:
-        """Columns of one channel each. A bit is as it was read: there is nothing between 0 and 1."""
+        """Columns of one channel each. A bit is never interpolated: there is nothing between 0 and 1."""
         for direct in direct_columns(self.calibration):
             bit = direct.channel.raw_type == "bit"
             self.columns[direct.column.name] = (
@@ -130,35 +132,34 @@ class CombinedColumns:
             self._antenna_to_cg(item.mount.position)
 
     def _antenna_to_cg(self, position: Vector) -> None:
-        """Position and velocity of the antenna, less its place and its motion about the CG; where attitude is not measured
-        they stay those of the antenna."""
+        """Refer position and velocity of the antenna, at `position` [m] from the CG, to the CG, where attitude is measured."""
         c = self.columns
         attitude, rates = (c["phi"], c["theta"], c["psi"]), (c["p"], c["q"], c["r"])
-        place, speed = conversions.point_in_earth_axes(position, attitude, rates)
-        north, east, down = (np.nan_to_num(v) for v in place)
+        offset, velocity = conversions.point_in_earth_axes(position, attitude, rates)
+        north, east, down = (np.nan_to_num(v) for v in offset)
         c["latitude"] = c["latitude"] - np.degrees(north / ROUND_EARTH_RADIUS)
         c["longitude"] = c["longitude"] - np.degrees(east / (ROUND_EARTH_RADIUS * np.cos(np.radians(c["latitude"]))))
         c["altitude_gnss"] = c["altitude_gnss"] + down
-        for column, of_antenna in zip(("vn", "ve", "vd"), speed, strict=True):
-            c[column] = c[column] - np.nan_to_num(of_antenna)
+        for column, relative in zip(("vn", "ve", "vd"), velocity, strict=True):
+            c[column] = c[column] - np.nan_to_num(relative)
 
 
 COMBINED = frozenset(
     "ax ay az p q r phi theta psi alpha beta V V_cas delta_e delta_a cmd_e cmd_a rho p_static p_dynamic temperature "
     "altitude latitude longitude altitude_gnss vn ve vd mx my mz".split()
 )
-"""Columns that `columns.Columns` makes by a rule of their own."""
-
+"""Columns that `CombinedColumns` makes by rules of their own; each of the others comes from one channel."""
 
 _NEEDS_FILE = {"supply": "it is behind a divider whose ratio the channel table does not know"}
-"""Channels in the unit of their column that are not it."""
+"""Channels in the unit of their column that need a calibration file all the same, and why."""
 
 
 @dataclass(frozen=True, slots=True)
 class DirectColumn:
     """A column, the channel it comes from, and the calibration file that turns one into the other.
 
-    None: counts at data-sheet scale. why_not: what is missing where neither gives the column; empty otherwise.
+    instrument: None where counts at data-sheet scale are the column. why_not: what is missing where neither gives the column;
+    empty otherwise.
     """
 
     column: FlightColumn
@@ -167,13 +168,13 @@ class DirectColumn:
     why_not: str = ""
 
     @property
-    def as_it_is(self) -> bool:
+    def uncalibrated(self) -> bool:
         """Whether counts at data-sheet scale are the column."""
         return self.instrument is None and not self.why_not
 
     @property
     def reading(self) -> str:
-        """Name of its values among the readings of all instruments."""
+        """Name of the column's values in `Readings`."""
         return self.channel.name if self.instrument is None else self.instrument.instrument
 
 

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class Bmp390Compensation(bmp390.Bmp390Trimming):
-    """The chip's compensation, where coefficients that cannot be used are an error of the calibration."""
+    """The chip's compensation; coefficients that cannot be used raise CalibrationError."""
 
     @classmethod
     def from_nvm(cls, nvm: bytes) -> "Bmp390Compensation":
@@ -66,13 +66,15 @@ Axes = tuple[Array, Array, Array]
 def apply_triad(triad: Triad, reading: Axes, temperature: Array | None = None) -> Axes:
     """matrix (reading - bias - bias_per_kelvin (T - reference)), reading at data-sheet scale [output unit].
 
-    With a temperature coefficient and no temperature the result is NaN: it cannot be corrected.
+    With a temperature coefficient and no temperature the result is NaN.
     """
-    free = [reading[i] - triad.bias[i] for i in range(3)]
+    unbiased = [reading[i] - triad.bias[i] for i in range(3)]
     if any(triad.bias_per_kelvin):
-        warm = np.full_like(free[0], np.nan) if temperature is None else temperature - triad.reference_temperature
-        free = [free[i] - triad.bias_per_kelvin[i] * warm for i in range(3)]
-    x, y, z = (row[0] * free[0] + row[1] * free[1] + row[2] * free[2] for row in triad.matrix)
+        warming = (
+            np.full_like(unbiased[0], np.nan) if temperature is None else temperature - triad.reference_temperature
+        )
+        unbiased = [unbiased[i] - triad.bias_per_kelvin[i] * warming for i in range(3)]
+    x, y, z = (row[0] * unbiased[0] + row[1] * unbiased[1] + row[2] * unbiased[2] for row in triad.matrix)
     return x, y, z
 
 
@@ -99,15 +101,15 @@ def at_cg(acceleration: Axes, rates: Axes, rate_derivatives: Axes | None, positi
 
 
 def point_in_earth_axes(position: Vector, attitude: Axes, rates: Axes) -> tuple[Axes, Axes]:
-    """North, east, down of a point of the body from the CG [m], and its speed against the CG [m/s].
+    """North, east, down of a point of the body from the CG [m], and its velocity relative to the CG [m/s].
 
     position: body axes [m]. attitude: phi, theta, psi [rad]. rates: p, q, r [rad/s].
     """
     p, q, r = rates
     x, y, z = position
     zero = np.zeros_like(p)
-    turning = (q * z - r * y, r * x - p * z, p * y - q * x)
-    return to_earth_axes((zero + x, zero + y, zero + z), attitude), to_earth_axes(turning, attitude)
+    velocity = (q * z - r * y, r * x - p * z, p * y - q * x)
+    return to_earth_axes((zero + x, zero + y, zero + z), attitude), to_earth_axes(velocity, attitude)
 
 
 def to_earth_axes(vector: Axes, attitude: Axes) -> Axes:
@@ -144,7 +146,7 @@ def euler_angles(w: Array, x: Array, y: Array, z: Array, attitude: MountingAngle
 
 
 def continuous_quaternion(values: Mapping[str, Array]) -> dict[str, Array]:
-    """q and -q are the same attitude: signs chosen so that no component jumps from one sample to the next."""
+    """The quaternion with signs chosen so that no component jumps from one sample to the next: q and -q are the same attitude."""
     names = [f"quaternion_{axis}" for axis in "wxyz"]
     q = np.stack([values[n] for n in names])
     dot = np.sum(q[:, 1:] * q[:, :-1], axis=0)
@@ -158,6 +160,7 @@ def wrap(angle: Array) -> Array:
 
 
 def _quaternion(angles: Vector) -> tuple[float, float, float, float]:
+    """w, x, y, z of the rotation by roll, pitch, yaw [rad], turned in the order yaw, pitch, roll."""
     c = [float(np.cos(a / 2)) for a in angles]
     s = [float(np.sin(a / 2)) for a in angles]
     return (
@@ -169,11 +172,11 @@ def _quaternion(angles: Vector) -> tuple[float, float, float, float]:
 
 
 LOWEST_SPEED = 5.0
-"""Below this airspeed [m/s] a vane does not follow the wind: its angle is given as it stands, without correction."""
+"""Airspeed [m/s] below which a vane does not follow the wind: its angle is then given without correction."""
 
 
 def undo_wash(local: Array, vane: Vane) -> Array:
-    """Flow angle at the vane's place without the aircraft's influence [rad]."""
+    """Flow angle at the vane's place [rad] without the upwash or sidewash of the aircraft."""
     return (local - vane.wash_offset) / vane.wash_factor
 
 

@@ -21,14 +21,14 @@ _SCALE_KEYS = {
 # first-order low passes; an attitude filter integrates the gyro, lag and all
 _LAG_KEYS = {"accelerometer": "imu.accel_delay_s", **dict.fromkeys(("gyro", "attitude"), "imu.gyro_delay_s")}
 _LONGEST_DELAY = 1.0  # s
-_LARGEST_SCALE = 1e3  # of any unit a count; all of them are far below one
-_LARGEST_OFFSET = 1e6  # Pa, K: ten atmospheres
-
+_LARGEST_SCALE = 1e3  # units a count; every real scale is far below one
+_LARGEST_OFFSET = 1e6  # Pa or K; as a pressure, ten atmospheres
+_AMBIENT_PRESSURES = 5e4, 1.2e5  # Pa, at which a sensor may have been calibrated: up to 5.5 km of altitude
 _LARGEST_COUNT = 65535.0
 
 INSTANT_STEP = 1e-3
-"""The logger measures the instants within a group, a little differently in each flight: rounded to a millisecond they are
-the same in a recording and in `logger.toml`, and a stream without facts gives the same flight to the last bit."""
+"""[s] The measured instants within a group differ a little from flight to flight. Rounded to this step they are the same in a
+recording and in `logger.toml`, so that a stream without facts gives the same flight to the last bit."""
 
 
 @dataclass(frozen=True)
@@ -47,38 +47,41 @@ class RecordedFacts:
             raise CalibrationError(f"fact {group}.nvm = {text!r} is not hexadecimal; correct logger.toml") from None
 
     def zero_count(self, instrument: str) -> float | None:
-        """Count at which an instrument was told, before flight, that it sees nothing; None when it was not."""
+        """Count of an instrument at zero input, measured before flight; None when it was not measured."""
         return self._number(f"{instrument}.zero_count")
 
     def transfer(self, group: str, unit: str) -> tuple[float, float] | None:
-        """Units (`pa`, `k`) a count of a group's chip, and units at count zero, by its data sheet; None where not known."""
+        """Scale [unit/count] and value at count zero [unit] of a group's chip by its data sheet; None when not known.
+
+        unit: `pa` or `k`.
+        """
         scale = self._number(f"{group}.scale_{unit}")
         return None if scale is None else (scale, self._number(f"{group}.offset_{unit}") or 0.0)
 
     @property
     def thermal_pitot_pa(self) -> float | None:
-        """Ambient pressure [Pa] at which a pitot that counts molecules shows what there is; None of any other."""
+        """Ambient pressure [Pa] at which a thermal pitot sensor, which measures mass flow, reads true; None for other sensors."""
         return self._number("pitot.calibrated_pa")
 
     def stamped(self, group: str) -> bool:
-        """Whether a group's samples carry their sender's time, and stand in each scan until the next."""
+        """Whether a group's samples carry their sender's time, and repeat in each scan until the next one."""
         return self.values.get(f"{group}.stamped") == "sender"
 
     def delay(self, instrument: str, group: str) -> float:
-        """How far the chip's own filter makes an instrument's reading lag [s]; 0 when not known."""
+        """Delay of an instrument's reading by the chip's own filter [s]; 0 when not known."""
         if instrument in _LAG_KEYS:
             return 0.0
         return self._number(f"{group}.filter_delay_s") or 0.0
 
     def lag(self, instrument: str) -> float:
-        """Time constant of an instrument's first-order low pass [s]; 0 when it has none or it is not known."""
+        """Time constant of an instrument's first-order low pass [s]; 0 when there is none or it is not known."""
         if instrument == "attitude" and self.stamped("attitude"):
             return 0.0  # an autopilot's filter takes the gyro before its low pass
         key = _LAG_KEYS.get(instrument)
         return (self._number(key) or 0.0) if key else 0.0
 
-    def after(self, channel: str) -> float:
-        """How long after its group's instant a channel was sampled [s], to INSTANT_STEP; 0 when not known."""
+    def offset_in_group(self, channel: str) -> float:
+        """Time at which a channel was sampled after its group's instant [s], to INSTANT_STEP; 0 when not known."""
         key = f"{CHANNEL_BY_NAME[channel].group}.{channel}_after_s"
         measured = self._number(key) or 0.0
         return round(measured / INSTANT_STEP) * INSTANT_STEP
@@ -97,7 +100,7 @@ class RecordedFacts:
         return recorded if recorded and not math.isclose(recorded, row.scale, rel_tol=1e-9) else row.scale
 
     def _number(self, key: str) -> float | None:
-        """Looked up and checked once: live each scan asks for all of them."""
+        """The number of a fact, checked once: live, each scan asks for all of them."""
         if key not in self._numbers:
             self._numbers[key] = self._checked(key)
         return self._numbers[key]
@@ -113,14 +116,14 @@ class RecordedFacts:
 
 
 class Reported(NamedTuple):
-    """Facts as a sender, or a recording of one, gave them, after the check of each. refused: name -> why it is not used."""
+    """Facts that passed their check, and those that did not. refused: name -> why it is not used."""
 
     facts: Mapping[str, str]
     refused: Mapping[str, str]
 
 
 def reported(values: Mapping[str, str]) -> Reported:
-    """Each fact held against what it can be. A fact that this program does not use stays as it is; nothing raises."""
+    """The facts of a sender, each checked against its bounds. Facts that this program does not use pass. Never raises."""
     refused_facts = {key: reason for key, text in values.items() if (reason := _why_not(key, text))}
     return Reported({k: v for k, v in values.items() if k not in refused_facts}, refused_facts)
 
@@ -141,6 +144,7 @@ def _why_not(key: str, text: str) -> str:
 
 
 def _why_no_coefficients(key: str, text: str) -> str:
+    """Why a fact cannot be read as coefficients of a chip; empty where it can."""
     try:
         coefficients = bytes.fromhex(text)
         if coefficients and key.startswith("static."):
@@ -152,7 +156,7 @@ def _why_no_coefficients(key: str, text: str) -> str:
 
 
 def _bounds(key: str) -> tuple[float, float] | None:
-    """What the number of a fact lies between; None for a fact that is no number, or that nothing here uses."""
+    """Smallest and largest possible number of a fact; None for a fact that is no number, or that nothing here uses."""
     if (
         key in _SCALE_KEYS.values()
         or key in ("capture.scale_s", "pitot.scale_pa", "static.scale_pa", "static.scale_k")
@@ -164,7 +168,7 @@ def _bounds(key: str) -> tuple[float, float] | None:
     if key in ("pitot.offset_pa", "static.offset_pa", "static.offset_k"):
         return -_LARGEST_OFFSET, _LARGEST_OFFSET
     if key == "pitot.calibrated_pa":
-        return 5e4, 1.2e5
+        return _AMBIENT_PRESSURES
     if key.endswith(".zero_count"):
         return 0.0, _LARGEST_COUNT
     if key.endswith((".filter_delay_s", "_after_s")):

@@ -18,7 +18,8 @@ from groundstation.calibration.facts import Reported, reported
 from groundstation.calibration.schema import CalibrationError
 from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance, read_flight
 
-_TOLD = 20  # damages of a recording told one by one in a flight's notes
+_MOST_NOTES = 20  # of one kind on a flight, each refused fact or damage with its own
+_HEAD_BYTES = 65536  # of a recording: its channels are declared within these
 
 
 def calibrate_recording(
@@ -30,8 +31,8 @@ def calibrate_recording(
 ) -> Flight:
     """The flight in a raw recording (file, or directory of its segments).
 
-    calibration: a set or directory that takes the place of the embedded one. salvage: use what is intact of a damaged
-    recording. Of a file that holds several sessions the one with most scans is taken, and a note says so.
+    calibration: a set or directory instead of the embedded one. salvage: use the intact part of a damaged recording. Of several
+    sessions in one file the one with most scans is used, and a note says so.
     Raises RecordingError or CalibrationError with one sentence.
     """
     if Path(path).suffix.lower() == ".tlog":
@@ -44,7 +45,7 @@ def calibrate_recording(
 
 
 def open_recording(path: str | Path, *, salvage: bool = False) -> tuple[Recording, list[str]]:
-    """The recording at `path`, of several sessions in one file the one with most scans, and a note that says which.
+    """The recording at `path` (of several sessions in one file the one with most scans), and notes on the sessions left out.
 
     Raises RecordingError when there is none or, unless `salvage`, when it is damaged.
     """
@@ -78,17 +79,17 @@ def calibrate_opened(
         provenance=_provenance(recording),
     )
     notes = [f"{reason}: what the calibration set says is used in its place" for reason in facts.refused.values()]
-    return flight.with_notes(*notes[:_TOLD], *_undescribed(recording), *_gaps(recording))
+    return flight.with_notes(*notes[:_MOST_NOTES], *_unknown_group_notes(recording), *_damage_notes(recording))
 
 
 def is_raw(file: Path) -> bool:
-    """Whether a path holds scans as counts: a folder of segments, or a .mcap that says so in its first bytes."""
+    """Whether a path is a raw recording: a folder of segments, or a .mcap that declares scans in its first bytes."""
     if file.is_dir():
         return True
     if file.suffix != ".mcap" or not file.is_file():
         return False
     with file.open("rb") as stream:
-        return SCAN_TOPIC.encode() in stream.read(65536)
+        return SCAN_TOPIC.encode() in stream.read(_HEAD_BYTES)
 
 
 def open_flight(file: Path, calibration: Path | None = None) -> Flight:
@@ -96,8 +97,8 @@ def open_flight(file: Path, calibration: Path | None = None) -> Flight:
     return calibrate_recording(file, calibration, salvage=True) if is_raw(file) else read_flight(file)
 
 
-def _undescribed(recording: Recording) -> list[str]:
-    """Sensor groups that the aircraft was fitted with and that no package installed here describes."""
+def _unknown_group_notes(recording: Recording) -> list[str]:
+    """A note for each sensor group of the aircraft that no package installed here describes."""
     try:
         sensors = parse_toml(recording.info.config_text, "configuration").get("sensors", {})
     except UserError:
@@ -110,12 +111,14 @@ def _undescribed(recording: Recording) -> list[str]:
     ]
 
 
-def _gaps(recording: Recording) -> list[str]:
-    """What is damaged or missing in the recording, in words."""
+def _damage_notes(recording: Recording) -> list[str]:
+    """Notes on what is damaged or missing in the recording."""
     damages = recording.damages
-    notes = [f"{d.what} at byte {d.at_byte} of {path.name}: what is intact is used" for path, d in damages[:_TOLD]]
-    if len(damages) > _TOLD:
-        notes.append(f"{len(damages) - _TOLD} more damaged places, see 'sideslip verify': what is intact is used")
+    notes = [
+        f"{d.what} at byte {d.at_byte} of {path.name}: what is intact is used" for path, d in damages[:_MOST_NOTES]
+    ]
+    if len(damages) > _MOST_NOTES:
+        notes.append(f"{len(damages) - _MOST_NOTES} more damaged places, see 'sideslip verify': what is intact is used")
     state = verify_recording(recording)
     if state.given_up:
         names = ", ".join(path.name for path in state.given_up)
@@ -127,7 +130,7 @@ def _gaps(recording: Recording) -> list[str]:
 
 
 def _pitot_zero(recording: Recording) -> dict[str, str]:
-    """The last zeroing of the pitot before flight, as a fact: it takes the sensor's turn-on offset out."""
+    """The last zeroing of the pitot before flight, as a fact: it removes the sensor's turn-on offset."""
     counts = [parse_pitot_zero(e.text) for e in recording.events]
     zero_counts = [c for c in counts if c is not None]
     return {"pitot.zero_count": f"{zero_counts[-1]!r}"} if zero_counts else {}
@@ -159,16 +162,21 @@ def _calibration_set(recording: Recording, calibration: CalibrationSet | str | P
     return calibration if isinstance(calibration, CalibrationSet) else load_calibration(calibration)
 
 
-def _provenance(recording: Recording) -> Provenance:
-    info = recording.info
+def recording_sha256(recording: Recording) -> str:
+    """SHA-256 of a recording's files, one after the other, in hexadecimal."""
     digest = hashlib.sha256()
     for file in recording.files:
         digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _provenance(recording: Recording) -> Provenance:
+    info = recording.info
     aircraft = info.attachments.get(AIRCRAFT_ATTACHMENT)
     return Provenance(
         source=info.source,
         path=str(recording.path),
-        sha256=digest.hexdigest(),
+        sha256=recording_sha256(recording),
         aircraft=info.aircraft,
         software=info.software,
         detail={

@@ -1,6 +1,6 @@
 """Scans as arrays: one row per scan, one column per raw channel, NaN where a channel has no value.
 
-Here alone, readings of a sensor group whose state in a scan was not usable become NaN.
+This is the one place where readings of a sensor group that was not usable in a scan become NaN.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,7 +20,7 @@ from groundstation.calibration.schema import CalibrationError
 
 Array = NDArray[np.float64]
 
-_BREAK = 1000  # step of the scan number at a gap: more than any channel's spacing
+_BREAK = 1000  # step of the new scan number at a gap: more than any channel's spacing
 
 
 @dataclass(frozen=True)
@@ -86,10 +86,10 @@ _BLOCK = 4096  # scans converted to columns at a time: as objects they need ten 
 
 
 def scan_table(scans: Iterable[Scan]) -> ScanTable:
-    """The table of `scans`, sorted by time, without repeated scans; notes state both. Raises CalibrationError without a scan."""
-    rest = iter(scans)
+    """The table of `scans`, sorted by time, without repeated scans; notes say so. Raises CalibrationError without a scan."""
+    remaining = iter(scans)
     blocks, offsets = [], []
-    while block := list(islice(rest, _BLOCK)):
+    while block := list(islice(remaining, _BLOCK)):
         blocks.append(_columns(block))
         offsets.append(_utc_offset(block))
     if not blocks:
@@ -151,10 +151,10 @@ def _columns(scans: list[Scan]) -> dict[str, NDArray[Any]]:
             columns[f"{g} offset"] = np.array(offsets, float) * 1e-6
     nan = float("nan")
     for channel in CHANNELS:
-        read = [s.values.get(channel.name, nan) for s in scans]
-        if read.count(nan) == len(scans):
+        readings = [s.values.get(channel.name, nan) for s in scans]
+        if readings.count(nan) == len(scans):
             continue
-        values = np.array(read, float)
+        values = np.array(readings, float)
         columns[channel.name] = np.where(columns[f"{channel.group} usable"], values, np.nan)
     return columns
 

@@ -3,7 +3,7 @@
 from datetime import date
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.contract.channels import CHANNEL_BY_NAME, COLUMN_BY_NAME
 from daq.utilities.constants import SEA_LEVEL_PRESSURE
@@ -13,11 +13,20 @@ from daq.utilities.errors import UserError
 class CalibrationError(UserError):
     """A calibration file, set or recording that cannot be used for calibrating."""
 
+    @classmethod
+    def of_validation(cls, where: str, error: ValidationError) -> "CalibrationError":
+        """The first mistake of a file at `where` with its key, and how many more there are."""
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        message = first["msg"].removeprefix("Value error, ")
+        further = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        return cls(f"{where}: {key + ': ' if key else ''}{message}{further}")
+
 
 FORMAT = 1
 
 Finite = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
-"""A number of a calibration. Its bound keeps a polynomial of degree five over 24-bit counts (1e36) far from the largest float."""
+"""A number of a calibration, bounded so that a polynomial of degree five over 24-bit counts (1e36) does not overflow."""
 Vector = tuple[Finite, Finite, Finite]
 Matrix = tuple[Vector, Vector, Vector]
 
@@ -168,9 +177,9 @@ class SupplySensitivity(_CalibrationTable):
 class Instrument(_CalibrationTable):
     """One calibration file.
 
-    delay: how far the instrument itself lags the physical quantity [s]: vane dynamics, tubing. The delay of a chip's
-    filter is a fact of the recording and comes on top. column: the flight column that a curve makes, where it is not the one of
-    its channel: a surface by the pulse that moves it; servo_lag: with which it then follows [s].
+    delay: how far the instrument itself lags the physical quantity [s], by vane dynamics or tubing. The delay of a chip's
+    filter is a fact of the recording and is added. column: the flight column that a curve makes, where it is not that of its
+    channel, as for a surface known by the pulse that moves it. servo_lag: time constant with which it follows the pulse [s].
     """
 
     format: Literal[1]

@@ -20,7 +20,7 @@ JSON_OPTION = json_option(name="report")
 
 
 def write_json(report: Path | None, content: Any) -> None:
-    """Write what was asked for as JSON; None: not asked for."""
+    """Write `content` as JSON to the file `report`, if there is one."""
     if report is not None:
         outputs.write_json(content, report)
 
@@ -32,7 +32,7 @@ def _print_flight(flight: "Flight", output: Path, report: Path | None) -> None:
 
 
 def written_lines(flight: "Flight", output: str) -> Iterator[str]:
-    """What a person reads of a flight that was made: how much, and what to know of it."""
+    """Lines for a person on a flight that was made: its size, notes and contradictions."""
     from groundstation.flight.contradictions import contradictions
 
     rate = 1 / flight.sample_interval
@@ -50,7 +50,7 @@ def written_lines(flight: "Flight", output: str) -> Iterator[str]:
 
 
 def written_content(flight: "Flight", output: str) -> dict[str, Any]:
-    """The same as `calibrate --json` and `import --json` have it."""
+    """The same for `calibrate --json` and `import --json`."""
     from groundstation.flight.contradictions import contradictions
 
     return {
@@ -72,7 +72,7 @@ def written_content(flight: "Flight", output: str) -> dict[str, Any]:
 
 
 def write_and_report(flight: "Flight", output: Path, split: bool, report: Path | None) -> None:
-    """Write the flight and say so; with `split`, each stretch without gap to a file of its own, OUTPUT_1, OUTPUT_2, ..."""
+    """Write the flight and report it; with `split`, each stretch without a gap to a file of its own, OUTPUT_1, OUTPUT_2, ..."""
     from groundstation.flight import write_flight
 
     if not split or len(flight.segments) < 2:
@@ -170,7 +170,7 @@ def bench(
 def fit_and_write(
     raw: Path, plan: Path, output: Path, calibration: Path | None, day: date | None
 ) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
-    """Write the fitted set to the folder `output`; gives what --json has and what is printed of it."""
+    """Write the fitted set to the folder `output`; gives the content of --json and the lines to print."""
     from daq.contract.recordings.reading import read_recording
     from groundstation.calibration.bench import fit_bench, fitted_set
     from groundstation.calibration.bench_plan import load_plan

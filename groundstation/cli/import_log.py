@@ -54,7 +54,7 @@ def import_(
     split: bool,
     report: Path | None,
 ) -> None:
-    """Turn somebody else's DATA into a flight: CSV, Parquet, MATLAB, PX4 ULog, ArduPilot .bin or MAVLink .tlog.
+    """Turn DATA of another program into a flight: CSV, Parquet, MATLAB, PX4 ULog, ArduPilot .bin or MAVLink .tlog.
 
     Several files are records in a row, and become segments of one flight.
 
@@ -87,7 +87,7 @@ def import_(
 
 
 def _write_draft(data: tuple[Path, ...], output: Path) -> None:
-    """Write a drafted mapping and say what in it is not known."""
+    """Write a drafted mapping and print how many of its lines a person has to complete or check."""
     from groundstation.importers.draft import draft_map
 
     text = draft_map(data)
@@ -99,7 +99,7 @@ def _write_draft(data: tuple[Path, ...], output: Path) -> None:
 def _advise(
     services: "Services", data: tuple[Path, ...], mapping: Path | None, rate: float | None, report: Path | None
 ) -> None:
-    """Print what can be done with a log, and its servo outputs; report: a JSON to write."""
+    """Print which models and methods a log is good for, and its servo outputs. report: the same as JSON."""
     from groundstation.importers.about import servo_outputs
     from groundstation.importers.run import import_data
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from groundstation.live.station import Station
     from groundstation.viewer.session import SessionViews
 
-POLL_S = 0.02
+POLL_S = 0.02  # between two steps of the station
 Say = Callable[[str], None]
 
 
@@ -76,6 +76,7 @@ def ground(
     from groundstation.live.handover import hand_over_sessions
     from groundstation.live.replay import Replay, parse_speed, replay_into
 
+    pace = parse_speed(speed) if replay is not None else None
     settings = configured(config, layout, aircraft, watched, model)
     with (
         _ignore_hangup(),
@@ -83,8 +84,9 @@ def ground(
         _views(settings, window, say) as views,
     ):
         player = Replay()
-        source = None if services is None else services.aircraft
-        station = _station(settings, folder, views, player if replay is not None else None, replay, source, say)
+        station = _station(
+            settings, folder, views, player, replay, None if services is None else services.aircraft, say
+        )
         say(
             f"session {folder}; {'replaying ' + str(replay) if replay else 'listening on ' + ', '.join(settings.link.ports)}"
         )
@@ -92,7 +94,7 @@ def ground(
         try:
             with terminated_is_interrupt():
                 if replay is not None:
-                    replay_into(station, player, replay, parse_speed(speed))
+                    replay_into(station, player, replay, pace)
                 else:
                     _listen(station, settings, duration, views, say)
         except KeyboardInterrupt:
@@ -111,7 +113,7 @@ def ground(
 
 @contextmanager
 def _ignore_hangup() -> Iterator[None]:
-    """A terminal that closes, or a connection to it that breaks, does not end a session: SIGTERM or a typed `quit` does."""
+    """Keep a session running when its terminal closes or the connection to it breaks: SIGTERM or a typed `quit` ends it."""
     hangup = getattr(signal, "SIGHUP", None)  # Windows has none
     if hangup is None:
         yield
@@ -125,32 +127,34 @@ def _ignore_hangup() -> Iterator[None]:
 
 @contextmanager
 def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iterator[tuple[Path, Say]]:
-    """The session's folder, held against other ground stations, and where its lines go: standard output, as long as there is
-    one, and `ground.log` in the folder. replayed: then it must not hold a session already."""
+    """The session's folder, locked against other ground stations, and a function that prints a line (see `open_output`).
+
+    replayed: the folder must not hold a session already. Raises GroundConfigError where the folder cannot be used.
+    """
     from daq.utilities.durable import FolderInUseError, folder_of_ones_own
     from groundstation.live.config import GroundConfigError
-    from groundstation.live.console import spoken
+    from groundstation.live.console import open_output
 
     dated = out is None and settings.output.dated
     base = settings.output.directory
     folder_name = out or (base / name_stamp(time.time()) if dated else base)
-    old = sorted([*folder_name.glob("*.tlog"), *folder_name.glob("*.journal")]) if replayed else []
-    if old:
+    previous = sorted([*folder_name.glob("*.tlog"), *folder_name.glob("*.journal")]) if replayed else []
+    if previous:
         raise GroundConfigError(
-            f"{folder_name} holds a session already ({old[0].name}); give another folder with --out"
+            f"{folder_name} holds a session already ({previous[0].name}); give another folder with --out"
         )
     for folder in [folder_name, *(folder_name.with_name(f"{folder_name.name}_{n}") for n in range(2, 100) if dated)]:
-        new = not folder.exists()
+        created = not folder.exists()
         with ExitStack() as lock:
             try:
                 lock.enter_context(folder_of_ones_own(folder, "ground"))
             except FolderInUseError:
                 continue
             try:
-                yield folder, lock.enter_context(spoken(folder))
+                yield folder, lock.enter_context(open_output(folder))
             finally:
                 lock.close()
-                if new:
+                if created:
                     _remove_unused(folder)
             return
     raise GroundConfigError(
@@ -159,7 +163,7 @@ def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iter
 
 
 def _remove_unused(folder: Path) -> None:
-    """Take a new session's folder away where the session never began: a port was wrong, or in use."""
+    """Delete the folder of a session that never began, because a port was wrong or in use."""
     with suppress(OSError):
         files = [*folder.iterdir()]
         if not any(f.is_dir() or f.stat().st_size for f in files):
@@ -169,9 +173,9 @@ def _remove_unused(folder: Path) -> None:
 
 
 def _conclude(station: "Station", handovers: list["Handover"], json_path: Path | None, model: str, say: Say) -> bool:
-    """Say what the session has left, and write its counters; whether the disk has all that came down.
+    """Print the session's result and write its counters; gives whether every received scan is on the disk.
 
-    model: that the gap monitor held against flight, or "".
+    model: the model that the gap monitor compared with the flight, or "".
     """
     from groundstation.cli.data import write_json
     from groundstation.identification.history import alarmed
@@ -200,7 +204,7 @@ def _conclude(station: "Station", handovers: list["Handover"], json_path: Path |
 
 
 def _keep_open(views: "SessionViews") -> None:
-    """Keep the views until somebody has seen enough."""
+    """Keep the views until Ctrl-C."""
     try:
         with terminated_is_interrupt():
             while True:
@@ -214,28 +218,31 @@ def _station(
     settings: "GroundConfig",
     folder: Path,
     views: "SessionViews | None",
-    replay: "Replay | None",
-    played: Path | None,
+    player: "Replay",
+    replay: Path | None,
     source: "AircraftSource | None",
     say: Say,
 ) -> "Station":
+    """The station on the configured ports, or on the player's where the file `replay` is played."""
     from groundstation.live.config import GroundConfigError
     from groundstation.live.station import Station
     from groundstation.receiver.receive import Receiver
-    from groundstation.receiver.timeline import SystemClock
+    from groundstation.receiver.timeline import GroundClock, SystemClock
 
-    make_view = None if views is None else views.make
-    if replay is None and not settings.link.ports:
-        raise GroundConfigError("[link] ports is empty: there is nothing to listen to; name a port")
-    if replay is not None:
+    clock: GroundClock
+    if replay is None:
+        if not settings.link.ports:
+            raise GroundConfigError("[link] ports is empty: there is nothing to listen to; name a port")
+        clock = SystemClock()
+        receiver = Receiver.open(settings.link, clock, folder=folder)
+    else:
+        clock = player.clock
         quiet = settings.link.model_copy(update={"ports": (), "transmit": False, "backfill": "off"})
-        # A recording does not come over a link: there is nothing to keep of it.
-        folder_of_log = folder if played is not None and played.suffix == ".tlog" else None
-        receiver = Receiver(quiet, {"replay": replay.port}, replay.clock, folder=folder_of_log)
-        return Station(settings, receiver, replay.clock, folder, make_view=make_view, echo=say, aircraft=source)
-    system = SystemClock()
-    receiver = Receiver.open(settings.link, system, folder=folder)
-    return Station(settings, receiver, system, folder, make_view=make_view, echo=say, aircraft=source)
+        # a raw recording does not come over a link: there is nothing to record of it
+        folder_of_log = folder if replay.suffix == ".tlog" else None
+        receiver = Receiver(quiet, {"replay": player.port}, clock, folder=folder_of_log)
+    make_view = None if views is None else views.make
+    return Station(settings, receiver, clock, folder, make_view=make_view, echo=say, aircraft=source)
 
 
 @contextmanager
@@ -258,7 +265,8 @@ def _views(settings: "GroundConfig", window: str, say: Say) -> "Iterator[Session
 def _listen(
     station: "Station", settings: "GroundConfig", duration: float | None, views: "SessionViews | None", say: Say
 ) -> None:
-    """Until Ctrl-C, `quit` or the duration is over; after a landing, missing scans are fetched as long as allowed."""
+    """Run the station until Ctrl-C, `quit` or the end of `duration` [s]; after a landing fetch missing scans for a limited
+    time."""
     from groundstation.live.console import Console, Lines
 
     start_s = time.monotonic()
@@ -292,16 +300,16 @@ def _estimate(
     *,
     show: bool,
 ) -> None:
-    """Estimate from the flights, after the station is closed. show: open the report, for somebody who has been watching."""
+    """Estimate from the flights, after the station is closed. show: open the report in the browser."""
     flights = [h.manoeuvres_path or h.path for h in handovers]
     if not flights:
         say("nothing to estimate from: no flight was handed over")
         return
     report = folder / "report"
     try:
-        asked = settings.handover
-        lines = services.estimate(flights, asked.model, asked.methods, settings.identification.aircraft, report)
-    except UserError as error:  # the session itself is sound, and its flights are written
+        handover = settings.handover
+        lines = services.estimate(flights, handover.model, handover.methods, settings.identification.aircraft, report)
+    except UserError as error:  # the session succeeded: its flights are written
         say(f"the estimate could not be made: {error}")
         return
     for line in lines:

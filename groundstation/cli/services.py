@@ -1,4 +1,4 @@
-"""Functions from other packages that the verbs of the ground station call, which may not import them."""
+"""Functions of other packages that the verbs of the ground station call but may not import."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

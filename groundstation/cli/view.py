@@ -21,9 +21,9 @@ VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
 
 @contextmanager
 def terminated_is_interrupt() -> Iterator[None]:
-    """SIGTERM and SIGINT end a session alike: files are closed and the flight is written.
+    """Raise KeyboardInterrupt for SIGTERM as for SIGINT, so that files are closed and the flight is written.
 
-    SIGINT too is asked for, because a shell's background job starts with it ignored.
+    SIGINT is set too, because a shell starts background jobs with SIGINT ignored.
     """
 
     def interrupt(*_: object) -> None:

@@ -3,8 +3,8 @@
 Beside the flight's own samples (`/flight`, every column a plottable scalar) it holds `foxglove.LocationFix` for the map,
 `foxglove.FrameTransform` for the 3D panel and `foxglove.Log` for the events, all stamped in UTC where the flight knows
 it. Frames follow REP 103, which the 3D panel expects: `world` is east, north, up from the first fix; `aircraft` is x
-forward, y left, z up. Rerun's importer makes nothing but one value of each sample of `/flight`; so that it plots, too, the
-columns are there once more as ROS 2 `JointState`, under `/scalars`, grouped as in the live view.
+forward, y left, z up. For rerun, whose importer does not plot `/flight`, the columns are there once more as ROS 2 `JointState`,
+under `/scalars`, grouped as in the live view.
 """
 
 import struct
@@ -20,6 +20,7 @@ from daq.utilities.constants import EARTH_RADIUS
 from daq.utilities.durable import whole
 from groundstation.export.tracks import height_above_sea, stamps_ns
 from groundstation.flight import Array, Flight
+from groundstation.flight.marks import EVENTS, rows_of
 from groundstation.flight.writing import Encoded, open_flight_writer
 
 
@@ -27,13 +28,13 @@ def write_foxglove(flight: Flight, path: Path) -> None:
     """Write the file; topics without values (no GPS, no attitude) are absent."""
     stamps = stamps_ns(flight)
     with whole(path) as new, open_flight_writer(flight, new, stamps) as add:
-        messages = [m for make in (_fixes, _poses, _events, _scalars) for m in make(flight, stamps)]
+        messages = [m for messages_of in (_fixes, _poses, _events, _scalars) for m in messages_of(flight, stamps)]
         for topic, stamp, message in sorted(messages, key=lambda row: row[1]):
             add(topic, stamp, message)
 
 
 def _scalars(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int, Encoded]]:
-    """The columns drawn together in one message, at each sample that has a value of one of them."""
+    """Messages with the columns that are drawn together, at each sample in which one of them has a value."""
     groups: dict[str, list[str]] = {}
     for name in flight.columns:
         if flight.measured(name):
@@ -67,12 +68,12 @@ def _poses(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int
 
     if not all(flight.measured(name) for name in ("phi", "theta", "psi")):
         return
-    place = local_position(flight)
-    turn = quaternion_flu_to_enu(flight["phi"], flight["theta"], flight["psi"])
-    for i in np.flatnonzero(np.isfinite(turn).all(axis=1) & np.isfinite(place).all(axis=1)):
+    position = local_position(flight)
+    rotation = quaternion_flu_to_enu(flight["phi"], flight["theta"], flight["psi"])
+    for i in np.flatnonzero(np.isfinite(rotation).all(axis=1) & np.isfinite(position).all(axis=1)):
         pose = FrameTransform(parent_frame_id="world", child_frame_id="aircraft")
-        pose.translation.x, pose.translation.y, pose.translation.z = place[i].tolist()
-        pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z = turn[i].tolist()
+        pose.translation.x, pose.translation.y, pose.translation.z = position[i].tolist()
+        pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z = rotation[i].tolist()
         yield "/tf", int(stamps[i]), _stamped(pose, int(stamps[i]))
 
 
@@ -80,15 +81,13 @@ def _events(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, in
     from foxglove_schemas_protobuf.Log_pb2 import Log
 
     shift = int(stamps[0]) - round(float(flight.time[0]) * 1e9)
-    for event in flight.provenance.detail.get("events", []):
+    for event in rows_of(flight.provenance.detail, EVENTS, ("time",), "text"):
         stamp = max(0, round(float(event["time"]) * 1e9) + shift)
-        yield "/events", stamp, _stamped(Log(level=Log.INFO, name=event["origin"], message=event["text"]), stamp)
+        log = Log(level=Log.INFO, name=str(event.get("origin", "")), message=event["text"])
+        yield "/events", stamp, _stamped(log, stamp)
     for note in flight.notes:
-        yield (
-            "/events",
-            int(stamps[0]),
-            _stamped(Log(level=Log.WARNING, name="flight", message=note.text), int(stamps[0])),
-        )
+        stamp = int(stamps[0])
+        yield "/events", stamp, _stamped(Log(level=Log.WARNING, name="flight", message=note.text), stamp)
 
 
 def _stamped(message: Any, stamp: int) -> Any:
@@ -152,15 +151,14 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-_HEAD = b"\x00\x01\x00\x00"
+_HEAD = b"\x00\x01\x00\x00"  # of CDR: little-endian
 _NS = 1_000_000_000
 
 
 class JointStates:
-    """Messages with always the same names; values may be NaN, where they are not known."""
+    """Encodes JointState messages that all have the same names. Unknown values are NaN."""
 
     def __init__(self, names: Sequence[str]) -> None:
-        self._count = len(names)
         body = bytearray(8) + _text("")  # the time goes into the first eight bytes
         _align(body, 4)
         body += struct.pack("<I", len(names))
@@ -185,5 +183,6 @@ def _align(body: bytearray, size: int) -> None:
 
 
 def _text(words: str) -> bytes:
+    """A string in CDR: its length with the final zero, then its bytes."""
     data = words.encode() + b"\0"
     return struct.pack("<I", len(data)) + data

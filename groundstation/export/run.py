@@ -1,4 +1,4 @@
-"""Any flight or recording to any format that the ending of the output's name chooses."""
+"""Exports a flight or recording in the format that the ending of the output's name chooses."""
 
 import csv
 import json
@@ -29,7 +29,7 @@ class ExportError(UserError):
 
 @dataclass(frozen=True)
 class ExportSummary:
-    """What was written, and what a person should know of it."""
+    """The file written, and notes on it for a person."""
 
     path: Path
     notes: tuple[str, ...] = ()
@@ -49,6 +49,8 @@ def export_file(
     if suffix == ".rrd":
         from groundstation.viewer.recorded import as_rrd
 
+        if file.suffix.lower() == ".rrd":
+            raise ExportError(f"{file}: a recording of rerun already; copy it")
         as_rrd(file, target, calibration=calibration)
         return ExportSummary(target)
     if raw:
@@ -65,7 +67,7 @@ def export_file(
 
 
 def check_output(file: Path, target: Path) -> None:
-    """Refuse a format that nobody knows and an output that is the input."""
+    """Raise ExportError for an unknown format, or an output that is the input."""
     if target.suffix.lower() not in FORMATS:
         raise ExportError(f"{target}: no known format; end the name in one of {' '.join(FORMATS)}")
     if target.exists() and file.exists() and target.samefile(file):
@@ -100,11 +102,11 @@ def save_table(table: ColumnTable, target: Path, units_row: bool) -> tuple[str, 
 
 
 _MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
-"""What MATLAB takes as the name of a field; 63 characters are its `namelengthmax`."""
+"""Names that MATLAB accepts for a field; 63 characters are its `namelengthmax`."""
 
 
 def raw_table(scans: "ScanTable", name: str) -> ColumnTable:
-    """Scan number, time and every raw channel as counts; NaN where a sensor was not in order."""
+    """Scan number, time and every raw channel as counts; NaN where a sensor was not usable."""
     columns = [
         TableColumn("scan", scans.number.astype(float), "1", "scan number", whole=True),
         TableColumn("time", scans.time, "s", "time on the aircraft's clock"),
@@ -114,7 +116,7 @@ def raw_table(scans: "ScanTable", name: str) -> ColumnTable:
 
 
 def write_csv(table: ColumnTable, path: Path, *, units_row: bool = False) -> None:
-    """A CSV; with `units_row` a second line holds the units. Empty cells were not measured."""
+    """Write a CSV; with `units_row` a second line holds the units. Empty cells were not measured."""
     with whole_text(path) as handle:
         writer = csv.writer(handle)
         writer.writerow([c.name for c in table.columns])
@@ -126,9 +128,9 @@ def write_csv(table: ColumnTable, path: Path, *, units_row: bool = False) -> Non
 
 
 def write_matlab(table: ColumnTable, path: Path) -> list[str]:
-    """A MATLAB 5 file with one struct `flight`: a column vector per column, structs `units`, `meaning` and `about`.
+    """Write a MATLAB 5 file with one struct `flight`: a column vector per column, structs `units`, `meaning` and `about`.
 
-    Gives the names of columns that MATLAB cannot name and that are left out.
+    Returns the names of columns left out because MATLAB does not accept them.
     """
     from scipy.io import savemat
 

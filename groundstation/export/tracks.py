@@ -1,4 +1,4 @@
-"""Where and when the aircraft flew: UTC stamps, and tracks for maps as KML (Google Earth) and GPX."""
+"""UTC stamps of a flight, and its track for maps as KML (Google Earth) and GPX."""
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
@@ -38,7 +38,7 @@ def with_utc(table: ColumnTable, flight: Flight) -> ColumnTable:
 
 
 def iso(stamp_ns: int) -> str:
-    """A UTC stamp as ISO 8601 with milliseconds, as KML and GPX want it."""
+    """A UTC stamp as ISO 8601 with milliseconds, for KML and GPX."""
     return datetime.fromtimestamp(stamp_ns / 1e9, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 

@@ -1,4 +1,4 @@
-"""The calibrated flight and what can be said of it: columns, noise, quality, manoeuvres. All that `estimation` may import."""
+"""The calibrated flight: columns, noise, quality, manoeuvres. The only part of `groundstation` that `estimation` may import."""
 
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.files.reading import read_flight

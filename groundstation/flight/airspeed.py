@@ -1,4 +1,4 @@
-"""The airspeed of a flight: from which columns, when the aircraft flies by it, its calibration error, and when the pitot failed
+"""The airspeed of a flight: the columns that give it, when the aircraft flies, its calibration error, and when the pitot failed
 in flight (blocked by water or ice, or its tube lost)."""
 
 import math
@@ -17,9 +17,8 @@ at times, so the median has to be half of the largest as well."""
 LOST_SHARE = 0.3
 """Of the airspeed's 0.9 quantile, below which it is taken as lost: the wings would carry a tenth of the weight."""
 SHORTEST_LOSS = 1.0  # [s]; gusts and single wild values are shorter
-GROUND_SPEED_SHARE = (
-    0.7  # of the usual ground speed, above which the aircraft flies: it rolls more slowly, also in a tail wind
-)
+GROUND_SPEED_SHARE = 0.7
+"""Share of the usual ground speed above which the aircraft flies: it rolls more slowly, also in a tail wind."""
 AIRSPEED_OVER_GROUND = 0.4  # of the ground speed; less airspeed would be a tail wind of more than half the ground speed
 OLD_FIX, OLD_FIX_SPEED = 3.0, 1.0  # [s] of one velocity above so many [m/s]: a fix that is repeated
 FALL_TIME = 2.0  # [s] in which a pitot loses its pressure, but an aeroplane cannot lose its speed
@@ -46,14 +45,14 @@ def flies_from(V: Array) -> float:
 
 
 def in_flight(V: Array) -> Mask:
-    """(N,) samples at which V [m/s] is that of flight, as of `flies_from`."""
+    """(N,) samples at which V [m/s] is at least `flies_from`."""
     with np.errstate(invalid="ignore"):
         return np.asarray(flies_from(V) <= V)
 
 
 def calibration_error(detail: Mapping[str, object], V: Array) -> float:
-    """Relative 1 sigma of V (N,) [m/s] in flight by the calibration, as a provenance's `detail` states it; 0 where it states
-    none, as for an imported log, or V never is that of flight."""
+    """Relative 1 sigma of V (N,) [m/s] in flight by the calibration, from a provenance's `detail`; 0 where that states none, as
+    for an imported log, or the aircraft never flies."""
     stated = detail.get("uncertainty")
     sigma = stated.get("V") if isinstance(stated, Mapping) else None
     if not isinstance(sigma, int | float) or not 0.0 < sigma < math.inf or not (flying := in_flight(V)).any():

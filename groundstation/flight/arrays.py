@@ -1,4 +1,4 @@
-"""Sampled arrays: runs of True, unwrapped angles, integrals, and how one signal follows another but for a straight line."""
+"""Sampled arrays: runs of True, unwrapped angles, integrals, and the slope of one signal against another."""
 
 from collections.abc import Iterable, Iterator
 
@@ -12,12 +12,12 @@ WINDOW = 4.0  # [s]: the drift of an integrated rate or acceleration is a straig
 FEWEST_IN_WINDOW = 10  # samples
 ALTERNATING = -0.4  # lag-one correlation of third differences: -0.75 for white noise, positive for a smooth curve
 MOST_WINDOWS = 300
-"""Of one signal, even over a long record: 20 minutes tell a scale or a sign to a hundredth of what is asked of it."""
+"""Of one signal, even in a long record: 20 minutes determine a scale or a sign a hundred times better than needed."""
 
-
+MAD_TO_SIGMA = 1.4826  # standard deviation of normal noise over its median absolute deviation
 REPEATED = 0.3  # share of samples that repeat the last one: 0.27 where noise is one quantum, less where it is more
 LONGEST_HOLD = 1.0
-"""How long [s] a supply voltage, chip temperature or static pressure counts after it was read, where not in each scan."""
+"""How long [s] a supply voltage, chip temperature or static pressure is used after it was read, if not in each scan."""
 
 
 def hold_recent(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Array:
@@ -58,7 +58,7 @@ def unwrapped(angle: Array) -> Array:
 
 
 def windows(time: Array, *signals: Array) -> Iterator[tuple[Array, ...]]:
-    """Time and signals over each WINDOW in which all is measured and time rises; of a long record over MOST_WINDOWS of them."""
+    """Time and signals in each WINDOW in which all are measured and time rises; in a long record in MOST_WINDOWS of them."""
     every = max(WINDOW, float(np.ptp(time)) / MOST_WINDOWS) if time.size else WINDOW
     start = 0
     while start < time.size - FEWEST_IN_WINDOW:
@@ -73,7 +73,7 @@ def windows(time: Array, *signals: Array) -> Iterator[tuple[Array, ...]]:
 def slope_and_agreement(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, float]:
     """Slope of y against x, and the share of y it explains, with a straight line in time removed from each window."""
     xy = xx = yy = 0.0
-    trends: dict[int, tuple[Array, float]] = {}  # of as many samples
+    trends: dict[int, tuple[Array, float]] = {}  # by number of samples
     for x, y in pairs:
         if x.size not in trends:
             line = np.linspace(-1.0, 1.0, x.size)
@@ -89,7 +89,7 @@ def slope_and_agreement(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, fl
 def alternates(third: Array) -> bool:
     """Whether third differences are those of noise rather than of a curve. third: (n,)."""
     size = float(np.quantile(np.abs(third), 0.9))
-    calm = np.clip(third, -size, size)  # edges of manoeuvres would decide alone
+    calm = np.clip(third, -size, size)  # else the edges of manoeuvres dominate
     calm = calm - calm.mean()
     power = float(calm @ calm)
     return power > 0.0 and float(calm[1:] @ calm[:-1]) / power < ALTERNATING

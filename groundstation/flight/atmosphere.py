@@ -36,8 +36,8 @@ def standard_temperature(p_static: Array) -> Array:
 
 def is_of_the_air(p_static: Array, temperature: Array) -> bool:
     """Whether a temperature (N,) [K] can be that of the air at a static pressure (N,) [Pa], and not of a warm board."""
-    warmer = float(np.nanmedian(temperature - standard_temperature(p_static)))
-    return OUTSIDE_TEMPERATURE[0] < warmer < OUTSIDE_TEMPERATURE[1]
+    difference = float(np.nanmedian(temperature - standard_temperature(p_static)))
+    return OUTSIDE_TEMPERATURE[0] < difference < OUTSIDE_TEMPERATURE[1]
 
 
 def density_at_pressure(p_static: Array) -> Array:
@@ -67,8 +67,8 @@ def _of_the_air_above_sea(altitude: Array, temperature: Array) -> bool:
 
 @dataclass(frozen=True)
 class DensityWay:
-    """One way to calculate the density of the air. needs: columns; build: these (N,) -> density (N,) [kg/m3]; credible: these ->
-    whether they can be quantities of the air."""
+    """One way to calculate the density of the air. needs: columns. build: their values (N,) -> density (N,) [kg/m3]. credible:
+    their values -> whether they can be quantities of the air."""
 
     needs: tuple[str, ...]
     build: Callable[..., Array]
@@ -76,7 +76,7 @@ class DensityWay:
 
     @property
     def guesses(self) -> bool:
-        """Whether the temperature is taken from the standard atmosphere."""
+        """Whether the temperature is that of the standard atmosphere."""
         return "temperature" not in self.needs
 
 
@@ -92,5 +92,5 @@ DENSITY_WAYS = (
     DensityWay(("altitude_gnss", "temperature"), _density_above_sea, _of_the_air_above_sea),
     DensityWay(("altitude_gnss",), density_at_altitude, _always),
 )
-"""The best first; used by estimates, contradictions and imports. Not among them is 2 p_dynamic / V^2, since an autopilot
-calculates V from p_dynamic with its own ratio."""
+"""The best first; used by estimates, contradictions and imports. 2 p_dynamic / V^2 is not used, since an autopilot calculates V
+from p_dynamic with its own ratio."""

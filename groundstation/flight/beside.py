@@ -1,5 +1,4 @@
-"""Two flights in one: the second is shifted in time to match the first, and its columns stand beside the first's, for view and
-report."""
+"""Two flights in one, for view and report: the second is shifted in time onto the first, and its columns are added to it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,11 +16,11 @@ Array = NDArray[np.float64]
 COMPARED = ("delta_a", "delta_r", "delta_e", "cmd_a", "cmd_r", "cmd_e", "p", "q", "r", "phi", "theta")
 """Columns whose correlation gives the shift."""
 COMPARISON_RATE = 20.0
-"""[Hz] to which they are resampled: the rise of a servo then lasts some samples."""
+"""[Hz] to which these columns are resampled: the rise of a servo then lasts some samples."""
 SHORTEST_OVERLAP = 5.0
 """[s]; over a shorter common time any two flights correlate."""
 LEAST_CORRELATION = 0.3
-"""Over all columns, for a shift to count as found."""
+"""Over all columns, below which a correlation gives no shift."""
 BOOT_TIME, FIRST_STATE = 10.0, 1.0
 """[s] after its start in which an autopilot reports its version and board, and writes its first state."""
 BESIDE = "_model"
@@ -30,8 +29,8 @@ BESIDE = "_model"
 
 @dataclass(frozen=True)
 class PairedFlight:
-    """flight: the first, with the columns of the second added under names ending in BESIDE; shift: added to the second's time
-    [s]; text: the shift and by what it was found."""
+    """flight: the first, with the columns of the second added under names ending in BESIDE. shift: added to the second's time
+    [s]. text: the shift, and what gave it."""
 
     flight: Flight
     shift: float
@@ -42,11 +41,11 @@ def beside(first: Flight, second: Flight, by: str = "auto") -> PairedFlight:
     """Both flights in one. by: 'correlation', 'input' (first movement of a control), 'event' (first event, mode or message that
     both have), 'start', or 'auto': correlation, else input, else start. FlightError where that gives no shift, or no common
     time."""
-    ways: Mapping[str, Callable[[Flight, Flight], tuple[float, str] | None]] = {
+    finders: Mapping[str, Callable[[Flight, Flight], tuple[float, str] | None]] = {
         "correlation": _by_correlation, "input": _by_input, "event": _by_event, "start": _by_start,
     }  # fmt: skip
     methods = ("correlation", "input", "start") if by == "auto" else (by,)
-    result = next((f for f in (ways[w](first, second) for w in methods) if f is not None), None)
+    result = next((f for f in (finders[w](first, second) for w in methods) if f is not None), None)
     if result is None:
         raise FlightError(
             f"{second.name} cannot be laid on {first.name} by {by}: they have nothing of it in common; try --align start"

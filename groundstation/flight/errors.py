@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from daq.utilities.errors import UserError
 
-UNKNOWN_SHOWN = 4  # of the columns that go by no known name: a hint, not the list
+UNKNOWN_SHOWN = 4  # of the columns with unknown names: a hint, not the list
 
 
 class FlightError(UserError):
@@ -12,11 +12,10 @@ class FlightError(UserError):
 
 
 class MissingColumnError(FlightError):
-    """A column that the work at hand needs is not in the flight.
+    """A needed column is not in the flight.
 
-    models: those that would do without. unknown: columns of the flight that go by no known name, among which it may be.
-    either: columns of which one would do.
-    near: the name meant, to end the sentence with.
+    purpose: what needs it. models: those that do without it. unknown: columns of the flight with unknown names, one of which may
+    be it. either: columns of which one is enough. near: end of the sentence that names a similar column.
     """
 
     def __init__(

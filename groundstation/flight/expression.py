@@ -1,10 +1,9 @@
-"""Arithmetic over columns that a mapping writes, such as `CTUN.As * CTUN.E2T`, and conditions that name stretches of a flight,
-such as `V > 12 and abs(phi) < 0.5` or `mode:MANUAL`: parsed here, never evaluated as code.
+"""Arithmetic over columns in mappings, such as `CTUN.As * CTUN.E2T`, and conditions that select stretches of a flight, such as
+`V > 12 and abs(phi) < 0.5` or `mode:MANUAL`. Expressions are parsed, never evaluated as code.
 
-Numbers, + - * / **, brackets, and the functions below. A column stands by its name (`actuator_outputs[1].output[0]`); one whose
-name has blanks or signs in it stands in backquotes: `Air Speed (kt)`.
-Conditions: < <= > >= == !=, and, or, not, brackets, mode:NAME;
-a comma between conditions means or.
+Arithmetic: numbers, + - * / **, brackets, FUNCTIONS, and columns by name (`actuator_outputs[1].output[0]`), in backquotes where
+the name holds blanks or signs (`Air Speed (kt)`). Conditions: < <= > >= == !=, and, or, not, brackets, mode:NAME; a comma between
+conditions means or.
 """
 
 import re
@@ -16,7 +15,7 @@ import numpy as np
 from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError
 
-LONGEST = 500  # characters of an expression: one that a person reads
+LONGEST = 500  # characters of an expression: more than a person writes
 DEEPEST = 40  # brackets within brackets
 
 FUNCTIONS: Mapping[str, tuple[int, Callable[..., Array]]] = {
@@ -24,7 +23,7 @@ FUNCTIONS: Mapping[str, tuple[int, Callable[..., Array]]] = {
     "asin": (1, np.arcsin), "acos": (1, np.arccos), "atan": (1, np.arctan), "atan2": (2, np.arctan2), "hypot": (2, np.hypot),
     "min": (2, np.minimum), "max": (2, np.maximum),
 }  # fmt: skip
-"""Name -> number of arguments and what it does; angles in radians."""
+"""Name -> number of arguments and function; angles in radians."""
 
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|`(?P<quoted>[^`]+)`"
@@ -40,11 +39,11 @@ _COMPARISON: Mapping[str, Function] = {
     **{"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal},
     **{"==": np.equal, "!=": np.not_equal},
 }
-MODE = "mode:"  # what the pseudo-column of a flight mode begins with: 1 in it, 0 else
+MODE = "mode:"  # beginning of the name of a flight mode's pseudo-column, which is 1 in the mode and 0 elsewhere
 
 
 class ExpressionError(FlightError):
-    """A text that is no expression."""
+    """A text that cannot be read as an expression."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +56,14 @@ class _Term:
 
 @dataclass(frozen=True)
 class Expression:
-    """text: as written; columns: that it reads, in the order of their first use."""
+    """text: as written. columns: those used, in the order of their first use."""
 
     text: str
     columns: tuple[str, ...]
     _term: _Term
 
     def values(self, columns: Mapping[str, Array]) -> Array:
-        """Its value (N,) from columns (N,) by name; NaN where it is not defined."""
+        """Value (N,) of the expression from columns (N,) by name; NaN where it is not defined."""
         size = next(iter(columns.values())).size if columns else 1
         with np.errstate(all="ignore"):
             values = np.broadcast_to(np.asarray(self._term.values(columns), float), (size,)).copy()
@@ -73,12 +72,12 @@ class Expression:
 
 
 def parse(text: str) -> Expression:
-    """Arithmetic. Raises ExpressionError that says where the text is none."""
+    """Parse arithmetic. Raises ExpressionError that names the place of a mistake."""
     return _parsed(text, condition=False)
 
 
 def parse_condition(text: str) -> Expression:
-    """What is true or false of each sample; its value is 1 or 0. Raises ExpressionError that says where the text is none."""
+    """Parse a condition, whose value is 1 or 0. Raises ExpressionError that names the place of a mistake."""
     return _parsed(text, condition=True)
 
 
@@ -125,7 +124,7 @@ class _ExpressionParser:
 
     @property
     def unread(self) -> bool:
-        """Whether something is not read yet."""
+        """Whether tokens remain."""
         return self._position < len(self._tokens)
 
     def peek(self) -> str:
@@ -152,7 +151,7 @@ class _ExpressionParser:
         return term
 
     def combined(self, function: Function, first: _Term, second: _Term, *, conditions: bool) -> _Term:
-        """Two terms as one: two conditions, or two numbers."""
+        """The term function(first, second) of two conditions or two numbers."""
         if conditions and not (first.condition and second.condition):
             raise self._error(": and, or, not and commas stand between conditions, like V > 12")
         if not conditions and (first.condition or second.condition):
@@ -160,14 +159,14 @@ class _ExpressionParser:
         return _Term(lambda c: function(first.values(c), second.values(c)), conditions)
 
     def _chain(self, operators: Mapping[str, Function], operand: Callable[[], _Term], *, conditions: bool) -> _Term:
-        """Operands with operators of one rank between them, from the left."""
+        """Operands and operators of one precedence, from left to right."""
         term = operand()
         while sign := self.accept(*operators):
             term = self.combined(operators[sign], term, operand(), conditions=conditions)
         return term
 
     def disjunction(self) -> _Term:
-        """Conditions of which one is to be true, or a number."""
+        """Conditions joined by `or`, or a number."""
         return self._nested(lambda: self._chain(_OR, self._conjunction, conditions=True))
 
     def _conjunction(self) -> _Term:

@@ -1,6 +1,6 @@
 """Findings on a flight's data, from import to report: one type for notes, suspected mistakes and checks.
 
-In a flight file and in every JSON a note is its sentence; a file has kinds and columns of notes as well, under `facts`.
+Flight files and JSON store a note as its sentence; a flight file also stores kinds and columns, under `facts`.
 """
 
 from collections.abc import Iterable, Mapping

@@ -2,8 +2,8 @@
 
 This is the hand-over between the ground station and the estimation package. A flight is read from MCAP (as written by
 `sideslip calibrate`, `import` and `ground`), CSV or Parquet; columns and signs are those of `daq.contract.channels`.
-NaN means "not measured". Time is checked on reading: unsorted rows are sorted, repeated instants dropped, and
-gaps split the flight into segments, each of it said in `notes`.
+NaN means "not measured". Time is checked on reading: unsorted rows are sorted, repeated instants dropped, and gaps split the
+flight into segments; `notes` report each of these.
 """
 
 from collections.abc import Iterable, Mapping
@@ -27,20 +27,23 @@ if TYPE_CHECKING:
 
 GAP_FACTOR = 4.5  # a step in time longer than this many median sample intervals is a gap: never integrated across
 LATEST = 9e9  # latest time [s] of a sample, either way: what 64 bits of nanoseconds hold, 285 years
-FASTEST = 1e9  # rate [Hz] beyond which nothing is sampled: a nanosecond, of which time is made
+FASTEST = 1e9  # largest rate [Hz] of a column: stamps of recordings count nanoseconds
+MOST_GAPS = 5  # gaps that notes name one by one
 
 AIRCRAFT_FILE = "aircraft_file"
 """Key of a provenance's detail under which the text of the aircraft's file travels with the flight."""
 CHANNELS = "channels"  # key of a provenance's detail: where each column comes from, see `Flight.channels`
 CHANNEL_KINDS = ("measured", "computed", "assumed")
-"""By a sensor, by a program of others, or by nobody at the place and time."""
+"""Measured by a sensor, computed by another program, or assumed."""
 HELD, INTERVAL, BACK = "held", "interval_s", "dated_back_s"
-"""Keys of a channel's entry: it is a command, which holds until the next one; how far apart its records are [s]."""
-DATED_BACK = 0.5  # of its interval, a recorded command: it changed at any time since the last record, half in the mean
+"""Keys of a channel's entry: whether it is a command, which holds until the next one; the interval of its records [s]; the time
+by which it was dated back [s]."""
+DATED_BACK = 0.5
+"""Share of the interval by which a recorded command is dated back: it changed at any time since the last record."""
 RECONSTRUCTED = "reconstructed"
-"""Key of a provenance's detail: which columns were not measured but found from the others, from what, how sure."""
+"""Key of a provenance's detail: columns that were reconstructed from others, with their sources and accuracy."""
 AIR_DATA, WIND = ("V", "alpha", "beta"), ("wind_n", "wind_e", "wind_d")
-"""What is found from the motion, and what stands beside it then."""
+"""Columns that can be reconstructed from the motion, and the columns of wind that then come with them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +86,7 @@ class Flight:
         notes: Iterable[Finding | str] = (),
         gap_factor: float = GAP_FACTOR,
     ) -> "Flight":
-        """A flight from raw arrays: sorts time, drops repeats, splits at gaps, and notes what it did.
+        """A flight from raw arrays: sorts time, drops repeats, splits at gaps, and adds notes on it.
 
         Raises FlightError when the arrays differ in length, fewer than two samples remain or time is not finite.
         """
@@ -94,9 +97,9 @@ class Flight:
                 raise FlightError(f"{name}: column {key} has {values.size} samples, time has {time.size}")
         name = plain_name(name)
         labels = np.zeros(time.size, np.int64) if segment is None else np.asarray(segment).astype(np.int64)
-        keep, order_notes = _order(name, time)
-        time, labels = time[keep], labels[keep]
-        arrays = {k: v[keep] for k, v in arrays.items()}
+        order, order_notes = _order(name, time)
+        time, labels = time[order], labels[order]
+        arrays = {k: v[order] for k, v in arrays.items()}
         segments, gaps = _split(time, labels, gap_factor)
         # a flight read again finds the gaps it was written with
         all_notes = without_repeats([*notes, *order_notes, *gaps])
@@ -117,8 +120,10 @@ class Flight:
         return flight_html(self)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Plain dictionaries in place of read-only views, which cannot be sent to another process."""
-        return {**self.__dict__, "columns": dict(self.columns), "provenance": _plain(self.provenance)}
+        """The state with plain dictionaries in place of read-only views, which cannot be sent to another process."""
+        p = self.provenance
+        provenance = replace(p, calibration=dict(p.calibration), detail=dict(p.detail))
+        return {**self.__dict__, "columns": dict(self.columns), "provenance": provenance}
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
         """The Arrow stream protocol: polars, DuckDB, pandas and pyarrow take a flight as a table."""
@@ -139,7 +144,7 @@ class Flight:
         return xarray_dataset(self)
 
     def plot(self, *columns: str, ax: Any = None) -> Any:
-        """Histories of columns (the motion and controls that were measured, where none is named); gives the axes.
+        """Draw histories of columns (by default the measured motion and controls); gives the axes.
 
         ax: one matplotlib axes, or as many as there are columns. Angles are drawn in degrees.
         """
@@ -192,50 +197,52 @@ class Flight:
 
     @property
     def reconstructed(self) -> tuple[str, ...]:
-        """Columns that nobody measured, found from the others; none where the flight says what is no list of names."""
+        """Columns that were not measured but reconstructed from others."""
         detail = self.provenance.detail.get(RECONSTRUCTED)
         columns = detail.get("columns") if isinstance(detail, Mapping) else None
         if isinstance(columns, list | tuple):
             return tuple(c for c in columns if isinstance(c, str))
-        # as `reconstruct` writes it to a table, which keeps no provenance
+        # in a table, which has no provenance, the columns that `reconstruct` adds show it
         with_wind = all(self.measured(c) for c in WIND)
         return tuple(c for c in AIR_DATA if with_wind and self.measured(c) and self.measured(f"{c}_std"))
 
     def native_rate(self, column: str) -> float | None:
-        """Rate [Hz] at which a column stood in its log before an import brought all to one time base; None where the flight does
-        not say, or says what is no rate."""
+        """Rate [Hz] of a column in its log, before an import brought all columns to one time base; None where the flight states
+        no valid one."""
         rates = self.provenance.detail.get("native_hz")
         rate = rates.get(column) if isinstance(rates, Mapping) else None
         return float(rate) if isinstance(rate, float | int) and 0.0 < rate < FASTEST else None
 
     @property
     def channels(self) -> Mapping[str, Mapping[str, Any]]:
-        """Where the columns come from, as an import says it: column -> {"from", "kind": "measured" | "computed" | "assumed",
-        "rate_hz"}; empty where the flight does not say, or says what is none of it."""
+        """Where the columns come from, as an import states it: column -> {"from", "kind": "measured" | "computed" | "assumed",
+        "rate_hz"}; without entries that are not valid."""
         channels = self.provenance.detail.get(CHANNELS)
         entries = channels.items() if isinstance(channels, Mapping) else ()
         return {str(n): dict(c) for n, c in entries if isinstance(c, Mapping) and c.get("kind") in CHANNEL_KINDS}
 
     def held(self, column: str) -> float | None:
-        """Interval [s] at which a column that is a command was recorded: it holds in between, has no noise, and may have changed
-        up to so long before. None for what a sensor saw, or where the flight does not say."""
+        """Interval [s] at which a command was recorded: it holds in between, has no noise, and may have changed up to one
+        interval before its record. None for a measured column, or where the flight states no valid interval."""
         channel = self.channels.get(column, {})
         interval = channel.get(INTERVAL)
-        return float(interval) if channel.get(HELD) is True and isinstance(interval, float | int) else None
+        if channel.get(HELD) is not True or not isinstance(interval, float | int):
+            return None
+        return float(interval) if 0.0 < interval < LATEST else None
 
     def dated_back(self, column: str) -> float:
-        """Time [s] by which an import dated a command back from its record; 0 where it did not, or the flight does not say."""
+        """Time [s] by which an import dated a command back from its record; 0 where the flight states no valid one."""
         back = self.channels.get(column, {}).get(BACK)
-        return float(back) if isinstance(back, float | int) else 0.0
+        return float(back) if isinstance(back, float | int) and 0.0 < back < LATEST else 0.0
 
     @property
     def known_columns(self) -> tuple[str, ...]:
-        """Columns that go by a name of `daq.contract.channels`."""
+        """Columns with a name of `daq.contract.channels`."""
         return tuple(c for c in self.columns if c in COLUMN_BY_NAME)
 
     @property
     def unknown_columns(self) -> tuple[str, ...]:
-        """Columns that go by no name of `daq.contract.channels`."""
+        """Columns without a name of `daq.contract.channels`."""
         return tuple(c for c in self.columns if c not in COLUMN_BY_NAME)
 
     def with_columns(self, **columns: Array) -> "Flight":
@@ -256,12 +263,8 @@ class Flight:
         )
 
 
-def _plain(provenance: Provenance) -> Provenance:
-    return replace(provenance, calibration=dict(provenance.calibration), detail=dict(provenance.detail))
-
-
 def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[Finding]]:
-    """Indices that make time strictly increasing, and what had to be done for it."""
+    """Indices that make time strictly increasing, and notes on what was sorted or dropped."""
     notes: list[str] = []
     with np.errstate(invalid="ignore"):
         order = np.flatnonzero(np.abs(time) < LATEST)
@@ -296,8 +299,8 @@ def _split(time: Array, labels: NDArray[np.int64], gap_factor: float) -> tuple[N
     gap = steps > gap_factor * np.median(steps)
     rows = np.flatnonzero(gap)
     notes = [f"gap of {steps[i]:.3g} s at t = {time[i]:g} s: split there, never integrated across" for i in rows]
-    if len(notes) > 5:
-        notes = [*notes[:5], f"{len(notes) - 5} more gaps"]
+    if len(notes) > MOST_GAPS:
+        notes = [*notes[:MOST_GAPS], f"{len(notes) - MOST_GAPS} more gaps"]
     edge = gap | (np.diff(labels) != 0)
     segments = np.concatenate([[0], np.cumsum(edge)]).astype(np.int64)
     return segments, [Finding(FindingKind.GAP, text) for text in notes]

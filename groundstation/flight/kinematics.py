@@ -1,4 +1,5 @@
-"""Attitude and its rates, in body axes x forward, y right, z down and Euler angles yaw, pitch, roll (Etkin, eq. 4.4)."""
+"""Rates of the attitude and acceleration in earth axes, from body axes x forward, y right, z down and the Euler angles yaw,
+pitch, roll (Etkin, eq. 4.4)."""
 
 from typing import Protocol
 
@@ -18,7 +19,7 @@ GYROS = {"phi": "p", "theta": "q", "psi": "r"}  # angle of attitude -> the gyro 
 
 
 def _rate_about_vertical(c: ByName) -> Array:
-    """Rate [rad/s] about the z axis that yaw and pitch leave, before roll."""
+    """Rate [rad/s] about the z axis of the frame turned by yaw and pitch, before roll."""
     return c["q"] * np.sin(c["phi"]) + c["r"] * np.cos(c["phi"])
 
 
@@ -38,7 +39,7 @@ def pitch_rate(c: ByName) -> Array:
 
 
 EULER_RATES = {"phi": roll_rate, "theta": pitch_rate, "psi": heading_rate}
-"""Angle of attitude -> its rate by the gyros; it takes whatever gives columns by name."""
+"""Angle of attitude -> function that gives its rate from columns."""
 
 
 def attitude_rates(p: Array, q: Array, r: Array, phi: Array, theta: Array) -> dict[str, Array]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from groundstation.flight.arrays import Array
+from groundstation.flight.arrays import MAD_TO_SIGMA, Array
 from groundstation.flight.errors import FlightError
 from groundstation.flight.flight import Flight
 
@@ -19,11 +19,14 @@ CONTROLS = ("delta_a", "delta_r", "delta_e")
 SMALLEST = 0.0175  # [rad] a control movement below 1 deg is trimming, not a manoeuvre
 NOISE_FACTOR = 6  # standard deviations of the noise that a movement must exceed, too
 TRIM_TIME = 12.0  # [s] of the running median that is the trim position
+MEDIAN_STEP = 5  # samples between two medians: trim varies over seconds
 MEDIANS_AT_ONCE = 2_000_000  # samples in windows that are sorted at once: 16 MB
 QUIET = 2.0  # [s] without movement end a manoeuvre
 LEAD, TAIL = 0.5, 2.5  # [s] before the first movement and after the last that belong to the window
 LEADING_SHARE = 0.3  # of the largest movement; a control that moves less only follows it (mixing, gusts on the linkage)
 PULSE_SHARE = 0.4  # of the amplitude, beyond which a control is in a pulse
+DOUBLET_RATIO = 2.0  # of the lengths of a doublet's two pulses, at most
+PULSE_TOLERANCE = 0.7  # of a pulse's length in a 3-2-1-1, in units of its shortest pulse
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ def cut_to_manoeuvres(flight: Flight, manoeuvres: Iterable[ManoeuvreStretch], na
     if int(keep.sum()) < 2:
         raise FlightError(f"{flight.name}: no manoeuvre to cut out; the controls did not move beyond trim")
     part = flight.part(keep, name)
-    # a window that ran over a gap has two segments already: both divisions count
+    # a window over a gap holds two segments: keep both divisions
     _, segment = np.unique(np.stack([label[keep], flight.segment[keep]]), axis=1, return_inverse=True)
     return replace(part, segment=np.asarray(segment).reshape(-1).astype(np.int64))
 
@@ -99,9 +102,8 @@ def _departure(values: Array, time: Array) -> Array:
     else:
         half = width // 2
         padded = np.pad(filled, half, mode="reflect")
-        # every fifth median is enough for something that varies over seconds
-        rows = np.arange(0, filled.size, 5)
-        around = sliding_window_view(padded, width)[: filled.size : 5]
+        rows = np.arange(0, filled.size, MEDIAN_STEP)
+        around = sliding_window_view(padded, width)[: filled.size : MEDIAN_STEP]
         at_once = max(1, MEDIANS_AT_ONCE // width)
         parts = [np.median(around[i : i + at_once], axis=1) for i in range(0, len(around), at_once)]
         medians = np.concatenate(parts)
@@ -112,7 +114,7 @@ def _departure(values: Array, time: Array) -> Array:
 def _active(departure: Array, smallest: float) -> NDArray[np.bool_]:
     """(n,) samples at which a control is away from trim by more than `smallest` [rad] and its noise."""
     steps = np.diff(departure)
-    noise = float(np.median(np.abs(steps))) * 1.4826 / np.sqrt(2) if steps.size else 0.0
+    noise = float(np.median(np.abs(steps))) * MAD_TO_SIGMA / np.sqrt(2) if steps.size else 0.0
     return np.asarray(np.abs(departure) > max(smallest, NOISE_FACTOR * noise))
 
 
@@ -153,10 +155,10 @@ def _kind(departure: Array, time: Array, size: float) -> str:
     alternating = all(a == -b for a, b in zip(signs, signs[1:], strict=False))
     if len(pulses) == 1:
         return "step"
-    if alternating and len(pulses) == 2 and 0.5 < lengths[0] / max(lengths[1], 1e-9) < 2:
+    if alternating and len(pulses) == 2 and 1 / DOUBLET_RATIO < lengths[0] / max(lengths[1], 1e-9) < DOUBLET_RATIO:
         return "doublet"
     if alternating and len(pulses) == 4:
         unit = sum(lengths) / 7
-        if all(abs(d / unit - want) < 0.7 for d, want in zip(lengths, (3, 2, 1, 1), strict=True)):
+        if all(abs(d / unit - nominal) < PULSE_TOLERANCE for d, nominal in zip(lengths, (3, 2, 1, 1), strict=True)):
             return "3-2-1-1"
     return "multistep"

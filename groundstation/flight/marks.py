@@ -1,4 +1,4 @@
-"""Marks of a log: flight modes, events and messages of the autopilot. They are stored with a flight, drawn in figures, and name
+"""Marks of a log: flight modes, events and messages of the autopilot. They are stored with a flight, drawn in figures, and select
 stretches of it.
 
 In a flight file they stand in the provenance: `modes` [{"mode", "from", "to"}], `events` and
@@ -48,11 +48,11 @@ class Marks:
     def __bool__(self) -> bool:
         return bool(self.modes or self.events or self.messages)
 
-    def moved(self, later: float) -> "Marks":
-        """The same marks, `later` seconds later."""
-        modes = tuple(replace(m, start=m.start + later, stop=m.stop + later) for m in self.modes)
+    def moved(self, delay: float) -> "Marks":
+        """The same marks, `delay` seconds later."""
+        modes = tuple(replace(m, start=m.start + delay, stop=m.stop + delay) for m in self.modes)
         events, messages = (
-            tuple(replace(m, time=m.time + later) for m in marks) for marks in (self.events, self.messages)
+            tuple(replace(m, time=m.time + delay) for m in marks) for marks in (self.events, self.messages)
         )
         return Marks(modes, events, messages)
 
@@ -82,10 +82,12 @@ def marks_of(flight: Flight) -> Marks:
     def text(row: Mapping[str, Any], key: str) -> str:
         return one_line(str(row.get(key, "")), LONGEST_TEXT)
 
-    rows = _rows(detail, MODES, ("from", "to"), "mode")
+    rows = rows_of(detail, MODES, ("from", "to"), "mode")
     modes = [FlightMode(text(row, "mode"), float(row["from"]), float(row["to"])) for row in rows]
     events, messages = (
-        tuple(Mark(float(r["time"]), text(r, "text"), text(r, "origin")) for r in _rows(detail, key, ("time",), "text"))
+        tuple(
+            Mark(float(r["time"]), text(r, "text"), text(r, "origin")) for r in rows_of(detail, key, ("time",), "text")
+        )
         for key in (EVENTS, MESSAGES)
     )
     return Marks(tuple(m for m in modes if m.start <= m.stop), events, messages)
@@ -94,18 +96,18 @@ def marks_of(flight: Flight) -> Marks:
 def mode_changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[FlightMode, ...]:
     """Modes from samples of their name in order of time; the last lasts until `end` [s]."""
     pairs = list(zip(time, names, strict=True))
-    begins = [next(same) for _, same in groupby(pairs, key=itemgetter(1))]
-    stops = [*(t for t, _ in begins[1:]), max(end, begins[-1][0] if begins else end)]
-    return tuple(FlightMode(name, start, stop) for (start, name), stop in zip(begins, stops, strict=False))
+    starts = [next(samples) for _, samples in groupby(pairs, key=itemgetter(1))]
+    stops = [*(t for t, _ in starts[1:]), max(end, starts[-1][0] if starts else end)]
+    return tuple(FlightMode(name, start, stop) for (start, name), stop in zip(starts, stops, strict=False))
 
 
-def _rows(detail: Mapping[str, Any], key: str, numbers: tuple[str, ...], word: str) -> list[Mapping[str, Any]]:
-    """The entries under `key` whose fields `numbers` are numbers and whose field `word` is text."""
+def rows_of(detail: Mapping[str, Any], key: str, numbers: tuple[str, ...], text: str) -> list[Mapping[str, Any]]:
+    """The entries of a provenance under `key` whose fields `numbers` are finite numbers and whose field `text` is text."""
     rows = detail.get(key)
     return [
         row
         for row in (rows[:MOST] if isinstance(rows, list) else [])
         if isinstance(row, Mapping)
         and all(isinstance(row.get(n), int | float) and abs(row[n]) < LATEST for n in numbers)
-        and isinstance(row.get(word), str)
+        and isinstance(row.get(text), str)
     ]

@@ -20,12 +20,13 @@ from groundstation.flight.flight import Flight
 from groundstation.flight.marks import FlightMode, marks_of
 
 SHORTEST_STRETCH = 1.0  # [s] of a stretch by mode or condition: a shorter one holds no manoeuvre
-MOST_MODES_SHOWN = 12
+MOST_MODES_SHOWN, MOST_COLUMNS_SHOWN = 12, 40  # in a message
 STANDING_SPEED = 3.0  # [m/s] below which an aeroplane stands, taxies or hovers, and no pitot measures well
 SLOW_SHARE = 0.55  # of the median airspeed, below which wings carry less than a third of the weight
-STANDING_SHARE = (
-    0.35  # of the largest airspeed, where that is less: a model that flies at 4 m/s does not stand at 2 m/s
-)
+STANDING_SHARE = 0.35
+"""Share of the largest airspeed, used where that is less: a model that flies at 4 m/s does not stand at 2 m/s."""
+ALMOST_LARGEST = 0.98  # quantile that counts as the largest airspeed, so that spikes do not
+GROUND_SHARE = 0.5  # of the ground speed in flight, below which the aircraft stands or taxies
 SHORTEST_SLOW = 2.0  # [s] of low airspeed: a stall or a gust is shorter
 FLYING_HEIGHT = 3.0  # [m] above the ground, below which an aeroplane at the start or end of a record rolls or flares
 LONGEST_ROLL = 60.0  # [s] from standing to that height, or back
@@ -82,7 +83,7 @@ def _condition_columns(flight: Flight, condition: Expression) -> dict[str, Array
         elif flight.measured(name):
             columns[name] = flight[name]
         else:
-            measured = listed(["time", *(c for c in flight.columns if flight.measured(c))], 40)
+            measured = listed(["time", *(c for c in flight.columns if flight.measured(c))], MOST_COLUMNS_SHOWN)
             raise StretchError(f"--segments {condition.text!r}: {flight.name} has no column {name}; it has {measured}")
     return columns
 
@@ -134,16 +135,16 @@ def airborne(flight: Flight) -> Airborne:
         f"{seconds:.1f} s on the ground, at lift-off or landing, or in a hover are left out: slower than {limit:.3g} m/s"
         + (f", or within {FLYING_HEIGHT:g} m of the ground before and after" if (rolls & ~slow).any() else "")
     )
-    return Airborne(flying, text, bool(flying.any()) and _stood(flight, speed, standing, flying))
+    return Airborne(flying, text, bool(flying.any()) and _stands_at_an_end(flight, speed, standing, flying))
 
 
 def _standing_speed(speed: Array) -> float:
-    """Speed [m/s] below which an aeroplane stands, by the 0.98 quantile, so that spikes do not count. speed: (N,) [m/s]."""
+    """Speed [m/s] below which an aeroplane stands. speed: (N,) [m/s]."""
     known = speed[np.isfinite(speed)]
-    return min(STANDING_SPEED, STANDING_SHARE * float(np.quantile(known, 0.98))) if known.size else 0.0
+    return min(STANDING_SPEED, STANDING_SHARE * float(np.quantile(known, ALMOST_LARGEST))) if known.size else 0.0
 
 
-def _stood(flight: Flight, speed: Array, standing: float, flying: Mask) -> bool:
+def _stands_at_an_end(flight: Flight, speed: Array, standing: float, flying: Mask) -> bool:
     """Whether a segment begins or ends below the standing speed [m/s], and the ground speed, where measured, is low there,
     too."""
     count = max(round(SHORTEST_SLOW / flight.sample_interval), 1)
@@ -154,7 +155,9 @@ def _stood(flight: Flight, speed: Array, standing: float, flying: Mask) -> bool:
     if ground is None or not np.isfinite(ground).any():
         return True
     on_ground, in_flight = ground[~flying & np.isfinite(ground)], ground[flying & np.isfinite(ground)]
-    return on_ground.size > 0 and in_flight.size > 0 and bool(np.median(on_ground) < 0.5 * np.median(in_flight))
+    return (
+        on_ground.size > 0 and in_flight.size > 0 and bool(np.median(on_ground) < GROUND_SHARE * np.median(in_flight))
+    )
 
 
 def _speed(flight: Flight) -> Array:

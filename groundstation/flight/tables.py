@@ -29,7 +29,7 @@ _USUAL = ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "ay", "az", "delt
 
 
 class FlightView(Protocol):
-    """What tables, pictures and writers need of a flight."""
+    """The part of a flight that tables, plots and writers use."""
 
     @property
     def name(self) -> str: ...
@@ -60,7 +60,7 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class ColumnTable:
-    """Columns of equal length and what is known of them as a whole."""
+    """Columns of equal length. about: metadata of the table."""
 
     columns: tuple[TableColumn, ...]
     about: Mapping[str, str] = field(default_factory=dict)
@@ -138,7 +138,7 @@ def flight_html(flight: FlightView) -> str:
 
 
 def plot_flight(flight: FlightView, columns: Sequence[str], ax: Any = None) -> Any:
-    """Draw columns over time, one axes each; segments are not joined. Gives the array of axes; never shows it.
+    """Draw columns over time, one axes each; segments are not joined. Gives the array of axes, and does not show it.
 
     Raises FlightError where there is nothing to draw or `ax` does not match, MissingColumnError for an unknown column.
     """

@@ -1,4 +1,4 @@
-"""Flights into files: MCAP, CSV and Parquet; a file is replaced whole, or not at all. Stamps in MCAP are UTC if known."""
+"""Flights into files: MCAP, CSV and Parquet. A file is replaced completely or not at all. Stamps in MCAP are UTC if known."""
 
 import csv
 import hashlib
@@ -27,9 +27,9 @@ FLIGHT_TOPIC = "/flight"
 FLIGHT_SCHEMA = "sideslip.FlightSample"
 METADATA_NAME = "sideslip.flight"
 UTC_KEY = "utc_offset_s"
-"""In a flight's provenance: UTC [s since 1970] minus flight time [s]; absent where the aircraft never learnt it."""
+"""Key of a provenance's detail: UTC [s since 1970] minus flight time [s]; missing where the aircraft never had UTC."""
 _ROWS_AT_ONCE = 4096  # of a flight turned into messages: a few megabytes
-LAST_UTC_S = 4.0e9  # in 2096: a receiver that says more is wrong, and nanoseconds would soon no longer fit into 64 bits
+LAST_UTC_S = 4.0e9  # in 2096: a later time is a receiver's error, and nanoseconds must fit into 64 bits
 
 
 def write_flight(flight: FlightView, path: str | Path) -> None:
@@ -78,7 +78,7 @@ def _provenance_to(flight: FlightView) -> dict[str, Any]:
 
 
 def field_names(names: Iterable[str]) -> list[str]:
-    """Names that can be fields of an MCAP flight, each of its own: letters, digits and underscores for what is anything else."""
+    """Unique names for fields of an MCAP flight: other characters than letters and digits become underscores."""
     unique: dict[str, None] = {}
     for name in names:
         first = label = (
@@ -105,8 +105,8 @@ def _schema(names: Sequence[str]) -> bytes:
 
 
 def _encoded_rows(table: NDArray[np.float64]) -> Iterator[bytes]:
-    """Rows as protobuf messages of `_schema`, a value that is NaN left out: each field its tag, then eight bytes. An object
-    a row would take ten times as long."""
+    """Rows as protobuf messages of `_schema`, without NaN: for each field its tag, then eight bytes. An object per row would take
+    ten times as long."""
     from google.protobuf.internal.encoder import TagBytes
     from google.protobuf.internal.wire_format import WIRETYPE_FIXED64
 
@@ -157,7 +157,7 @@ def open_flight_writer(
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """A message that is no protobuf one: its bytes, and what an MCAP channel says of them."""
+    """A message that is not protobuf: its bytes, and their description for an MCAP channel."""
 
     data: bytes
     schema: str
@@ -202,7 +202,7 @@ def value_digest(provenance: str, names: Sequence[str], table: NDArray[np.float6
 
 
 def provenance_utc_offset(detail: Mapping[str, Any]) -> float | None:
-    """UTC minus flight time [s] by the detail of a provenance; None where it does not say, or says what cannot be."""
+    """UTC minus flight time [s] from the detail of a provenance; None without a possible one."""
     value = detail.get(UTC_KEY)
     return float(value) if isinstance(value, int | float) and 0 <= value < LAST_UTC_S else None
 
@@ -214,14 +214,15 @@ def utc_stamps(time: NDArray[np.float64], offset: float | None) -> NDArray[np.in
 
 @contextmanager
 def rerun_file(stream: "rr.RecordingStream", path: Path, blueprint: Any) -> Iterator[None]:
-    """Everything logged to a rerun stream inside goes to `path` at the end, whole or not at all; blueprint: its layout.
+    """Write everything logged to a rerun stream within the context to `path` at its end, completely or not at all.
 
-    rerun's own file sink says nothing when the disk is full, and then waits for ever. OSError names the file.
-    It is held in memory until then, some 10 bytes a value: each reading of rerun's stream is a recording of its own.
+    blueprint: the layout. Raises OSError that names the file. rerun's own file sink reports no full disk, and then waits for
+    ever. The data stay in memory until the end, some 10 bytes a value: each read of rerun's stream would be a recording of its
+    own.
     """
     encoded = stream.binary_stream()
     try:
-        # active: the stream names its recording first, and a viewer would lay that out by itself
+        # make it active, or a viewer makes a layout by itself: the stream names its recording first
         stream.send_blueprint(blueprint)
         yield
         write_bytes(path, encoded.read() or b"")

@@ -1,9 +1,9 @@
 """Aligned samples from scans as they are received.
 
-Within a scan each sensor is read at another instant and has another delay; without alignment the rolling derivatives are 15 to
-25 % too small. The calibration of recorded flights is applied to a sliding window of received scans. Scans up to `BRIDGED`
-seconds apart count as neighbours, which is the longest interval of the estimator. Without losses the samples equal those of the
-recorded flight.
+Within a scan each sensor is read at a different instant and has a different delay; without alignment the rolling derivatives are
+15 to 25 % too small. The calibration of recorded flights is applied to a sliding window of received scans. Scans up to `BRIDGED`
+seconds apart, the longest interval of the estimator, count as neighbours. Without losses the samples equal those of the recorded
+flight.
 """
 
 import math
@@ -21,8 +21,8 @@ from groundstation.calibration.scan_table import bridged, scan_table
 
 NEIGHBOURS = 8  # scans on each side that affect a sample, by derivatives of rates, corrected lags and interpolation
 HELD_SCANS = 21  # scans before those: slow channels are held for a second at 20 Hz
-BATCH_S = 1.0  # [s] of scans that are calibrated at once: a window takes 10 ms for one new scan or for twenty
-BLOCK = 2000  # scans, at most, that are calibrated at once
+BATCH_S = 1.0  # [s] of scans that are calibrated together: a window takes 10 ms for one new scan or for twenty
+BLOCK = 2000  # scans calibrated together at most
 MOST_SCANS, SPARE_SCANS = 20_000, 1000
 """Scans in memory, over a quarter of an hour at 20 Hz: `daq.identification.in_order.HORIZON`, within which late ones change
 estimates. The oldest are dropped by the thousand."""
@@ -39,7 +39,7 @@ class ScanAlignment:
         self._batch = batch_s
         self._scans: dict[int, bytes] = {}
         self._numbers: list[int] = []
-        self._done = 0  # the first so many scans were yielded as samples
+        self._done = 0  # number of scans, from the first, that were yielded as samples
         self._oldest = 0  # scan number below which scans were dropped
         self._dirty: set[int] = set()  # numbers of late scans among the yielded ones
         self._loading = [math.nan, math.nan]  # last mass [kg] and CG ahead [m], which are read less often than scans
@@ -54,8 +54,7 @@ class ScanAlignment:
         return len(self._dirty)
 
     def add(self, scan: Scan | bytes) -> None:
-        """Add a scan as received, or the bytes that the aircraft recorded, as fetched by backfill, which replace a received
-        one."""
+        """Add a received scan, or the bytes of a recorded one from backfill, which replaces the received one."""
         decoded = decode_scan(scan) if isinstance(scan, bytes) else scan
         data = scan if isinstance(scan, bytes) else encode_scan(scan)
         previous = self._scans.get(decoded.number)
@@ -104,7 +103,7 @@ class ScanAlignment:
         """New samples in order of time, once NEIGHBOURS scans follow them; then, with `late`, those that late scans change.
 
         finish: also the last samples and those that late scans change. pitch: with the signals of the pitching plane. airframe:
-        for samples at its moving CG, where that is measured. Raises CalibrationError.
+        refers samples to its moving CG, where that is measured. Raises CalibrationError.
         """
         available = len(self._numbers) if finish else len(self._numbers) - NEIGHBOURS
         end = available if finish else min(available, self._done + SAMPLES_PER_CALL)

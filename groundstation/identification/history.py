@@ -11,14 +11,13 @@ from daq.identification.estimates import LiveEstimates
 DETAIL = "live_identification"
 """Key of a flight's provenance detail under which the history travels with the flight."""
 BELIEVED = "believed"
-"""Key beside the history: derivative -> value, std, source."""
+"""Key of the beliefs stored with the history: derivative -> value, std, source."""
 MOST = 7200  # stored entries: two hours at one a second, some 3 MB
-DIGITS = 6  # stored of a number: bounds are known to two
+DIGITS = 6  # of a stored number: bounds are known to two
 
 
 class LiveHistory:
-    """Estimates over time. At MOST entries every other one is dropped, and from then on only every second is stored, and so
-    on."""
+    """Estimates over time. Each time MOST entries are exceeded, every other one is dropped and the rate of storing halved."""
 
     def __init__(self, names: Sequence[str] = DERIVATIVES) -> None:
         self._names = tuple(names)
@@ -43,7 +42,7 @@ class LiveHistory:
             self._to_skip = 2 * self._to_skip + 1
 
     def to_json(self) -> dict[str, Any]:
-        """`time` and, by derivative, `estimate` and `std`, null before it is identified; as in `estimate --method live`."""
+        """`time` and, by derivative, `estimate` and `std`, null before it is identified, as `estimate --method live` has them."""
 
         def series(column: int) -> list[float | None]:
             return [_rounded(row[column]) for _, row in self._rows]

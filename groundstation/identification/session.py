@@ -27,7 +27,7 @@ REVISION_S = 5.0  # [s] of flight between two revisions by late scans, each of w
 SAMPLES_PER_CALL = 15  # late samples processed at a call, in some 5 ms, so that the receiver does not wait
 ALL_SAMPLES = 1000  # processed at a call when nothing waits
 RATE_S = 10.0  # [s] over which the rate of the scans is measured
-RECENT_S = 10.0  # [s] over which excitation is measured
+RECENT_S = 10.0  # [s] over which excitation is measured: a manoeuvre
 
 TROUBLES = (CalibrationError, LinAlgError, ArithmeticError, ValueError)
 """Errors that received numbers can cause in the arithmetic. They are reported once and stop the identification only."""
@@ -192,7 +192,7 @@ class LiveIdentification:
         information = {c: i for e in self._estimators for c, i in e.estimator.information().items()}
         bounds = wanted_bounds(self.aircraft.airframe.beliefs, estimates.derivatives, self._share)
         to_go = self._time_to_bound.at(estimates, bounds)
-        # Without advice nothing was solved yet, or all bounds were reached: both may have changed, and are quick to check.
+        # without advice there was no solution yet, or all bounds were reached; both are quick to check again
         if last.time >= self._next_advice or self._advice is None:
             self._next_advice = last.time + ADVICE_S
             values = {n: self._value(n, estimates) for n in self.aircraft.derivatives}

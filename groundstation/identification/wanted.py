@@ -12,10 +12,9 @@ from daq.identification.estimates import EquationInformation, LiveDerivative, Li
 
 WEAK_TERMS = ("CY_p", "CY_r", "Cl_r", "Cl_dr", "Cn_p", "CL_q", "CL_de")
 """Small terms, with bounds of 6 to 17 % in flights that identify the others to 1 to 2 %."""
-WEAK_FACTOR = 4.0  # on the wanted share of these
-LEAST_CORRELATION = (
-    0.95  # of two derivatives that are identified only together: a combination's bound is a third of theirs
-)
+WEAK_FACTOR = 4.0  # by which their wanted share is larger
+LEAST_CORRELATION = 0.95
+"""From this correlation on two derivatives count as identified only together: the bound of a combination is a third of theirs."""
 GAIN_S = 20.0  # [s] of flight over which the gain of information is measured
 
 

@@ -1,6 +1,6 @@
 """The gap monitor of live identification: whether the beliefs of the aircraft file, or a model, still describe the flight.
 
-Its thresholds are calibrated by simulated flights, in half a minute of processor time. That runs in a thread, and samples wait.
+Its thresholds are calibrated by simulated flights in a thread, which takes half a minute of processor time; samples wait for it.
 """
 
 import math
@@ -20,13 +20,12 @@ from daq.identification.regression import LiveAircraft
 SEED = 1  # of the simulated flights, so that thresholds repeat
 HOURS = 2.5  # of simulated manoeuvring, from which the thresholds are calibrated
 LOST = 0.05  # share of scans that a radio loses
-ON_BOARD_HZ, SLOWER_HZ = 20, 17.0  # least rate of the logger's scans; a lower rate than the second is that of a radio
-SAMPLES_PER_CALL = 60  # of those that have waited
+ON_BOARD_HZ, SLOWER_HZ = 20, 17.0  # smallest rate of the logger's scans; below the second the scans come by radio
+SAMPLES_PER_CALL = 60  # processed at a call, so that the receiver does not wait
 
 
 def conditions_at(rate: float) -> NullConditions:
-    """Conditions of the simulated flights for a rate of scans [Hz]: at least 20 Hz on board; less is what a radio delivers of
-    20 Hz."""
+    """Conditions of the simulated flights for a rate of scans [Hz]: below SLOWER_HZ those of a radio that loses scans."""
     if rate < SLOWER_HZ:
         return NullConditions(rate=rate, loss=LOST)
     grid = watched_step(1.0 / max(ON_BOARD_HZ, round(rate)))
@@ -34,8 +33,7 @@ def conditions_at(rate: float) -> NullConditions:
 
 
 class LiveWatch:
-    """The gap monitor over samples of manoeuvring flight. rate: of the scans [Hz]; trouble: why there is no monitor, else
-    empty."""
+    """The gap monitor over samples of manoeuvring flight. rate: of the scans [Hz]. trouble: why there is no monitor, or empty."""
 
     def __init__(self, aircraft: LiveAircraft, rate: float) -> None:
         self._airframe = aircraft.airframe if aircraft.modelled is None else aircraft.modelled
@@ -51,7 +49,7 @@ class LiveWatch:
         self._thread.start()
 
     def add(self, sample: Sample) -> None:
-        """Add a sample, in order of time; one that follows sooner than the monitor's step is left out."""
+        """Add a sample, in order of time; one that follows within the monitor's step is left out."""
         if sample.time - self._last >= self._shortest:
             self._last = sample.time
             self._waiting.append(sample)
@@ -69,7 +67,7 @@ class LiveWatch:
             self._monitor.add(sample)
         names = [a.leading[0].effect if a.leading else "" for a in self._monitor.alarms]
         reported = [*self._reported, *[None] * (len(names) - len(self._reported))]
-        new = [a for a, name, before in zip(self._monitor.alarms, names, reported, strict=True) if name != before]
+        new = [a for a, name, previous in zip(self._monitor.alarms, names, reported, strict=True) if name != previous]
         self._reported = names
         return new
 
@@ -87,7 +85,7 @@ class LiveWatch:
         """Simulate the thresholds and start the monitor (in the thread)."""
         try:
             self._monitor = GapMonitors([self._monitor_of(plane) for plane in self._planes])
-        except (LinAlgError, ArithmeticError, ValueError) as error:  # an aircraft that does not fly by its beliefs
+        except (LinAlgError, ArithmeticError, ValueError) as error:  # by these beliefs the aircraft cannot fly
             self.trouble = f"no gap monitor: its thresholds cannot be simulated from these beliefs ({error})"
 
     def _monitor_of(self, plane: MonitoredPlane) -> GapMonitor:

@@ -11,11 +11,12 @@ from groundstation.identification.session import LiveState
 
 LONGEST_S = 600.0  # to go; a longer time is not shown
 MOST_NAMES = 4  # derivatives in one line
-GO_ON_S = 60.0  # to go until the next bound, beyond which the present input should stop
-LEAST_GAIN = 1.1  # ratio of bounds before and after a test point, from which it is shown
-LEAST_PEAK = math.radians(0.5)  # of a control that the test point moved
+GO_ON_S = 60.0  # to go until the next bound; if longer, the present input should stop
+LEAST_GAIN = 1.1  # ratio of the bounds before and after a test point from which it is shown
+LEAST_PEAK = math.radians(0.5)  # from which a test point has moved a control [rad]
 LINE = 99  # characters of a line on the link: two messages of STATUSTEXT
-EXCITED = math.radians(0.5)  # rms of the last seconds, from which a control is shown as moved
+EXCITED = math.radians(0.5)  # rms of the last seconds from which a control is shown as moved [rad]
+CONTRADICTION = 3.0  # standard deviations between estimate and belief from which they contradict each other
 FIRST = "a doublet of each control: nothing can be identified before both have moved"
 
 
@@ -24,7 +25,7 @@ def short_line(state: LiveState) -> str:
     identified = _identified(state)
     reached_count = sum(state.to_go.get(d.name, math.inf) == 0.0 for d in identified)
     surest = sorted(identified, key=lambda d: d.std / max(abs(d.estimate), 1e-12))[:MOST_NAMES]
-    numbers = ", ".join(f"{d.name} {number(d)}" for d in surest)
+    numbers = ", ".join(f"{d.name} {estimate_text(d)}" for d in surest)
     counts = f"{len(identified)} of {len(state.aircraft.shown)} identified, {reached_count} to the wanted bound"
     return f"live: {counts}{': ' + numbers if numbers else ''}; next: {next_words(state)}"
 
@@ -35,10 +36,10 @@ def _identified(state: LiveState) -> list[LiveDerivative]:
     return [d for d in derivatives if d.told]
 
 
-def lines(state: LiveState) -> Iterator[str]:
+def state_lines(state: LiveState) -> Iterator[str]:
     """The complete state as lines for a terminal."""
     e = state.estimates
-    yield f"{state.aircraft.name}, {e.span:.0f} s of flight in {e.rows} intervals at t = {state.time:.1f} s{_late(state)}"
+    yield f"{state.aircraft.name}, {e.span:.0f} s of flight in {e.rows} intervals at t = {state.time:.1f} s{_late_note(state)}"
     yield f"{'':9}{'now':>10}{'bound':>10}{'believed':>11}  {'by whom':<21}{'to go':>7}"
     for name in state.aircraft.shown:
         d = e.derivatives[name]
@@ -49,11 +50,11 @@ def lines(state: LiveState) -> Iterator[str]:
 
 
 def markdown(state: LiveState) -> str:
-    """The complete state for the viewer's text pane; what to do next comes first, since the pane may be low."""
+    """The complete state for the viewer's text pane; what to fly next comes first, since the pane may be small."""
     e, point = state.estimates, list(point_lines(state))
     to_do = [f"**{line}**" for line in (*point[-1:], _next_line(state))]
     rows = [
-        f"**{state.aircraft.name}**, {e.span:.0f} s of flight, t = {state.time:.1f} s{_late(state)}",
+        f"**{state.aircraft.name}**, {e.span:.0f} s of flight, t = {state.time:.1f} s{_late_note(state)}",
         "",
         *(f"- {line}" for line in (*to_do, *point[:-1])),
         "",
@@ -118,7 +119,7 @@ def point_lines(state: LiveState) -> Iterator[str]:
     point = state.point
     if point is None:
         return
-    moves = ", ".join(f"{control} {degrees:.1f} deg" for control, degrees in _flown(point).items())
+    moves = ", ".join(f"{control} {degrees:.1f} deg" for control, degrees in _peaks_deg(point).items())
     gust = max(point.gusts.values(), default=math.nan)
     air = f", gusts {math.degrees(gust):.1f} deg" if math.isfinite(gust) else ""
     status = "under way" if point.moving else "flown"
@@ -133,7 +134,7 @@ def point_lines(state: LiveState) -> Iterator[str]:
     yield f"test point: {point_decision(state)}"
 
 
-def _flown(point: FlownPoint) -> dict[str, float]:
+def _peaks_deg(point: FlownPoint) -> dict[str, float]:
     """Control -> peak [deg], of the controls that a test point moved."""
     return {CONTROL_WORDS[n]: math.degrees(v) for n, v in point.peaks.items() if v >= LEAST_PEAK}
 
@@ -149,13 +150,13 @@ def point_decision(state: LiveState) -> str:
         return "stop, every wanted bound is reached"
     within = sorted((seconds, n) for n, seconds in lacking.items() if seconds <= GO_ON_S)
     if point.moving and within:
-        coming = ", ".join(f"{n} in {max(seconds, 1.0):.0f} s" for seconds, n in within[:MOST_NAMES])
-        return f"go on, at this rate bounds are reached of {coming}"
+        soon = ", ".join(f"{n} in {max(seconds, 1.0):.0f} s" for seconds, n in within[:MOST_NAMES])
+        return f"go on, at this rate bounds are reached of {soon}"
     if point.moving:
         return "stop, this input brings no bound within a minute"
     if point.faults:
         return f"repeat it: {point.faults[0]}"
-    if state.advice is not None and state.advice.peaks.keys() == _flown(point).keys():
+    if state.advice is not None and state.advice.peaks.keys() == _peaks_deg(point).keys():
         return "good; once more of the same axis brings most"
     return "good; need not be repeated"
 
@@ -171,7 +172,7 @@ def point_line(state: LiveState) -> str:
     point = state.point
     assert point is not None
     reached = sum(seconds == 0.0 for seconds in state.to_go.values())
-    moves = " ".join(f"{control} {degrees:.0f}" for control, degrees in _flown(point).items())
+    moves = " ".join(f"{control} {degrees:.0f}" for control, degrees in _peaks_deg(point).items())
     worst = "" if state.advice is None else f", {state.advice.worst} {state.advice.now:.1f}x"
     verdict = "repeat" if point.faults else "good"
     return f"point {moves} deg: {verdict}; {reached}/{len(state.to_go)} there{worst}; next {next_short(state)}"[:LINE]
@@ -205,7 +206,7 @@ def _advised(a: ManoeuvreAdvice) -> str:
     return f"{flown} (bound of {a.worst} from {a.now:.1f} to {a.then:.1f} times the wanted one)"
 
 
-def number(d: LiveDerivative) -> str:
+def estimate_text(d: LiveDerivative) -> str:
     """Estimate and standard deviation, with as many decimals as the latter supports."""
     places = max(0, 1 - math.floor(math.log10(d.std))) if 0.0 < d.std < math.inf else 4
     return f"{d.estimate:.{min(places, 6)}f} ±{d.std:.{min(places, 6)}f}"
@@ -228,10 +229,14 @@ def _remark(state: LiveState, d: LiveDerivative) -> str:
     if not d.told:
         return d.why
     belief = state.aircraft.airframe.beliefs.get(d.name)
-    if belief is not None and belief.std > 0.0 and abs(d.estimate - belief.value) > 3.0 * math.hypot(d.std, belief.std):
+    if (
+        belief is not None
+        and belief.std > 0.0
+        and abs(d.estimate - belief.value) > CONTRADICTION * math.hypot(d.std, belief.std)
+    ):
         return "not what was believed, by more than three standard deviations"
     return ""
 
 
-def _late(state: LiveState) -> str:
+def _late_note(state: LiveState) -> str:
     return f" ({state.late} late scans still to be worked in)" if state.late else ""

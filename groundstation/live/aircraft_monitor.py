@@ -1,6 +1,6 @@
-"""One aircraft on the ground station: calibrates what comes in, shows it, watches limits, and knows when it has landed.
+"""One aircraft on the ground station: calibrates its scans, shows them, watches limits, and detects the landing.
 
-A monitor is told what happened, in order; it never waits, and the view it feeds drops pictures rather than delay it.
+A monitor takes scans and events in order. It never waits: the view drops pictures rather than delay it.
 """
 
 import math
@@ -22,15 +22,16 @@ from groundstation.live.watches import AlarmChange, Alarms, AlarmState, FreeSpac
 from groundstation.receiver import events as ev
 from groundstation.receiver.findings import legible
 
-IN_FLIGHT_ONLY = ("V", "alpha")
-_SEVERITY = {0: "CRITICAL", 1: "CRITICAL", 2: "CRITICAL", 3: "ERROR", 4: "WARN"}
+IN_FLIGHT_ONLY = ("V", "alpha")  # columns whose alarms count in flight only
+_SEVERITY = {0: "CRITICAL", 1: "CRITICAL", 2: "CRITICAL", 3: "ERROR", 4: "WARN"}  # MAV_SEVERITY -> level
 STATUS_PERIOD_S = 1.0
-MOST_RECENT = 1000  # scans, where a sender's times stand still
-READOUT_PERIOD_S = 0.25  # four times a second: faster nobody reads digits
+MOST_RECENT = 1000  # scans in memory, also from a sender whose time does not advance
+RECENT_SPARE_S = 1.0  # of scans beyond those that prove a flight
+READOUT_PERIOD_S = 0.25  # nobody reads digits faster
 
 
 class MonitorView(Protocol):
-    """What a monitor shows things on."""
+    """The methods of a view that a monitor calls."""
 
     def sample(self, time_s: float, values: Mapping[str, float]) -> None: ...
     def states(self, time_s: float, states: Mapping[str, str]) -> None: ...
@@ -42,9 +43,8 @@ class MonitorView(Protocol):
 
 
 class AircraftMonitor:
-    """State of one aircraft, of MAVLink system id `system`. `say` gets every line for the log: (time [s], level, text).
-
-    utc_ns: the time of day."""
+    """State of one aircraft. system: its MAVLink system id. say: gets every line for the log: time [s], level, text. utc_ns:
+    gives the time of day [ns since 1970]."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class AircraftMonitor:
         self.system = system
         self._utc_ns = utc_ns
         self._station_calibration = self._calibration = calibration
-        self.calibrator = Calibrator(calibration)  # of scans, at present
+        self.calibrator = Calibrator(calibration)
         self._view = view
         self._say = say
         self._alarms = Alarms(config.alarms)
@@ -75,8 +75,6 @@ class AircraftMonitor:
         self._fresh = FreshValues()
         self._disk = ""
         self.time = 0.0
-        self.samples = 0
-        self.values: dict[str, float] = {}
 
     @property
     def phase(self) -> Phase:
@@ -91,36 +89,35 @@ class AircraftMonitor:
         self._announce(self._alarms.acknowledge(self.time))
 
     def use_calibration(self, calibration: CalibrationSet, facts: Mapping[str, str]) -> None:
-        """Calibrate with what the aircraft itself carries, from now on.
+        """Calibrate with the aircraft's own set and facts from now on.
 
-        An airspeed read by other scales tells of no flight: the last seconds are read again by these, so that one under way
-        goes on, and a radio that is silent at that moment is seen.
+        An airspeed computed with other scales does not prove a flight. The last seconds are calibrated again, so that a flight
+        under way is recognised at once, and with it a radio that falls silent at that moment.
         """
         self.calibrator = Calibrator(calibration, facts)
         self._calibration = calibration
         air = {key: text for key, text in facts.items() if key.startswith(("pitot.", "static."))}
         if air != self._air_facts:
             self._air_facts, self._landing = air, LandingWatch(self._landing_config)
-            with suppress(CalibrationError):  # the next scan says it
+            with suppress(CalibrationError):  # the next scan reports it
                 for scan in self._recent:
                     self._landing.update(scan.time, self.calibrator.sample(scan))
 
     def _remember(self, scan: Scan) -> None:
         """Keep the scans that prove a flight."""
-        if self._recent and scan.time < self._recent[-1].time:  # the aircraft has started anew
+        if self._recent and scan.time < self._recent[-1].time:  # the logger has restarted
             self._recent.clear()
         self._recent.append(scan)
-        while scan.time - self._recent[0].time > self._landing_config.flying_s + 1.0:
+        while scan.time - self._recent[0].time > self._landing_config.flying_s + RECENT_SPARE_S:
             self._recent.popleft()
 
     def scan(self, scan: Scan, *, late: bool = False, received_ns: int | None = None) -> bool:
-        """One scan; True when it shows that the flight has ended."""
+        """Take one scan; True when it shows that the flight has ended. late: fetched later, so shown nowhere."""
         self._last_heard_ns = received_ns
         values = self._calibrated(scan)
         if late:
             return False
-        self.time, self.values = scan.time, {**self.values, **values}
-        self.samples += 1
+        self.time = scan.time
         states = {group: status.state.words for group, status in scan.groups.items()}
         unusable = [
             f"{group} ({status.state.words})"
@@ -147,8 +144,8 @@ class AircraftMonitor:
         return landed
 
     def _show_readouts(self, view: MonitorView, time: float, quiet: float = 0.0) -> None:
-        """The numbers of this moment, and what is in alarm. The time of day stands beside them: in a browser that lags behind, a
-        clock on the wall tells. quiet: since when nothing came [s]."""
+        """Show the present numbers and alarms, with the time of day, by which a person sees that a browser lags. quiet: time
+        since the last scan [s]."""
         self._next_readout = time + READOUT_PERIOD_S
         level, alarms = banner(self._alarms.in_force())
         link = "" if self._link is None else f"link {self._link.scan_rate_hz:.0f} Hz, "
@@ -157,7 +154,7 @@ class AircraftMonitor:
         view.readouts(time, readout_line(self._fresh.at(time), link), alarms, level)
 
     def _calibrated(self, scan: Scan) -> dict[str, float]:
-        """Columns of a scan; with the station's own set from the moment that what came down proves unusable."""
+        """Columns of a scan; by the station's own set once the aircraft's has proved unusable."""
         try:
             return self.calibrator.sample(scan)
         except CalibrationError as error:
@@ -168,22 +165,22 @@ class AircraftMonitor:
             return self.calibrator.sample(scan)
 
     def silence(self, now_ns: int) -> None:
-        """Called often: watches for telemetry that has stopped."""
+        """Watch for telemetry that has stopped. Call it often."""
         if self._last_heard_ns is None:
             return
         quiet = (now_ns - self._last_heard_ns) * 1e-9
         if self.phase is Phase.FLYING:
             self._announce(self._alarms.update(self.time + quiet, {"link.silence_s": quiet}))
         if self._view is not None and quiet > FRESH_S and self.time + quiet >= self._next_readout:
-            self._show_readouts(self._view, self.time + quiet, quiet)  # no scan comes that would show it
+            self._show_readouts(self._view, self.time + quiet, quiet)  # without scans nothing else does
 
     def disk(self, space: FreeSpace) -> None:
-        """What is free on this computer's disk."""
+        """Take the free space of this computer's disk: for the status page and its alarms."""
         self._disk = space.words
         self._announce(self._alarms.update(self.time, space.values))
 
     def take_event(self, event: ev.Event) -> None:
-        """Everything that is not a scan."""
+        """Take an event other than a scan."""
         match event:
             case ev.StatusText(severity=severity, text=text):
                 self.note(_SEVERITY.get(severity, "INFO"), text)
@@ -221,7 +218,7 @@ class AircraftMonitor:
             self.note(level, change.text, change.time)
 
     def note(self, level: str, text: str, time: float | None = None) -> None:
-        """Say something about this aircraft, in the log and in its view; time: of the flight [s], now by default."""
+        """Report a line in the log and in the view. time: of the flight [s], now by default."""
         time, text = self.time if time is None else time, legible(text)
         self._say(time, level, text)
         if self._view is not None:
@@ -259,13 +256,13 @@ class AircraftMonitor:
 
 
 def _sequencer_words(status: ev.SequencerStatus) -> str:
-    """State, how long, increments and reason of the sequencer; numbers of a later release stay numbers."""
-    state = _words(State, status.state)
-    reason = _words(Reason, status.reason)
+    """State, its duration, increments and reason of the sequencer; unknown numbers, of a later release, stay numbers."""
+    state = _enum_words(State, status.state)
+    reason = _enum_words(Reason, status.reason)
     increments = ", ".join(f"{math.degrees(value):+.1f}" for value in status.increments)
     return f"{state} for {status.elapsed_s:.1f} s, e a r {increments} deg" + (f" ({reason})" if reason else "")
 
 
-def _words(kind: type[State] | type[Reason], number: int) -> str:
+def _enum_words(kind: type[State] | type[Reason], number: int) -> str:
     member: State | Reason | None = kind._value2member_map_.get(number)  # type: ignore[assignment]
     return f"{kind.__name__.lower()} {number}" if member is None else member.words

@@ -1,4 +1,4 @@
-"""Configuration of the ground station: one TOML file, checked, with mistakes named by key."""
+"""Configuration of the ground station: one TOML file, checked; errors name the key."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from daq.identification.regression import REGRESSIONS
 from daq.utilities.errors import UserError
 from daq.utilities.input_files import read_toml
-from groundstation.live.watches import FREE, LEFT, LandingLimits, Limit
+from groundstation.live.watches import FREE_MB, MINUTES_LEFT, LandingLimits, Limit
 from groundstation.receiver.ports import LinkConfig
 
 
@@ -29,14 +29,14 @@ class SessionOutputConfig(_GroundTable):
 
 
 class CalibrationConfig(_GroundTable):
-    """`directory`: calibration files, or the name of a built-in set, used live until the aircraft's own have come down."""
+    """`directory`: calibration files, or the name of a built-in set, used live until the aircraft's own have arrived."""
 
     directory: str = "cdfp"
 
 
 class ViewConfig(_GroundTable):
-    """The live view. port: where further viewers of this computer attach. host: where the page listens; beyond loopback, and with
-    `token`, only who has the page's whole address gets in."""
+    """The live view. port: for further viewers of this computer. host: address on which the page listens; beyond loopback, and
+    with `token`, the page opens only by its complete address, which holds a token."""
 
     layout: Literal["full", "light", "phone"] = "full"
     port: Annotated[int, Field(ge=1, le=65535)] = 9876
@@ -58,11 +58,11 @@ class HandoverConfig(_GroundTable):
 
 
 class LiveIdentificationConfig(_GroundTable):
-    """Live identification. watch: the gap monitor beside it. aircraft: name or file; empty: the one that the recording names or
-    carries. model: what is estimated, lateral (where it is empty), longitudinal, six-dof, or the file of a model, which the gap
-    monitor then holds against flight, in place of what the aircraft file believes. wanted:
-    bound to be reached, one standard deviation, as a share of a derivative. forward: ports that get NAMED_VALUE_FLOAT of each
-    derivative. lines_every_s: time of flight between two lines in the log."""
+    """Live identification. watch: whether the gap monitor runs too. aircraft: name or file; empty: the one that the recording
+    names or carries. model: lateral (the default), longitudinal, six-dof, or the file of a model, which the gap monitor then
+    compares with the flight instead of the beliefs of the aircraft file. wanted: bound to be reached, one standard deviation, as
+    a share of a derivative. forward: ports that get NAMED_VALUE_FLOAT of each derivative. lines_every_s: time of flight between
+    two lines in the log."""
 
     enabled: bool = True
     watch: bool = False
@@ -80,14 +80,14 @@ DEFAULT_ALARMS = (
     Limit(channel="link.loss_percent", high=30.0, hysteresis=10.0, hold_s=3.0, level="WARN", text="link loss"),
     Limit(channel="link.silence_s", high=3.0, level="CRITICAL", text="no telemetry"),
     Limit(channel="recorder.recording", low=0.5, hold_s=2.0, level="CRITICAL", text="onboard recorder stopped"),
-    Limit(channel=FREE, low=200.0, hysteresis=50.0, level="ERROR", text="disk of the ground station nearly full"),
-    Limit(channel=LEFT, low=30.0, hysteresis=10.0, hold_s=5.0, text="disk of the ground station, minutes left"),
+    Limit(channel=FREE_MB, low=200.0, hysteresis=50.0, level="ERROR", text="disk of the ground station nearly full"),
+    Limit(channel=MINUTES_LEFT, low=30.0, hysteresis=10.0, hold_s=5.0, text="disk of the ground station, minutes left"),
     Limit(channel="sensors.unusable", high=0.5, hold_s=1.0, level="WARN", text="sensor not usable"),
 )
 
 
 class GroundConfig(_GroundTable):
-    """The whole file. Alarm channels are flight columns, or `link.loss_percent`, `link.silence_s`, `recorder.recording`,
+    """The configuration file. Alarm channels are flight columns, or `link.loss_percent`, `link.silence_s`, `recorder.recording`,
     `ground.free_mb`, `ground.minutes_left` (of this computer's disk), `sensors.unusable` (number of sensor groups);
     airspeed and angle of attack count in flight only.
     """
@@ -120,8 +120,8 @@ def configured(
     watch: bool = False,
     model: Path | None = None,
 ) -> GroundConfig:
-    """The configuration of a file; without one the defaults, on the usual ports. layout, aircraft, model: instead of the
-    configured; watch: in any case, as with a model.
+    """The configuration of a file; without a file the defaults, on the usual ports. layout, aircraft, model: replace the
+    configured ones. watch: switches the gap monitor on, as a model file does.
 
     Raises GroundConfigError naming file and key, or the model where there is no such file.
     """
@@ -147,17 +147,17 @@ def configured(
     return config.model_copy(update={"view": view})
 
 
-LISTENER = "udpin:14550"  # MAVLink's port of ground stations; loopback, so that nobody else on the network is believed
+LISTENER = "udpin:14550"  # MAVLink's port of ground stations; on loopback, where no other computer can send
 BAUD = 57600  # SiK radios as delivered
 
 RADIOS = frozenset({(0x0403, 0x6015), (0x0403, 0x6001), (0x10C4, 0xEA60)})
 """USB vendor and product of the serial chips on telemetry radios: FT230X and FT232R of FTDI (3DR, Holybro, mRo), CP2102 of
-Silicon Labs (RFD900, its clones). Other serial devices are left alone: opening one can reset what hangs on it."""
+Silicon Labs (RFD900, its clones). Other serial devices are not opened: opening one can reset the board behind it."""
 
 
 def usual_ports(devices: Iterable[Any] | None = None) -> tuple[str, ...]:
-    """The UDP port, then every telemetry radio on USB, as `[link] ports` has them. devices: as `serial.tools.list_ports` gives
-    them (device, vid, pid; the two are None where it is not on USB), those of this computer by default."""
+    """The UDP port, then every telemetry radio on USB, in the form of `[link] ports`. devices: serial devices as
+    `serial.tools.list_ports` lists them (vid and pid are None without USB); those of this computer by default."""
     if devices is None:
         from serial.tools.list_ports import comports
 

@@ -1,7 +1,7 @@
-"""Words typed at a running ground station, and what it says. `help` lists the commands.
+"""Commands typed at a running ground station, and the lines it prints. `help` lists the commands.
 
-Typed words are read from standard input without ever waiting: a terminal when this process is in its foreground, or a pipe. Lines
-go to standard output as long as somebody reads it, and to `ground.log` always.
+Commands are read from standard input without ever waiting: from a terminal while this process is in its foreground, or a pipe.
+Lines go to standard output as long as somebody reads it, and always to `ground.log`.
 """
 
 import os
@@ -23,13 +23,13 @@ from daq.utilities.plain_words import did_you_mean, visible
 from daq.utilities.rotating_log import RotatingLog
 from daq.utilities.standard_streams import Speaker
 from daq.utilities.utc_stamps import log_stamp
-from groundstation.identification.words import lines
+from groundstation.identification.words import state_lines
 from groundstation.live.station import Station
 from groundstation.receiver.downloads import LogFetcher
 
 HELP = """\
 status            state of each aircraft, recorder, link and alarms in force
-live              derivatives by now, with their bounds, and what to fly next
+live              derivatives so far, with their bounds, and what to fly next
 ack               acknowledge alarms that are over
 mark              mark an event in the recording on board
 start | stop      begin or end the recording on board
@@ -44,10 +44,13 @@ fetch NUMBER      download one of them into this session's folder
 quit              end the session and write the flight
 With several aircraft begin with the number: 2 mark"""
 _FORMS = {line.split()[0]: line[:18].strip() for line in HELP.splitlines()[:-1]}
-_LONGEST = 4096
+_LONGEST = 4096  # bytes of a line
+_LARGEST_RATE = 1e6  # Hz: a larger number is a slip
 
 
 class Lines:
+    """Lines from a file descriptor, read without waiting."""
+
     def __init__(self, descriptor: int) -> None:
         self._descriptor: int | None = descriptor
         self._waiting = b""
@@ -55,19 +58,19 @@ class Lines:
 
     @classmethod
     def of_standard_input(cls) -> "Lines":
-        """Standard input; nothing at all where there is none, or where a terminal belongs to another program."""
+        """Standard input; no lines where there is none, or while the terminal belongs to another program."""
         lines = cls(-1)
         try:
             lines._descriptor = sys.stdin.fileno()
         except (AttributeError, OSError, ValueError):
             lines._descriptor = None
-        if lines._descriptor is not None and not hasattr(os, "tcgetpgrp"):  # Windows, where a terminal cannot be asked
+        if lines._descriptor is not None and not hasattr(os, "tcgetpgrp"):  # Windows, where `select` takes sockets only
             lines._read = queue.SimpleQueue()
-            threading.Thread(target=lines._wait, args=(lines._descriptor, lines._read), daemon=True).start()
+            threading.Thread(target=lines._read_blocking, args=(lines._descriptor, lines._read), daemon=True).start()
         return lines
 
     @staticmethod
-    def _wait(descriptor: int, read: "queue.SimpleQueue[bytes]") -> None:
+    def _read_blocking(descriptor: int, read: "queue.SimpleQueue[bytes]") -> None:
         data = b"-"
         while data:
             try:
@@ -77,10 +80,10 @@ class Lines:
             read.put(data)
 
     def read(self) -> list[str]:
-        """Whole lines that have come."""
+        """Complete lines since the last call."""
         if self._descriptor is None:
             return []
-        data = self._come(self._descriptor)
+        data = self._available(self._descriptor)
         if data is None:
             return []
         if not data:
@@ -89,11 +92,11 @@ class Lines:
         self._waiting = self._waiting[-_LONGEST:]
         return [line.decode("utf-8", "replace").strip() for line in complete]
 
-    def _come(self, descriptor: int) -> bytes | None:
-        """What has come; nothing at the end of it, None where one would have to wait."""
+    def _available(self, descriptor: int) -> bytes | None:
+        """New bytes; empty at the end of the input, None where reading would wait."""
         if self._read is not None:
             return None if self._read.empty() else self._read.get()
-        if not _ours(descriptor):
+        if not _may_read(descriptor):
             return None
         try:
             return os.read(descriptor, _LONGEST) if select.select([descriptor], [], [], 0)[0] else None
@@ -101,8 +104,8 @@ class Lines:
             return b""
 
 
-def _ours(descriptor: int) -> bool:
-    """Whether reading will not stop this process, as a terminal does to one in the background."""
+def _may_read(descriptor: int) -> bool:
+    """Whether a read does not stop this process: a terminal stops one that reads in the background."""
     try:
         return not os.isatty(descriptor) or os.tcgetpgrp(descriptor) == os.getpgrp()
     except OSError:  # the terminal is gone
@@ -110,12 +113,12 @@ def _ours(descriptor: int) -> bool:
 
 
 def _hint(word: str) -> str:
-    """What to type in place of a line that begins with this word."""
+    """Advice on a line that begins with `word` and is not understood."""
     return f"; type {_FORMS[word]}" if word in _FORMS else did_you_mean(word, _FORMS) or "; type help"
 
 
 class Console:
-    """Obeys typed words. echo: where answers go."""
+    """Obeys typed commands. echo: prints an answer."""
 
     def __init__(self, station: Station, lines: Lines, echo: Callable[[str], None]) -> None:
         self._station, self._lines, self._echo = station, lines, echo
@@ -123,7 +126,7 @@ class Console:
         self._fetching: dict[int, tuple[int, Path]] = {}
 
     def poll(self) -> bool:
-        """Obey what has been typed; False once the session is to end."""
+        """Obey the commands typed since the last call; False once the session is to end."""
         self._report()
         return all(self.obey(line) for line in self._lines.read() if line)
 
@@ -143,11 +146,12 @@ class Console:
             self._echo("no such aircraft has been heard")
         elif len(systems) > 1 and words[:1] not in (["status"], ["ack"], ["live"]):
             self._echo(f"which aircraft? begin with its number: {', '.join(map(str, systems))}")
-        elif not words or not self._known(words, systems):
+        elif not words or not self._execute(words, systems):
             self._echo(f"{line!r} is not understood{_hint(words[0] if words else '')}")
         return True
 
-    def _known(self, words: list[str], systems: list[int]) -> bool:
+    def _execute(self, words: list[str], systems: list[int]) -> bool:
+        """Carry out one command; False where it is not understood."""
         receiver, system = self._station.receiver, systems[0]
         commander = receiver.commander
         match words:
@@ -157,7 +161,7 @@ class Console:
             case ["live"]:
                 for number in systems:
                     state = self._station.identifications.state(number)
-                    for line in ["nothing is identified yet"] if state is None else lines(state):
+                    for line in ["nothing is identified yet"] if state is None else state_lines(state):
                         self._echo(f"aircraft {number}: {line}")
             case ["ack"]:
                 for number in systems:
@@ -176,8 +180,8 @@ class Console:
                 self._send_manoeuvre(system, " ".join(words[1:]))
             case ["release"]:
                 commander.stop_manoeuvre(system)
-            case ["rate", value] if _number(value) is not None:
-                commander.set_rate(system, _number(value) or 0.0)
+            case ["rate", value] if (rate := _rate(value)) is not None:
+                commander.set_rate(system, rate)
             case ["backfill", ("off" | "lost" | "all") as mode]:
                 receiver.set_backfill(mode, system)
             case ["logs"]:
@@ -212,7 +216,7 @@ class Console:
         self._fetching[system] = (number, path)
 
     def _report(self) -> None:
-        """Say what asked-for listings and downloads have come to."""
+        """Report listings and downloads that are complete."""
         for system, logs in list(self._listing.items()):
             if not logs.listing:
                 del self._listing[system]
@@ -227,40 +231,41 @@ class Console:
                 self._echo(f"aircraft {system}: recording {number} is here: {path}")
 
 
-def _number(text: str) -> float | None:
+def _rate(text: str) -> float | None:
+    """A typed rate [Hz]; None where it is none."""
     try:
-        value = float(text)
+        rate = float(text)
     except ValueError:
         return None
-    return value if 0.0 <= value < 1e6 else None
+    return rate if 0.0 <= rate < _LARGEST_RATE else None
 
 
 LOG = "ground.log"
 
 
 @contextmanager
-def spoken(folder: Path) -> Iterator[Callable[[str], None]]:
-    """A function that says a line, without ever waiting for its reader or failing for want of one."""
+def open_output(folder: Path) -> Iterator[Callable[[str], None]]:
+    """A function that prints a line and logs it in `folder`, and neither waits for a reader nor fails without one."""
     with RotatingLog(folder / LOG) as log:
 
-        def write_down(line: str) -> None:
+        def write_log(line: str) -> None:
             stamp = log_stamp(time.time())
             log.write(f"{stamp} {visible(line)}\n".encode("utf-8", "backslashreplace"))
 
         descriptor = _descriptor()
-        if descriptor is None:  # within another program's Python, or a test: there nobody is slow
+        if descriptor is None:  # within another program's Python, or a test, whose output never blocks
 
-            def both(line: str) -> None:
+            def echo_and_log(line: str) -> None:
                 click.echo(line)
-                write_down(line)
+                write_log(line)
 
-            yield both
+            yield echo_and_log
             return
         speaker = Speaker(partial(os.write, descriptor))
 
         def say(line: str) -> None:
             speaker.say(visible(line))
-            write_down(line)
+            write_log(line)
 
         try:
             yield say
@@ -269,7 +274,7 @@ def spoken(folder: Path) -> Iterator[Callable[[str], None]]:
 
 
 def _descriptor() -> int | None:
-    """Standard output of this process, where that is what `sys.stdout` writes to."""
+    """The descriptor of standard output where `sys.stdout` writes to it, else None."""
     try:
         descriptor = int(sys.stdout.fileno())
         sys.stdout.flush()

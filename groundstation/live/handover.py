@@ -28,7 +28,8 @@ class HandoverError(UserError):
 
 @dataclass(frozen=True)
 class Handover:
-    """What was handed over. path: the whole flight; manoeuvres_path: only the manoeuvres, each a segment; None if none."""
+    """A flight written for the estimation. path: the complete flight. manoeuvres_path: its manoeuvres, each a segment; None
+    without any. origin: of its recording."""
 
     path: Path
     manoeuvres_path: Path | None
@@ -38,6 +39,7 @@ class Handover:
     origin: str
 
     def lines(self) -> list[str]:
+        """The flight, its manoeuvres and findings as lines for a person."""
         seconds = self.flight.time[-1] - self.flight.time[0]
         lines = [f"flight {self.path}: {len(self.flight)} samples, {seconds:.1f} s, from {self.origin}"]
         lines += [f"  manoeuvre {m.start:7.1f} to {m.stop:7.1f} s  {m.title}" for m in self.manoeuvres]
@@ -46,7 +48,7 @@ class Handover:
 
 
 def onboard_recording(directory: Path | None, session: str) -> Path | None:
-    """The aircraft's own recording of a session, where a directory for it is configured and holds it."""
+    """The configured directory where it holds the aircraft's own recording of a session, else None."""
     if directory is None or not directory.is_dir():
         return None
     recordings = sorted(p for p in directory.glob("*.mcap") if p.name.startswith(session))
@@ -64,7 +66,7 @@ def hand_over(
 ) -> Handover:
     """Calibrate a raw recording and write `<name>.mcap`, its manoeuvres and a summary into `folder`.
 
-    identified: what was identified live (`LiveIdentifications.result`), kept in the flight's provenance.
+    identified: what was identified live (`LiveIdentifications.result`), stored in the flight's provenance.
     Raises HandoverError when the recording holds no usable flight.
     """
     try:
@@ -72,13 +74,13 @@ def hand_over(
         try:
             flight = calibrate_opened(opened, salvage=True)
         except CalibrationError:
-            # The aircraft's own calibration has not come down: the station's set stands in, and the flight says so.
+            # the aircraft's own calibration was not received: the station's set is used, and a note says so
             flight = calibrate_opened(opened, fallback_calibration, salvage=True)
             note = f"calibrated with the station's set {fallback_calibration!r}: the aircraft's own is not in the recording"
             notes = [*notes, note]
-        del opened  # some kilobytes a second of flight
+        del opened  # frees some kilobytes per second of flight
         flight = flight.with_notes(*notes)
-    except (FlightError, CalibrationError, RecordingError, LinAlgError) as error:  # the last: times no aircraft has
+    except (FlightError, CalibrationError, RecordingError, LinAlgError) as error:  # LinAlgError: impossible times
         raise HandoverError(f"{recording}: no flight can be made of it: {error}") from error
     manoeuvres = find_manoeuvres(flight)
     findings = quality_report(flight)
@@ -99,7 +101,7 @@ def hand_over(
 
 
 def hand_over_sessions(station: "Station", folder: Path, say: Callable[[str], None]) -> list[Handover]:
-    """Hand over every session that holds a flight."""
+    """Hand over every session that holds a flight, and the replayed recording. say: prints a line."""
     settings = station.config
     handovers = []
     if station.replayed is not None:
@@ -131,7 +133,7 @@ def hand_over_sessions(station: "Station", folder: Path, say: Callable[[str], No
             say(f"{session.name}: {error}")
         except OSError as error:
             say(f"{session.name}: the flight cannot be written ({error.strerror or error})")
-        except Exception as error:  # noqa: BLE001  what a sender said must not keep the other flights from being written
+        except Exception as error:  # noqa: BLE001  data of one sender must not keep the other flights from being written
             say(f"{session.name}: no flight can be made of it ({type(error).__name__}: {error}); its recording stays")
     if any(not r.path.is_file() for r in station.receiver.session_recorders().values() if r.has_scans):
         advice = f"sideslip ground CONFIG --replay {folder / 'telemetry.tlog'} --speed max --out ELSEWHERE"

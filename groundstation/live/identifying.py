@@ -20,14 +20,14 @@ from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import BELIEVED, final_json
 from groundstation.identification.session import LiveIdentification, LiveState
 from groundstation.identification.watching import LiveWatch
-from groundstation.identification.words import number, short_line
+from groundstation.identification.words import estimate_text, short_line
 from groundstation.live.aircraft_monitor import AircraftMonitor
 from groundstation.live.config import LiveIdentificationConfig
 from groundstation.live.watches import LandingLimits
 from groundstation.receiver.events import Session
 from groundstation.receiver.ports import open_port
 
-UNNAMED_S = 15.0  # s of reception without an aircraft's name, after which this is reported
+UNNAMED_S = 15.0  # of reception without an aircraft's name, after which this is reported
 UNNAMED = (
     "live identification waits: the recording has not named its aircraft yet; name one with --aircraft NAME or FILE, or "
     '[identification] aircraft = "..."'
@@ -36,8 +36,8 @@ UNNAMED = (
 
 @dataclass
 class _SessionRun:
-    """Live identification of one session of an aircraft. announced: derivatives already reported as identified; first: time of
-    the first scan [s]; next_line_s: time of the next line of estimates [s]; given_up: the aircraft file or the estimator
+    """Live identification of one session of an aircraft. announced: derivatives already reported as identified. first: time of
+    the first scan [s]. next_line_s: time of the next line of estimates [s]. given_up: whether the aircraft file or the estimator
     failed."""
 
     monitor: AircraftMonitor
@@ -52,10 +52,10 @@ class _SessionRun:
 
 
 class LiveIdentifications:
-    """Call `take_scan` and `take_fetched` with every scan, and `step` often.
+    """Live identification of all sessions. Call `take_scan` and `take_fetched` with every scan, and `step` often.
 
-    landing: the speed from which the aircraft flies. source: reads aircraft files; None switches live identification off. say:
-    prints a line that concerns no aircraft.
+    landing: limits of speed and time from which the aircraft flies. source: reads aircraft files; None switches live
+    identification off. say: prints a line that concerns no aircraft.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class LiveIdentifications:
         run.monitor.note("INFO", f"live identification of {aircraft.name} begins{watched_model}")
 
     def step(self) -> None:
-        """Process the scans that have come, and report what is new."""
+        """Process received scans, and report new estimates, alarms and troubles."""
         for run in self._runs.values():
             if run.live is None:
                 continue
@@ -162,7 +162,7 @@ class LiveIdentifications:
         derivatives = state.estimates.derivatives
         for name in (n for n in state.aircraft.shown if n not in run.announced and derivatives[n].told):
             run.announced.add(name)
-            run.monitor.note("INFO", f"live: {name} identified: {number(derivatives[name])}")
+            run.monitor.note("INFO", f"live: {name} identified: {estimate_text(derivatives[name])}")
         if run.announced and state.time >= run.next_line_s:
             run.next_line_s = state.time + self._config.lines_every_s
             run.monitor.note("INFO", short_line(state))
@@ -180,7 +180,7 @@ class LiveIdentifications:
                 self._report_alarms(run, finish=True)
 
     def result(self, session: Session) -> Mapping[str, Any] | None:
-        """The content of the finished flight's provenance, after `finish`. None where nothing was identified."""
+        """The result for the provenance of the finished flight, after `finish`; None where nothing was identified."""
         run = self._runs.get(session)
         if run is None or run.live is None:
             return None
@@ -198,11 +198,11 @@ class LiveIdentifications:
                 for n, b in state.aircraft.airframe.beliefs.items()
             },
             "final": final_json(e),
-            **({} if watch is None else self._watched(watch, run.live.aircraft)),
+            **({} if watch is None else self._watch_result(watch, run.live.aircraft)),
             "history": run.live.history.to_json(),
         }
 
-    def _watched(self, watch: LiveWatch, aircraft: LiveAircraft) -> dict[str, Any]:
+    def _watch_result(self, watch: LiveWatch, aircraft: LiveAircraft) -> dict[str, Any]:
         watched_model = {} if aircraft.modelled is None else {"watched_model": self._config.model}
         return {"watched_s": watch.watched, **watched_model, "alarms": [asdict(a) for a in watch.alarms]}
 

@@ -1,4 +1,4 @@
-"""Digital read-outs of the viewer with units, and the banner of alarms. A number older than FRESH_S is shown as a dash."""
+"""Digital read-outs of the viewer with units, and the banner of alarms. A number older than FRESH_S shows as a dash."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ READOUTS = (
 
 
 def readout_line(values: Mapping[str, float], link: str = "") -> str:
-    """All read-outs in one line of Markdown. values: columns in SI, without those that are not fresh; link: text at the end."""
+    """All read-outs in one line of Markdown. values: fresh columns in SI. link: text at the end."""
     texts = [r.text(values.get(r.column, math.nan)) for r in READOUTS]
     return "## " + " · ".join([*texts, *([link] if link else [])])
 

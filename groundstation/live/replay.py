@@ -10,9 +10,10 @@ from groundstation.receiver.timeline import NS
 if TYPE_CHECKING:
     from groundstation.live.station import Station
 
-STEP_NS = 50_000_000
-LONGEST_SILENCE_NS = 600 * NS  # of a telemetry log, that a replay goes through step by step
-SYSTEM = 1
+STEP_NS = 50_000_000  # of the replay's clock: the period in which a station steps
+LONGEST_SILENCE_NS = 600 * NS  # of a telemetry log; a longer one is skipped
+LONGEST_WAIT_S = 1.0  # between two scans of a recording
+SYSTEM = 1  # MAVLink id of the replayed aircraft: a recording holds none
 
 
 class ReplayError(UserError):
@@ -41,7 +42,7 @@ class ReplayClock:
 
 
 class ReplayPort:
-    """A byte port that gives what it is fed, and swallows what is sent."""
+    """A byte port that reads what it is fed, and discards what is written."""
 
     def __init__(self) -> None:
         self._waiting = bytearray()
@@ -59,15 +60,15 @@ class ReplayPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """Nobody is there to hear: an old flight is not spoken to."""
+        """Discard the data: a recorded aircraft takes no commands."""
         return len(data)
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Do nothing: there is no port to close."""
 
 
 def parse_speed(text: str) -> float | None:
-    """Recorded seconds a second; None for as fast as it goes."""
+    """Recorded seconds per second of replay; None for as fast as possible. Raises ReplayError for anything else."""
     if text == "max":
         return None
     try:
@@ -112,7 +113,7 @@ def _replay_tlog(station: "Station", source: "Replay", path: Path, speed: float 
     due: int | None = None
     for utc_ns, data in read_tlog(path):
         if due is None or not 0 <= utc_ns - due <= LONGEST_SILENCE_NS:
-            due = utc_ns  # a clock that was set, or a pause: nobody waits for it
+            due = utc_ns  # the clock was set, or a long pause: skip it
         while utc_ns > due:
             step_ns = min(STEP_NS, utc_ns - due)
             _wait(step_ns / NS, speed)
@@ -143,7 +144,7 @@ def _replay_recording(station: "Station", path: Path, speed: float | None) -> No
     last: float | None = None
     for scan in recording.scans():
         if last is not None:
-            _wait(min(scan.time - last, 1.0), speed)
+            _wait(min(scan.time - last, LONGEST_WAIT_S), speed)
         last = scan.time
         monitor.scan(scan)
         station.identifications.take_scan(session, scan, monitor)

@@ -19,13 +19,14 @@ from groundstation.receiver.findings import NOBODY, legible
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.timeline import NS, GroundClock
 
-PAPERS_PERIOD_NS = 2 * NS
+PAPERS_PERIOD_NS = 2 * NS  # between two looks at recordings' papers and the disk
 
 
 class Station:
-    """Call `step` often; it never waits. make_view: makes the view of an aircraft, or None when it cannot.
+    """The ground station. Call `step` often; it never waits.
 
-    aircraft: reads the aircraft files that live identification needs; without it there is none.
+    make_view: makes the view of an aircraft, or None when it cannot. aircraft: reads aircraft files for live identification,
+    which is off without it.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class Station:
         self._log = RotatingLog(folder / "events.log")
 
     def monitor(self, system: int) -> AircraftMonitor:
-        """The monitor of an aircraft, opened when it is first heard."""
+        """The monitor of an aircraft; made when the aircraft is first heard."""
         if system not in self.monitors:
 
             def say(time: float, level: str, text: str) -> None:
@@ -69,7 +70,12 @@ class Station:
             self._echo(f"aircraft {system} heard")
         return self.monitors[system]
 
+    def _note_untimed(self, source: str, level: str, text: str) -> None:
+        """Note a line without a time of flight. source: an aircraft or the ground station."""
+        self._note(f"{'':10}    {source}  {level} {text}")
+
     def _note(self, line: str) -> None:
+        """Print a line, and write it to the event log."""
         line = legible(line)
         self._echo(line)
         self._log.write((line + "\n").encode("utf-8", "backslashreplace"))
@@ -78,13 +84,13 @@ class Station:
                 raise OSError(self._log.trouble)
 
     def step(self) -> list[ev.Event]:
-        """Take in what has arrived and act on it."""
-        happened = self.receiver.poll()
+        """Act on everything received since the last call; gives the events."""
+        events = self.receiver.poll()
         findings = self.receiver.findings
-        for event in happened:
+        for event in events:
             try:
                 self._dispatch(event)
-            except Exception as error:  # noqa: BLE001  the edge of what a sender can reach: see ReceptionFindings
+            except Exception as error:  # noqa: BLE001  data of a sender must not end the station: see ReceptionFindings
                 findings.quarantine_error(_system(event), f"a {type(event).__name__}", error)
         with findings.guard(NOBODY, "live identification"):
             self.identifications.step()
@@ -97,8 +103,8 @@ class Station:
             for session, recorder in self.receiver.session_recorders().items():
                 with findings.guard(session.system, "what its recording says of itself"):
                     self._adopt_papers(session, recorder.info())
-            self._look_at_disk(now_ns)
-        return happened
+            self._check_disk(now_ns)
+        return events
 
     def _dispatch(self, event: ev.Event) -> None:
         match event:
@@ -111,25 +117,22 @@ class Station:
                 self.identifications.take_fetched(session, data, self.monitor(session.system))
             case ev.ReceptionFinding(system=system) if system not in self.monitors:
                 if event.kind is not ev.ReceptionFindingKind.REFUSED:
-                    source = f"aircraft {system}" if system else "ground station"
-                    self._note(f"{'':10}    {source}  WARN {event.text}")
+                    self._note_untimed(f"aircraft {system}" if system else "ground station", "WARN", event.text)
             case ev.StatusText() | ev.CommandResult() | ev.ManoeuvreSent() | ev.ReceptionFinding():
                 if event.system in self.monitors:
                     self.monitors[event.system].take_event(event)
             case ev.Heartbeat():
                 pass
             case ev.Trouble(what=what, words=words):
-                recovered = "works again"
-                self._note(
-                    f"{'':10}    ground station  {'INFO' if words is None else 'WARN':<4} {what}: {words or recovered}"
-                )
+                level = "INFO" if words is None else "WARN"
+                self._note_untimed("ground station", level, f"{what}: {words or 'works again'}")
                 for monitor in self.monitors.values():
                     monitor.take_event(event)
             case _:
                 self.monitor(event.session.system).take_event(event)
 
-    def _look_at_disk(self, now_ns: int) -> None:
-        """Room on this computer's disk: an alarm of every aircraft, and a line while there is none."""
+    def _check_disk(self, now_ns: int) -> None:
+        """Measure the free space of this computer's disk for each monitor's alarms, and report it once at the start."""
         with self.receiver.faults.watch("disk"):
             self.space.update(now_ns * 1e-9, free_bytes(self.folder))
         for system, monitor in self.monitors.items():
@@ -137,14 +140,14 @@ class Station:
                 monitor.disk(self.space)
         if not (self._space_reported or math.isnan(self.space.megabytes)):
             self._space_reported = True
-            self._note(f"{'':10}    ground station  INFO disk: {self.space.words}")
+            self._note_untimed("ground station", "INFO", f"disk: {self.space.words}")
 
     def _adopt_papers(self, session: ev.Session, info: RecordingInfo) -> None:
-        """Once the papers of a recording have come down: its aircraft, and the calibration that it carries."""
+        """Use the aircraft and the calibration that a recording's papers name, as soon as they have arrived."""
         if info.aircraft and (aircraft_key := f"{session.name}:{info.aircraft}") not in self._papers:
             self._papers.add(aircraft_key)
             self.identifications.begin(session, info, self.monitor(session.system))
-        # that these are text was checked on arrival
+        # checked to be text when they arrived
         texts = {n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")}
         key = f"{session.name}:{len(texts)}:{len(info.details)}"
         if not (texts or info.details) or key in self._papers:
@@ -162,7 +165,7 @@ class Station:
         self.identifications.begin(session, info, self.monitor(session.system))
 
     def close(self) -> None:
-        """Write recordings and close every file and port; what failed is told."""
+        """Write recordings, close every file and port, and report failures."""
         with self.receiver.findings.guard(NOBODY, "live identification"):
             self.identifications.finish()
         if scans := sum(r.journal.total for r in self.receiver.session_recorders().values()):
@@ -175,6 +178,6 @@ class Station:
 
 
 def _system(event: ev.Event) -> int:
-    """System id of the aircraft that an event is of; NOBODY for one of the ground station itself."""
+    """System id of the aircraft of an event; NOBODY for an event of the ground station itself."""
     session = getattr(event, "session", None)
     return session.system if isinstance(session, ev.Session) else int(getattr(event, "system", NOBODY))

@@ -69,7 +69,7 @@ class _Watch:
     limit: Limit
     state: AlarmState = AlarmState.CLEAR
     beyond_since: float | None = None
-    cause: str = ""  # which limit is passed, or what it is about
+    cause: str = ""  # the limit that was passed, or what is counted
 
     @property
     def name(self) -> str:
@@ -85,9 +85,9 @@ class Alarms:
     def update(
         self, time: float, values: Mapping[str, float], about: Mapping[str, str] | None = None
     ) -> list[AlarmChange]:
-        """Changes that new values of some channels bring. A NaN neither raises nor clears an alarm.
+        """Changes caused by new values of some channels. A NaN neither raises nor clears an alarm.
 
-        about: what a count counts, by channel: it is said in place of the number."""
+        about: channel -> what it counts, such as names of sensors, reported in place of the number."""
         changes = []
         for watch in self._watches:
             value = values.get(watch.limit.channel, math.nan)
@@ -113,6 +113,7 @@ class Alarms:
 
 
 def _changed(watch: _Watch, time: float, value: float, words: str) -> AlarmChange | None:
+    """The change that a value causes in the state of a watch, which is updated; None without one."""
     limit = watch.limit
     outside_limits = (limit.low is not None and value < limit.low) or (limit.high is not None and value > limit.high)
     margin = limit.hysteresis
@@ -122,7 +123,7 @@ def _changed(watch: _Watch, time: float, value: float, words: str) -> AlarmChang
     if outside_limits:
         if watch.beyond_since is None:
             watch.beyond_since = time
-        watch.cause = words or _passed(limit, value)
+        watch.cause = words or _passed_limit(limit, value)
         if watch.state is not AlarmState.ACTIVE and time - watch.beyond_since >= limit.hold_s:
             watch.state = AlarmState.ACTIVE
             return _change(watch, time, "" if words else _reading(limit, value))
@@ -138,13 +139,13 @@ SCALES = {
     "link.loss_percent": (1.0, " %"), "link.silence_s": (1.0, " s"), "ground.free_mb": (1.0, " MB"),
     "ground.minutes_left": (1.0, " min"),
 }  # fmt: skip
-"""Factor and unit in which a person reads what is no column of a flight."""
+"""Channel that is no flight column -> factor and unit in which it is reported."""
 COUNTS = ("recorder.recording", "sensors.unusable")
-"""Channels whose number and limit say nothing to a person."""
+"""Channels reported without number and limit, which would say nothing to a person."""
 
 
 def _scale(channel: str) -> tuple[float, str]:
-    """Factor and unit, with the space before it, in which a person reads a channel: degrees instead of radians."""
+    """Factor and unit (after a space) in which a channel is reported: degrees instead of radians."""
     if channel in SCALES or channel not in COLUMN_BY_NAME:
         return SCALES.get(channel, (1.0, ""))
     unit = COLUMN_BY_NAME[channel].unit
@@ -152,13 +153,13 @@ def _scale(channel: str) -> tuple[float, str]:
 
 
 def _reading(limit: Limit, value: float) -> str:
-    """A value as a person reads it, with its unit; nothing for a count."""
+    """A value with its unit as it is reported; empty for a count."""
     factor, unit = _scale(limit.channel)
     return "" if limit.channel in COUNTS else f"{factor * value:.3g}{unit}"
 
 
-def _passed(limit: Limit, value: float) -> str:
-    """Which limit a value has passed, with its unit."""
+def _passed_limit(limit: Limit, value: float) -> str:
+    """The limit that a value has passed, with its unit."""
     below = limit.low is not None and value < limit.low
     reading = _reading(limit, (limit.low if below else limit.high) or 0.0)
     return f"{'below' if below else 'above'} {reading}" if reading else ""
@@ -196,7 +197,7 @@ class LandingWatch:
         self.phase = Phase.BEFORE
 
     def update(self, time: float, values: Mapping[str, float]) -> bool:
-        """One sample; True exactly once a flight, when it ends."""
+        """Take one sample; True once a flight, when it ends."""
         limits = self._limits
         speed = values.get("V", math.nan)
         rates = [abs(values[k]) for k in ("p", "q", "r") if math.isfinite(values.get(k, math.nan))]
@@ -211,8 +212,9 @@ class LandingWatch:
             self.phase, self._since = Phase.FLYING, None
         return False
 
-    def _lasted(self, time: float, true_now: bool, for_s: float) -> bool:
-        if not true_now:
+    def _lasted(self, time: float, condition: bool, for_s: float) -> bool:
+        """Whether a condition has been true for `for_s` seconds up to now."""
+        if not condition:
             self._since = None
             return False
         if self._since is None:
@@ -220,16 +222,16 @@ class LandingWatch:
         return time - self._since >= for_s
 
 
-SPAN_S = 60.0
-"""Over which the pace is measured: a recording goes onto the disk in pieces, and others write there too."""
-LEAST_S = 10.0  # of that, before there is a pace at all
+PACE_SPAN_S = 60.0  # over which the use of the disk is averaged: recordings are written in pieces
+SHORTEST_SPAN_S = 10.0  # before a rate is stated
+LONGEST_MINUTES = 600.0  # as an alarm's value: inf would keep an alarm from ending
 
-FREE = "ground.free_mb"
-LEFT = "ground.minutes_left"
+FREE_MB = "ground.free_mb"
+MINUTES_LEFT = "ground.minutes_left"
 
 
 class FreeSpace:
-    """Call `update` now and then; read what is free. `megabytes` is NaN and `minutes` too while nothing is known."""
+    """Free space of a disk [MB] and the minutes until it is full at the present rate; NaN while unknown."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, int]] = deque()
@@ -237,20 +239,20 @@ class FreeSpace:
         self.minutes = math.nan
 
     def update(self, time_s: float, free_bytes: int) -> None:
-        """What is free at a time [s] of any steady clock. minutes: inf where nothing is being used up."""
+        """Take the free bytes at a time [s] of any steady clock. `minutes` becomes inf where nothing is being used up."""
         self.megabytes = free_bytes / 1e6
         self._samples.append((time_s, free_bytes))
-        while time_s - self._samples[0][0] > SPAN_S:
+        while time_s - self._samples[0][0] > PACE_SPAN_S:
             self._samples.popleft()
         start_s, start_bytes = self._samples[0]
-        if time_s - start_s >= LEAST_S:
+        if time_s - start_s >= SHORTEST_SPAN_S:
             pace = (start_bytes - free_bytes) / (time_s - start_s)
             self.minutes = free_bytes / pace / 60.0 if pace > 0 else math.inf
 
     @property
     def values(self) -> dict[str, float]:
-        """As channels of alarms. A pace that uses nothing up counts as ten hours, so that an alarm can end."""
-        return {FREE: self.megabytes, LEFT: min(self.minutes, 600.0)}
+        """Channel of alarms -> value."""
+        return {FREE_MB: self.megabytes, MINUTES_LEFT: min(self.minutes, LONGEST_MINUTES)}
 
     @property
     def words(self) -> str:

@@ -1,6 +1,6 @@
 """The layout of the viewer: a full page for a ground station, a light one for weak machines, one column for a phone.
 
-Thirty-second sliding windows that follow live data; for a recorded flight the whole time range. It is embedded in every
+Live, plots are sliding windows of WINDOW_S; for a recorded flight they span the whole flight. The layout is embedded in every
 recording that is shown or written; `sideslip view FILE --save-blueprint PATH.rbl` saves it alone, for rerun's own use.
 """
 
@@ -33,7 +33,7 @@ def _window(live: bool) -> dict[str, Any]:
     }
 
 
-# Strip-chart scales of the live view, in the units shown. rerun fits the vertical axis only once, to the first data.
+# Vertical scales of the live plots, in the units shown: rerun fits an axis only once, to the first data.
 SCALES: Mapping[str, tuple[float, float]] = {
     "Alpha, beta": (-20.0, 20.0),
     "True airspeed": (0.0, 35.0),
@@ -75,7 +75,7 @@ def blueprint(
     identified: bool = True,
     coefficients: Sequence[str] = tuple(EQUATIONS),
 ) -> rrb.Blueprint:
-    """The blueprint for a live or a recorded flight; identified: with a page for live identification, of these coefficients."""
+    """The blueprint for a live or a recorded flight. identified: with a page for live identification of `coefficients`."""
     plots = _plots(live)
     columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
     events = rrb.TextLogView(origin=e.EVENTS, name="Events and alarms", columns=columns)
@@ -85,13 +85,13 @@ def blueprint(
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=e.TIMELINE, play_state=following),
     )
-    words = rrb.TextDocumentView(origin=e.IDENTIFIED, name=IDENTIFICATION)
+    derivatives = rrb.TextDocumentView(origin=e.IDENTIFIED, name=IDENTIFICATION)
     if layout == "phone":
-        texts = rrb.Tabs(events, words) if identified and live else events
+        texts = rrb.Tabs(events, derivatives) if identified and live else events
         return rrb.Blueprint(rrb.Vertical(texts, plots["airdata"], plots["rates"]), *panels)
     if layout == "light":
         plots_left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"])
-        right = rrb.Vertical(events, words, row_shares=[1, 1.6]) if identified and live else events
+        right = rrb.Vertical(events, derivatives, row_shares=[1, 1.6]) if identified and live else events
         return rrb.Blueprint(
             rrb.Horizontal(plots_left, right, column_shares=[3, 2 if right is not events else 1]), *panels
         )
@@ -117,22 +117,22 @@ def blueprint(
     )
     link = rrb.Tabs(plots["link"], plots["signal"])
     right = rrb.Vertical(health, link, row_shares=[2.2, 1])
-    # words below both: a line of the log is as wide as its pane, what is beyond is cut off
-    beside = rrb.Vertical(
+    # the log is below both, over their whole width: lines longer than its pane are cut off
+    right_side = rrb.Vertical(
         rrb.Horizontal(middle, right, column_shares=[1.1, 0.9]), rrb.Tabs(events, status), row_shares=[3.4, 1.0]
     )
-    flying = rrb.Horizontal(plots_left, beside, column_shares=[1.3, 2.0], name="Flight")
+    flying = rrb.Horizontal(plots_left, right_side, column_shares=[1.3, 2.0], name="Flight")
     if not identified:
         return rrb.Blueprint(flying, *panels)
     return rrb.Blueprint(rrb.Tabs(flying, _identification(live, coefficients), active_tab=0), *panels)
 
 
 IDENTIFICATION = "Live identification"
-IDENTIFIED_SCALE = (-4.0, 4.0)  # standard deviations of what was believed
+IDENTIFIED_SCALE = (-4.0, 4.0)  # standard deviations of the belief
 
 
 def _identification(live: bool, coefficients: Sequence[str]) -> rrb.Horizontal:
-    """Each coefficient's derivatives with their bands since the beginning, beside the numbers in words."""
+    """The page of live identification: a plot per coefficient of its derivatives with their bands, and live a text beside."""
     plots = [
         rrb.TimeSeriesView(
             origin=f"{e.IDENTIFICATION}/{coefficient}",
@@ -158,9 +158,9 @@ def save_blueprint(path: Path, layout: Layout = "full") -> None:
 
 
 TOP, LIVE_TOP = 0.10, 0.13
-"""Of the height: a line of read-outs from 720 lines of screen on; live and on a light page two, the time of day on the second
-where a screen has 1280 columns or less."""
-NARROW_TOP = 0.30  # of a phone's: four lines of read-outs, and the alarms in words below them
+"""Shares of the height for the read-outs: one line on a screen of 720 lines or more; live and on a light page two, since the time
+of day wraps on a screen of 1280 columns or less."""
+NARROW_TOP = 0.30  # the same on a phone: four lines of read-outs, and the alarms in words below them
 CONTAINERS = (rrb.Vertical, rrb.Horizontal, rrb.Tabs, rrb.Grid)
 
 
@@ -169,8 +169,7 @@ def fitted(
 ) -> rrb.Blueprint:
     """The layout with read-outs and, live, the alarms above it.
 
-    filled: entities with something to show, all of them where None is given; a pane without any is taken out, and so is a
-    container that has no pane left.
+    filled: entities with something to show; None: all. Panes without any, and containers without panes, are removed.
     """
     body = page.root_container if filled is None else _without_empty(page.root_container, filled)
     narrow = layout == "phone"
@@ -185,24 +184,24 @@ def fitted(
 
 def _top(*, live: bool, narrow: bool) -> rrb.Container:
     """Read-outs; live with the alarms in words, and a lamp in the colour of the highest."""
-    readouts = _bare(rrb.TextDocumentView(origin=e.READOUTS, name="Read-outs"))
+    readouts = _without_title(rrb.TextDocumentView(origin=e.READOUTS, name="Read-outs"))
     if not live:
         return rrb.Horizontal(readouts)
-    words = _bare(rrb.TextDocumentView(origin=e.ALARM_WORDS, name="Alarms"))
+    words = _without_title(rrb.TextDocumentView(origin=e.ALARM_WORDS, name="Alarms"))
     if narrow:
         return rrb.Vertical(readouts, words, row_shares=[1.4, 1.0])
-    lamp = _bare(rrb.StateTimelineView(origin=e.ALARM, name="Alarm"))
+    lamp = _without_title(rrb.StateTimelineView(origin=e.ALARM, name="Alarm"))
     return rrb.Horizontal(readouts, words, lamp, column_shares=[3.4, 1.4, 0.4])
 
 
-def _bare(view: rrb.View) -> rrb.View:
-    """The view without its title bar: its height is that of a line of read-outs."""
+def _without_title(view: rrb.View) -> rrb.View:
+    """The view without its title bar, which is as high as a line of read-outs."""
     view.titlebar = False
     return view
 
 
 def _without_empty(pane: rrb.Container | rrb.View, filled: Collection[str]) -> rrb.Container | rrb.View | None:
-    """The pane with what has something to show; None where nothing of it has."""
+    """The pane without its empty parts; None where all are empty."""
     if not isinstance(pane, CONTAINERS):
         return pane if _shows(pane, filled) else None
     parts = [(i, part) for i, inner in enumerate(pane.contents) if (part := _without_empty(inner, filled)) is not None]
@@ -217,7 +216,7 @@ def _without_empty(pane: rrb.Container | rrb.View, filled: Collection[str]) -> r
 
 
 def _shows(view: rrb.View, filled: Collection[str]) -> bool:
-    """Whether any of the entities that a view asks for is filled."""
+    """Whether any of a view's entities is filled."""
     contents = [view.contents] if isinstance(view.contents, str) else list(view.contents)
     for text in contents:
         entity = str(text).replace("$origin", str(view.origin)).lstrip("+ ")

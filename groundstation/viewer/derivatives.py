@@ -1,7 +1,7 @@
-"""Identified derivatives as curves: each against what was believed of it, with its band, one plot a coefficient.
+"""Identified derivatives as curves relative to their beliefs, with bands, one plot a coefficient.
 
-Shown is (derivative - believed) / standard deviation of the belief: 0 is as believed, so that all fit one scale, and rerun fits
-a scale only to the first data. Two bounds to each side make the band. The numbers themselves are in the text beside.
+Plotted is (derivative - believed) / standard deviation of the belief, because rerun fits a scale only to the first data and this
+number fits one scale for all. The band is two bounds to each side. The derivatives themselves are in the text beside the plots.
 """
 
 import math
@@ -21,7 +21,7 @@ from groundstation.viewer.entities import drawable
 Array = NDArray[np.float64]
 
 BAND = 2.0  # bounds to each side: 95 %
-BAND_LABEL = " "  # of its edges: in the colour of their derivative, and the legend is long enough
+BAND_LABEL = " "  # of a band's edges: their colour names the derivative, and keeps the legend short
 THIN, THICK = 0.6, 2.0  # widths of lines, in points
 
 
@@ -30,7 +30,7 @@ def entity(coefficient: str) -> str:
 
 
 def by_coefficient(names: Iterable[str]) -> dict[str, list[str]]:
-    """Derivatives by the coefficient they are of, both in their order."""
+    """Coefficient -> its derivatives, both in the given order."""
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(name.partition("_")[0], []).append(name)
@@ -52,7 +52,7 @@ class DerivativeCurves:
         self._named = False
 
     def show(self, state: LiveState) -> None:
-        """One live state: a point on each curve, and the text."""
+        """Log one live state: a point on each curve, and the text."""
         beliefs = state.aircraft.airframe.beliefs
         self._name_once(by_coefficient(state.aircraft.shown), state.aircraft.sources)
         self._stream.set_time(e.TIMELINE, duration=state.time)
@@ -67,7 +67,7 @@ class DerivativeCurves:
         self._stream.log(e.IDENTIFIED, text)
 
     def show_history(self, detail: Mapping[str, object]) -> None:
-        """The history that a finished flight carries, if it does."""
+        """Log the history that a finished flight carries, if any."""
         history = history_of(detail)
         if history is None:
             return
@@ -99,7 +99,7 @@ class DerivativeCurves:
 
 
 def _band(value: float, bound: float, belief: Belief) -> Sequence[float]:
-    """Estimate and the edges of its band, in standard deviations of the belief."""
+    """Estimate and the edges of its band, in standard deviations of the belief; NaN without an estimate or a belief."""
     if not (math.isfinite(value) and belief.std > 0.0):
         return (math.nan,) * 3
     centre, half = (value - belief.value) / belief.std, BAND * bound / belief.std

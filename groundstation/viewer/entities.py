@@ -1,7 +1,7 @@
 """What the viewer shows, derived from the channel table: groups of series, their units and colours.
 
 Columns that share an entity in the table are logged together as one vector of scalars, because in rerun the cost is
-per entity and chunk, not per number. Angles are shown in degrees: this is a person's face, not the inside.
+per entity and chunk, not per number. Angles are shown in degrees.
 """
 
 import math
@@ -38,7 +38,7 @@ MODEL = "/model"
 IDENTIFICATION = "/identification"
 IDENTIFIED = f"{IDENTIFICATION}/words"
 
-# Okabe-Ito: told apart by colour-blind people too, and readable on rerun's dark ground.
+# Okabe-Ito: colour-blind people can distinguish them too, and they are readable on rerun's dark background.
 PALETTE = (0x56B4E9FF, 0xE69F00FF, 0x009E73FF, 0xF0E442FF, 0xCC79A7FF, 0xD55E00FF, 0x0072B2FF, 0xBBBBBBFF)
 
 LINK_SERIES = (
@@ -72,8 +72,8 @@ class LinkSample:
         return dict(zip((row[0] for row in LINK_SERIES), values, strict=True))
 
 
-_HUES: Mapping[str, int] = {"/controls/commanded": 3}  # drawn with what was measured
-_MODEL_HUE = 4
+_HUES: Mapping[str, int] = {"/controls/commanded": 3}  # drawn in one plot with the measured deflections
+_MODEL_HUE = 4  # of a model's series, drawn with the measured ones
 
 _SHOWN: Mapping[str, tuple[str, float, float]] = {
     "rad": ("deg", math.degrees(1), 0.0),
@@ -87,7 +87,7 @@ _SHOWN: Mapping[str, tuple[str, float, float]] = {
 class SeriesGroup:
     """Columns drawn from one entity. shown = value * scale + offset, element by element.
 
-    hue: where in the palette its colours begin, so that groups drawn in one plot are told apart.
+    hue: index in the palette at which its colours begin, so that groups drawn in one plot differ.
     """
 
     entity: str
@@ -98,7 +98,7 @@ class SeriesGroup:
     hue: int = 0
 
     def shown(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Column values, last axis in order of `columns`, in the units a person reads."""
+        """Column values, last axis in order of `columns`, in the units shown."""
         return values * self.scale + self.offset
 
     @property
@@ -123,8 +123,8 @@ def series_groups(available: Iterable[str] | None = None) -> tuple[SeriesGroup, 
 
 
 def model_groups(available: Iterable[str], whose: str = "model") -> tuple[SeriesGroup, ...]:
-    """Series of an estimated model that a flight carries beside the measured ones, as columns `<name>_model`; or of another
-    flight. whose: word behind each name."""
+    """Series of the columns `<name>_model`: an estimated model that a flight carries, or another flight. whose: word that follows
+    each name in the legend."""
     names = {c.removesuffix("_model") for c in available if c.endswith("_model")}
     rows = [c for c in COLUMNS if c.name in names]
     groups = []
@@ -159,7 +159,7 @@ STATE_COLORS: Mapping[str, int] = {
 }
 
 
-# what rerun's only font does not hold; its native viewer (0.41) ends at the first such letter
+# letters missing in rerun's only font: its native viewer (0.41) crashes at the first
 UNDRAWN = re.compile("[^\n -~¡-¬®-ňŊ-ſΑ-ΡΣ-Ωα-ωА-я\u0302\u0307ḣṗṙẊ→−√≠■…]")
 
 
@@ -168,23 +168,23 @@ def drawable(text: str) -> str:
     return UNDRAWN.sub("?", text)
 
 
-SPAN, ROOT_CHORD, TAPER, CG_AFT_OF_NOSE = 1.50, 0.90, 0.1667, 0.44
-FIN_HEIGHT, FIN_ROOT, FIN_TIP = 0.30, 0.28, 0.16
+SPAN, ROOT_CHORD, TAPER, CG_AFT_OF_NOSE = 1.50, 0.90, 0.1667, 0.44  # m, of the drawn flying wing
+ELEVON_CHORD, FIN_HEIGHT, FIN_ROOT, FIN_TIP = 0.12, 0.30, 0.28, 0.16  # m
 _WING, _ELEVON, _FIN = (0x9FB4C7FF, 0xE69F00FF, 0xD55E00FF)
 
 
 def airframe_mesh() -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.uint32]]:
-    """Vertices (n, 3), triangles (m, 3) and vertex colours (n,) 0xRRGGBBAA; both faces of every plate."""
+    """Vertices (n, 3) in body axes [m], triangles (m, 3) and vertex colours (n,) 0xRRGGBBAA; both faces of every plate."""
     nose = CG_AFT_OF_NOSE
     tail = nose - ROOT_CHORD
     tip_lead = tail + ROOT_CHORD * TAPER
     half = SPAN / 2
-    hinge = 0.12
+    hinge = tail + ELEVON_CHORD
     plates: list[tuple[list[tuple[float, float, float]], int]] = []
     for side in (-1.0, 1.0):
         y = side * half
-        plates.append(([(nose, 0.0, 0.0), (tip_lead, y, 0.0), (tail + hinge, y, 0.0), (tail + hinge, 0.0, 0.0)], _WING))
-        plates.append(([(tail + hinge, 0.0, 0.0), (tail + hinge, y, 0.0), (tail, y, 0.0), (tail, 0.0, 0.0)], _ELEVON))
+        plates.append(([(nose, 0.0, 0.0), (tip_lead, y, 0.0), (hinge, y, 0.0), (hinge, 0.0, 0.0)], _WING))
+        plates.append(([(hinge, 0.0, 0.0), (hinge, y, 0.0), (tail, y, 0.0), (tail, 0.0, 0.0)], _ELEVON))
     fin = [(tail + FIN_ROOT, 0.0, 0.0), (tail + FIN_TIP, 0.0, -FIN_HEIGHT), (tail, 0.0, -FIN_HEIGHT), (tail, 0.0, 0.0)]
     plates.append((fin, _FIN))
     vertices = np.array([v for corners, _ in plates for v in corners], np.float32)

@@ -26,7 +26,9 @@ LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
 """Names in a Host header that mean this computer."""
 
 MOST_CONNECTIONS = 64
-MOST_OF_ONE = 24  # from one other computer, which must not block all others: a browser uses six and its streams
+MOST_OF_ONE = (
+    24  # connections of one other computer, so that it cannot block all others: a browser has six, and its streams
+)
 HEAD_S = 5.0  # in which the head of a request must be complete
 IDLE_S = 600.0  # without a byte in either direction, after which a connection is closed
 LONGEST_HEAD = 16384  # bytes
@@ -62,7 +64,7 @@ def free_port() -> int:
 
 
 def hidden_address() -> str:
-    """A random loopback address, which a page of another site cannot know; the usual one on systems that have only that."""
+    """A random loopback address, which a page of another site cannot know; 127.0.0.1 on systems with only that one."""
     if sys.platform != "linux":
         return LOOPBACK
     return f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}.{secrets.randbelow(253) + 2}"

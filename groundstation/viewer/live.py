@@ -1,9 +1,9 @@
-"""The live view: a thread that logs to rerun, fed through a bounded queue that drops the oldest.
+"""The live view: a thread that logs to rerun, fed through a bounded queue that drops the oldest entries.
 
-The ground station's receiver never waits for the picture: `LiveView` calls return at once, and when the viewer side is
-slow the oldest pictures are dropped and counted. Received and recorded data are elsewhere and lose nothing. The gRPC
-server that viewers attach to lives in this process, on loopback, with bounded memory; viewers may come, die and come
-back. Each start makes a recording id of its own, because a viewer shows an old recording for a known id.
+The ground station's receiver never waits for the view: `LiveView` calls return at once, and when the viewer is slow the
+oldest pictures are dropped and counted. Recordings are independent of it and lose nothing. The gRPC server to which viewers
+connect runs in this process, on loopback, with bounded memory; viewers may connect and disconnect at any time. Each start makes
+a new recording id, because a viewer shows an old recording for a known id.
 """
 
 import queue
@@ -25,21 +25,21 @@ from groundstation.viewer.gate import LOOPBACK, ViewerError, ViewerGate, free_po
 from groundstation.viewer.scene import Scene
 
 DEFAULT_PORT = 9876
-QUEUE_LENGTH = 600
+QUEUE_LENGTH = 600  # pictures: some ten seconds at 20 scans a second
 TICK_S: Mapping[str, float] = {"full": 0.5, "light": 1.0, "phone": 1.0}
-"""Ten packets a second keep a browser that draws by software, on two busy cores, 11 to 14 s behind, four still do at times; with
-two it is behind by a second."""
-FLUSH_TIMEOUT_S = 5.0
+"""Interval of packets to viewers [s]. At ten packets a second a browser that draws by software on two busy cores lags by 11 to
+14 s, at four sometimes too; at two it lags by a second."""
+FLUSH_TIMEOUT_S = 5.0  # for the queue to empty when the view is closed
 
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions:
-    """How to show: layout, gRPC port on loopback, memory the server may keep, and a file to write instead or too.
+    """Options of a live view.
 
-    open_port: whether further viewers of this computer may attach to `port`; else only who is told the address.
-    tick_s: how long pictures are collected before they are sent together; None as suits the layout. When flight time
-    runs faster than the clock on the wall it should be as much shorter, or every packet holds minutes. coefficients: whose
-    derivatives are drawn as they are identified.
+    port: gRPC port on loopback. memory_limit: of the server. rrd: file to write, besides the server or, without `serve`, instead.
+    open_port: whether further viewers of this computer may connect to `port`; else a viewer needs the hidden address. tick_s: how
+    long pictures are collected before they are sent together; None as suits the layout. When flight time runs faster than real
+    time it should be shorter by the same factor, or every packet holds minutes. coefficients: whose derivatives are drawn.
     """
 
     layout: Layout = "full"

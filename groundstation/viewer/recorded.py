@@ -1,10 +1,10 @@
-"""Any file a person may have, as a rerun recording: flights, raw recordings, recordings of rerun itself."""
+"""Any file as a rerun recording: flights, raw recordings, recordings of rerun itself."""
 
 import math
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
@@ -13,7 +13,7 @@ from daq.contract.recordings.messages import LogLevel
 from groundstation.calibration.recording import calibrate_opened, is_raw, open_flight, open_recording
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.beside import beside
-from groundstation.flight.marks import marks_of
+from groundstation.flight.marks import EVENTS, marks_of, rows_of
 from groundstation.flight.writing import rerun_file
 from groundstation.identification.history import history_of
 from groundstation.live.readouts import READOUTS
@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 StateHistory = Mapping[str, Sequence[tuple[float, str]]]
 TimedText = tuple[float, str, str]
 
-_TOLD = 20  # damages on the status page
-_LATEST_S = 2**63 * 1e-9  # what rerun's nanoseconds can hold
+_MOST_DAMAGES = 20  # listed on the status page
 
 _LEVELS = {
     LogLevel.UNKNOWN: "INFO",
@@ -45,7 +44,7 @@ _LEVELS = {
 
 
 def as_rrd(file: Path, target: Path, layout: Layout = "full", calibration: Path | None = None) -> Path:
-    """Path of an .rrd with what FILE holds; `target` is written unless FILE is one already.
+    """Path of an .rrd with the content of FILE: `target`, which is written, or FILE where it is an .rrd already.
 
     Raises ViewerError, FlightError, RecordingError or CalibrationError with one sentence.
     """
@@ -66,7 +65,7 @@ def as_rrd(file: Path, target: Path, layout: Layout = "full", calibration: Path 
 def both_as_rrd(
     first: Path, second: Path, target: Path, layout: Layout, by: str, calibration: Path | None = None
 ) -> tuple[Path, str]:
-    """Two files as one view, the second laid on the first in time; the path, and how the second was moved."""
+    """Two files as one view, the second moved in time onto the first: the path, and a sentence on the shift."""
     a, b = (open_flight(f, calibration) for f in (first, second))
     pair = beside(a, b, by)
     events = _events(a) + [(t + pair.shift, f"{b.name}: {text}", level) for t, text, level in _events(b)]
@@ -100,7 +99,7 @@ def _link(file: Path) -> list[tuple[float, LinkSample]]:
 
 
 def _status(recording: "Recording", flight: Flight, notes: list[str]) -> str:
-    """The status page: what this recording is, and how it went."""
+    """The status page as Markdown: identity, counters and damages of the recording."""
     info = recording.info
     source = f"{info.source}, received by radio" if info.role == "received" else info.source
     lines = [
@@ -114,33 +113,23 @@ def _status(recording: "Recording", flight: Flight, notes: list[str]) -> str:
     if s is not None:
         lines.append(f"- {s.written} scans written, {s.dropped} dropped, {s.lost} lost, {s.missed} slots missed")
     damages = recording.damages
-    lines += [f"- damaged: {p.name} byte {d.at_byte}: {d.what}" for p, d in damages[:_TOLD]] or ["- no damage found"]
-    lines += [f"- damaged in {len(damages) - _TOLD} more places"] if len(damages) > _TOLD else []
+    lines += [f"- damaged: {p.name} byte {d.at_byte}: {d.what}" for p, d in damages[:_MOST_DAMAGES]] or [
+        "- no damage found"
+    ]
+    lines += [f"- damaged in {len(damages) - _MOST_DAMAGES} more places"] if len(damages) > _MOST_DAMAGES else []
     return "\n".join(lines)
 
 
 def _events(flight: Flight) -> list[TimedText]:
-    """Event marks and manoeuvres that the flight carries; what is none (a flight may come from anybody) is left out."""
-    events = []
-    for row in _listed(flight, "events", ("time", "origin", "text")):
-        events.append((float(row["time"]), f"event ({row['origin']}): {row['text']}", "INFO"))
-    for row in _listed(flight, "manoeuvres", ("start", "title")):
-        events.append((float(row["start"]), f"manoeuvre: {row['title']}", "INFO"))
-    marks = marks_of(flight)
-    events += [(m.start, f"mode: {m.name}", "INFO") for m in marks.modes if abs(m.start) <= _LATEST_S]
-    events += [(m.time, f"message ({m.origin}): {m.text}", "INFO") for m in marks.messages if abs(m.time) <= _LATEST_S]
-    return sorted(events)
-
-
-def _listed(flight: Flight, key: str, fields: tuple[str, ...]) -> list[dict[str, Any]]:
-    """The objects of a list in the flight's provenance that have all `fields`, the first of them a finite number."""
-    rows = flight.provenance.detail.get(key, [])
-    return [
-        row
-        for row in (rows if isinstance(rows, list) else [])
-        if isinstance(row, dict) and row.keys() >= set(fields)
-        if isinstance(row[fields[0]], int | float) and abs(row[fields[0]]) <= _LATEST_S
+    """Events, manoeuvres, modes and messages that the flight carries, as time [s], text, level; malformed ones are left out."""
+    detail, marks = flight.provenance.detail, marks_of(flight)
+    timed = [
+        (r["time"], f"event ({r.get('origin', '')}): {r['text']}") for r in rows_of(detail, EVENTS, ("time",), "text")
     ]
+    timed += [(r["start"], f"manoeuvre: {r['title']}") for r in rows_of(detail, "manoeuvres", ("start",), "title")]
+    timed += [(m.start, f"mode: {m.name}") for m in marks.modes]
+    timed += [(m.time, f"message ({m.origin}): {m.text}") for m in marks.messages]
+    return sorted((float(time), text, "INFO") for time, text in timed)
 
 
 def write_rrd(
@@ -154,7 +143,7 @@ def write_rrd(
     status: str = "",
     whose: str = "model",
 ) -> None:
-    """Write a flight as .rrd with its blueprint inside. whose: what the columns `<name>_model` are of.
+    """Write a flight as .rrd with its blueprint. whose: word for the origin of the columns `<name>_model`.
 
     states: sensor group -> (time [s], state in words). events: (time [s], text, level). link: (time [s], quality).
     status: the status page as Markdown.
@@ -162,15 +151,15 @@ def write_rrd(
     """
     run = f"{drawable(flight.name)}-{uuid.uuid4().hex[:8]}"
     stream = rr.RecordingStream(e.APPLICATION, recording_id=run)
-    lanes = states or {}
-    filled = filled_entities(flight, lanes, events, link, status)
+    histories = states or {}
+    filled = filled_entities(flight, histories, events, link, status)
     coefficients = _identified(flight)
     page = blueprint(layout, live=False, identified=bool(coefficients), coefficients=coefficients)
     try:
         with rerun_file(stream, path, fitted(page, live=False, filled=filled, layout=layout)):
             scene = Scene(stream, tuple(flight.columns), whose)
             scene.flight(flight)
-            for group, history in lanes.items():
+            for group, history in histories.items():
                 for time, state in history:
                     scene.states(time, {group: state})
             for time, text, level in events:
@@ -190,7 +179,7 @@ def filled_entities(
     link: Sequence[tuple[float, LinkSample]],
     status: str,
 ) -> set[str]:
-    """Entities of the layout that this flight has something to show in; a pane of none of them stays away."""
+    """Entities of the layout for which this flight has data; panes without any are not drawn."""
     columns = [c for c in flight.columns if flight.measured(c)]
     filled = {group.entity for group in (*e.series_groups(columns), *e.model_groups(columns))}
     fixed = [np.isfinite(flight[c]) for c in ("latitude", "longitude") if c in flight]

@@ -1,7 +1,7 @@
-"""Turns calibrated samples, states and events into rerun entities; used alike for live data and for replay.
+"""Turns calibrated samples, states and events into rerun entities, for live data and for recorded flights.
 
-Time is the flight's own time [s] on the timeline `flight_time`. Nothing here opens a socket or a file: the
-`RecordingStream` with its sinks is given by the caller.
+Time is the flight's own time [s] on the timeline `flight_time`. Nothing here opens a socket or a file: the caller gives the
+`RecordingStream` with its sinks.
 """
 
 import math
@@ -20,9 +20,10 @@ from groundstation.viewer import entities as e
 from groundstation.viewer.derivatives import DerivativeCurves, send_scalars
 from groundstation.viewer.entities import LinkSample, airframe_mesh, drawable
 
-TRACK_POINTS = 400
-TRACK_SCALE = 12.0
-TRACK_PERIOD_S = 2.0
+TRACK_POINTS = 400  # drawn at most, the latest live, evenly spaced of a recorded flight
+TRACK_SCALE = 12.0  # of the aircraft on its track, where it would be too small to be seen
+AXIS_LENGTH = 0.7  # m, of the drawn body axes
+TRACK_PERIOD_S = 2.0  # between two drawings of the track
 READOUT_PERIOD_S = 0.5  # between read-outs of a recorded flight
 READOUTS_OF_A_FLIGHT = 4000  # some 400 kB; half an hour at the period above
 
@@ -40,8 +41,8 @@ def quaternion_xyzw(phi: float, theta: float, psi: float) -> tuple[float, float,
     )
 
 
-def _lane(colors: Mapping[str, int]) -> rr.StateConfiguration:
-    """States in words, each with its colour."""
+def _state_colors(colors: Mapping[str, int]) -> rr.StateConfiguration:
+    """The colours of a timeline of states."""
     names = list(colors)
     return rr.StateConfiguration(values=names, labels=names, colors=np.array(list(colors.values()), np.uint32))
 
@@ -60,10 +61,10 @@ class Scene:
         self._track: deque[tuple[float, float, float, float, float]] = deque(maxlen=TRACK_POINTS)
         self._next_track = -math.inf
         self._derivatives = DerivativeCurves(stream)
-        self.log_statics()
+        self._log_statics()
 
-    def log_statics(self) -> None:
-        """Names, colours, the aircraft's mesh: what a viewer needs once. Logged again after a reconnect."""
+    def _log_statics(self) -> None:
+        """Log what does not change: names, colours, the aircraft's mesh."""
         rec = self._stream
         rec.log("/world", rr.ViewCoordinates.FRD, static=True)
         for group in self._groups:
@@ -72,18 +73,17 @@ class Scene:
         mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=colors)
         rec.log(e.ATTITUDE, rr.ViewCoordinates.FRD, static=True)
         rec.log(f"{e.CHASED}/airframe", mesh, static=True)
-        # On the track the aircraft would be too small to be seen.
         rec.log(f"{e.AIRCRAFT}/airframe", mesh, rr.Transform3D(scale=TRACK_SCALE), static=True)
         axes = rr.Arrows3D(
-            vectors=np.eye(3, dtype=np.float32) * 0.7,
+            vectors=np.eye(3, dtype=np.float32) * AXIS_LENGTH,
             colors=np.array([0xD55E00FF, 0x009E73FF, 0x56B4E9FF], np.uint32),
             labels=["x", "y", "z"],
             show_labels=False,
         )
         rec.log(f"{e.CHASED}/axes", axes, static=True)
-        rec.log(e.ALARM, _lane(e.ALARM_COLORS), static=True)
+        rec.log(e.ALARM, _state_colors(e.ALARM_COLORS), static=True)
         for sensor in e.HEALTH_TITLES:
-            rec.log(e.health_entity(sensor), _lane(e.STATE_COLORS), static=True)
+            rec.log(e.health_entity(sensor), _state_colors(e.STATE_COLORS), static=True)
         for entity, label, color in e.LINK_SERIES:
             rec.log(entity, rr.SeriesLines(names=[label], colors=np.array([color], np.uint32)), static=True)
 
@@ -102,7 +102,7 @@ class Scene:
         self._position(time, values)
 
     def _pose(self, angles: list[float]) -> None:
-        """The aircraft on its track, and as seen by one who flies behind it: bank and pitch, the heading always ahead."""
+        """Log the aircraft's attitude on its track, and as seen from behind: bank and pitch without heading."""
         translation = self._track[-1][2:] if self._track else (0.0, 0.0, 0.0)
         attitude = rr.Quaternion(xyzw=quaternion_xyzw(*angles))
         chased = rr.Quaternion(xyzw=quaternion_xyzw(angles[0], angles[1], 0.0))
@@ -126,6 +126,7 @@ class Scene:
         self._stream.log(e.MAP_TRACK, rr.GeoLineStrings(lat_lon=[points[:, :2]]))
 
     def _local(self, latitude: float, longitude: float) -> tuple[float, float]:
+        """North and east [m] of the first fix."""
         if self._origin is None:
             self._origin = (latitude, longitude)
         lat0, lon0 = self._origin
@@ -153,7 +154,7 @@ class Scene:
         self._document(e.STATUS, markdown)
 
     def readouts(self, time: float, numbers: str, alarms: str, level: str) -> None:
-        """The digital read-outs, and of alarms what has changed; level: the highest in force, "" for none."""
+        """The digital read-outs, and the alarms where they have changed; level: the highest in force, "" for none."""
         self._stream.set_time(e.TIMELINE, duration=time)
         self._document(e.READOUTS, numbers)
         if (alarms, level) != self._alarm:
@@ -177,12 +178,11 @@ class Scene:
     def flight(self, flight: Flight) -> None:
         """A whole recorded flight in a few column batches."""
         for group in self._groups:
-            present = [c for c in group.columns if c in flight]
             table = np.column_stack(
                 [flight[c] if c in flight else np.full(len(flight), math.nan) for c in group.columns]
             )
             keep = np.isfinite(table).any(axis=1)
-            if present and keep.any():
+            if keep.any():
                 send_scalars(self._stream, group.entity, flight.time[keep], group.shown(table[keep]))
         self._flight_pose(flight)
         self._flight_readouts(flight)
@@ -208,14 +208,13 @@ class Scene:
             return
         index = rr.TimeColumn(e.TIMELINE, duration=flight.time[keep])
         attitudes = [quaternion_xyzw(*row) for row in angles[keep]]
-        places = self._places(flight, keep)
-        pose = rr.Transform3D.columns(quaternion=attitudes, translation=places)
+        pose = rr.Transform3D.columns(quaternion=attitudes, translation=self._translations(flight, keep))
         self._stream.send_columns(e.AIRCRAFT, indexes=[index], columns=pose)
         attitudes_ahead = [quaternion_xyzw(phi, theta, 0.0) for phi, theta, _ in angles[keep]]
         self._stream.send_columns(e.CHASED, indexes=[index], columns=rr.Transform3D.columns(quaternion=attitudes_ahead))
 
     def _flight_readouts(self, flight: Flight) -> None:
-        """The read-outs of a recorded flight, at most READOUTS_OF_A_FLIGHT of them: the viewer shows those at its cursor."""
+        """Log the read-outs of a recorded flight, at most READOUTS_OF_A_FLIGHT; the viewer shows those at its cursor."""
         columns = {r.column: flight[r.column] for r in READOUTS if flight.measured(r.column)}
         if not columns:
             return
@@ -231,17 +230,17 @@ class Scene:
         documents = rr.TextDocument.columns(text=texts, media_type=[rr.MediaType.MARKDOWN] * len(texts))
         self._stream.send_columns(e.READOUTS, indexes=[index], columns=documents)
 
-    def _places(self, flight: Flight, keep: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Where on its track the aircraft was at some samples, north, east, down [m]; the origin without fixes."""
+    def _translations(self, flight: Flight, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+        """(rows, 3) position of the aircraft on its track at some samples, north, east, down [m]; zeros without fixes."""
         if not all(c in flight for c in ("latitude", "longitude")):
-            return np.zeros((keep.size, 3))
+            return np.zeros((rows.size, 3))
         height = flight["altitude_gnss"] if "altitude_gnss" in flight else flight["latitude"] * math.nan
         if not np.isfinite(height).any() and "altitude" in flight:
             height = flight["altitude"]
         fixes = np.flatnonzero(np.isfinite(flight["latitude"]) & np.isfinite(flight["longitude"]))
         if not fixes.size:
-            return np.zeros((keep.size, 3))
+            return np.zeros((rows.size, 3))
         local = [self._local(flight["latitude"][i], flight["longitude"][i]) for i in fixes]
         table = np.column_stack([np.array(local), -np.nan_to_num(height[fixes])])
-        sample_times, times = flight.time[keep], flight.time[fixes]
+        sample_times, times = flight.time[rows], flight.time[fixes]
         return np.column_stack([np.interp(sample_times, times, table[:, i]) for i in range(3)])

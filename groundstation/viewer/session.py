@@ -1,4 +1,4 @@
-"""The views of a session: one picture an aircraft, with its page or window; none of them can end or delay the session."""
+"""The views of a session: one for each aircraft, with its page or window. None of them can end or delay the session."""
 
 import secrets
 import time
@@ -10,15 +10,15 @@ from groundstation.viewer.gate import LOOPBACK, ViewerError, port_is_free
 from groundstation.viewer.live import LiveView, ViewOptions
 from groundstation.viewer.window import NativeWindow, WebPage, Window
 
-_RESTART_S = 5.0
+_RESTART_S = 5.0  # between two looks for pages whose process has ended
 _PORTS_TRIED = 100
 
 
 class SessionViews:
-    """Makes views on the configured ports, counted up for further aircraft. say: where addresses and troubles go. model: of
-    live identification, whose derivatives are drawn.
+    """Makes views on the configured ports, and on the next ones for further aircraft. say: prints addresses and troubles. model:
+    of live identification, whose derivatives are drawn.
 
-    Raises ViewerError when made, if a configured port is taken: later that costs the picture only.
+    Raises ViewerError when made, if a configured port is in use; later that only costs the view.
     """
 
     def __init__(self, config: ViewConfig, window: Window, say: Callable[[str], None], model: str = "") -> None:
@@ -29,7 +29,7 @@ class SessionViews:
         self._views: list[LiveView] = []
         self._windows: list[WebPage | NativeWindow] = []
         self._pages: dict[int, str] = {}  # index of a page: the aircraft's name
-        self._next_look = 0.0
+        self._next_check_s = 0.0
         for key, port in (("port", config.port), ("web_port", config.web_port)):
             if not port_is_free(port) and (key == "port" or window == "web"):
                 raise ViewerError(f"[view] {key}: {LOOPBACK}:{port} is in use; close the other viewer or give another")
@@ -37,7 +37,7 @@ class SessionViews:
             self._say(f"the page opens with the first aircraft heard, at http://{config.host}:{config.web_port}/")
 
     def make(self, system: int) -> LiveView | None:
-        """The view of an aircraft; None, and a word, when there can be none."""
+        """The view of an aircraft; None, and a line that says why, when there can be none."""
         name = f"aircraft {system}"
         try:
             port = _free_from(self._config.port + len(self._views))
@@ -68,11 +68,11 @@ class SessionViews:
         return view
 
     def tend(self) -> None:
-        """Called often: a page whose process has died is started anew. A window may be closed as one likes."""
+        """Restart a page whose process has ended. A person may close a window, which stays closed. Call it often."""
         now_s = time.monotonic()
-        if now_s < self._next_look:
+        if now_s < self._next_check_s:
             return
-        self._next_look = now_s + _RESTART_S
+        self._next_check_s = now_s + _RESTART_S
         for index, name in self._pages.items():
             page = self._windows[index]
             if isinstance(page, WebPage) and not page.open:
@@ -87,7 +87,7 @@ class SessionViews:
 
 
 def _free_from(port: int) -> int:
-    """The first free port from this one on; ViewerError when there is none near it."""
+    """The first free port from `port` on. Raises ViewerError when _PORTS_TRIED are in use."""
     for candidate in range(port, min(port + _PORTS_TRIED, 65536)):
         if port_is_free(candidate):
             return candidate

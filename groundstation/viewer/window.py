@@ -1,8 +1,8 @@
 """Windows onto a live or recorded flight: rerun's native viewer, or its web page served on loopback only.
 
 The web page comes from the rerun binary, because the Python call `serve_web_viewer` listens on every interface, and goes
-through `groundstation.viewer.page`, which keeps it from calling home. The binary itself asks for newer versions and reports
-its use by HTTPS; it honours proxies, so it is given one that is not there.
+through `groundstation.viewer.page`, which confines it to this computer. The binary itself asks for newer versions and reports
+its use by HTTPS. It uses proxies, so it is given one that does not exist.
 """
 
 import contextlib
@@ -24,7 +24,9 @@ from groundstation.viewer.page import DIRECT, TOKEN, PageServer
 Window = Literal["web", "native", "none"]
 DEFAULT_WEB_PORT = 9090
 START_TIMEOUT_S = 20.0
-VIEWER_MEMORY = "2GB"
+_GRACE_S = 2.0  # for rerun to end by itself
+VIEWER_MEMORY = "2GB"  # of rerun's window
+SERVER_MEMORY = "512MB"  # of the server behind a page: a recorded flight
 
 
 def rerun_binary() -> str:
@@ -41,21 +43,23 @@ def rerun_binary() -> str:
     return str(path)
 
 
-_NOWHERE = f"http://{LOOPBACK}:9"  # port 9 discards what it is sent, where anything listens there at all
-_PROXIES = {name: _NOWHERE for way in ("all", "http", "https") for name in (f"{way}_proxy", f"{way}_proxy".upper())}
+_NOWHERE = f"http://{LOOPBACK}:9"  # the discard port, on which usually nothing listens
+_PROXIES = {
+    name: _NOWHERE for scheme in ("all", "http", "https") for name in (f"{scheme}_proxy", f"{scheme}_proxy".upper())
+}
 
 _PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None) if sys.platform == "linux" else None
 
 
 def _start(command: list[str]) -> "subprocess.Popen[bytes]":
-    """Start rerun as a child that does not outlive this process, not even one that is killed: it would hold its port."""
+    """Start rerun as a child that ends with this process, even if that is killed: else it would hold its port."""
 
     def end_with_parent() -> None:
         if _libc is not None:
             _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
-    # The function takes no lock, so that this process's threads do not matter to it.
+    # safe in a process with threads: the function takes no lock
     quiet = subprocess.DEVNULL
     return subprocess.Popen(command, stdout=quiet, stderr=quiet, env=os.environ | _PROXIES, preexec_fn=end_with_parent)  # noqa: PLW1509
 
@@ -69,7 +73,7 @@ class RerunProcess:
 
     @property
     def open(self) -> bool:
-        """Whether the process is there."""
+        """Whether the process runs."""
         return self._process.poll() is None
 
     @property
@@ -80,15 +84,15 @@ class RerunProcess:
         self._process = _start(self._command)
 
     def wait(self, timeout: float | None = None) -> None:
-        """Until the process ends, as when a person closes its window, or the time is over."""
+        """Wait until the process ends, as when a person closes its window, or for `timeout` [s]."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(timeout)
 
     def close(self) -> None:
-        """End the process; rerun has been seen to survive one SIGTERM, so it is killed after a grace time."""
+        """End the process; rerun sometimes survives a SIGTERM, so it is killed after a grace time."""
         self._process.terminate()
         try:
-            self._process.wait(2.0)
+            self._process.wait(_GRACE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -115,7 +119,7 @@ class WebPage(RerunProcess):
             raise ViewerError(f"web port {LOOPBACK}:{port} is in use; give another with --web-port")
         data_port, hidden, files_port = free_port(), hidden_address(), free_port()
         command = ["--serve-web", "--bind", hidden, "--port", str(data_port)]
-        command += ["--web-viewer-port", str(files_port), "--server-memory-limit", "512MB"]
+        command += ["--web-viewer-port", str(files_port), "--server-memory-limit", SERVER_MEMORY]
         live = not isinstance(source, Path)
         backend = urllib.parse.urlsplit(str(source)).netloc if live else f"{hidden}:{data_port}"
         public_host = socket.gethostname() if host not in (LOOPBACK, "localhost") and host.startswith("0.") else host

@@ -1,4 +1,4 @@
 """The verbs of the command line, a file each: parse, call the public function, print, save.
 
-Function bodies import what they need, when it is needed.
+Commands import heavy modules in their functions, so that `--help` and light verbs are fast.
 """

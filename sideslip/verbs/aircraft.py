@@ -1,4 +1,4 @@
-"""`sideslip aircraft`: a file for one's own aircraft, and what it is good for."""
+"""`sideslip aircraft`: writes and checks an aircraft file."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def aircraft() -> None:
 @click.argument("name")
 @path_option("-o", "--output", "--out", text="File to write [default: NAME.toml].")
 def new(name: str, output: Path | None) -> None:
-    """Write a commented file for aircraft NAME, every key explained; asks nothing, replaces nothing."""
+    """Write a commented file for aircraft NAME, every key explained; replaces no file."""
     from sideslip.aircraft_files import new_aircraft
 
     target = new_aircraft(name, output)
@@ -31,7 +31,7 @@ def new(name: str, output: Path | None) -> None:
 def check(file: str, json_path: Path | None) -> int:
     """Say what in FILE (or a built-in aircraft) is missing, doubtful, or enough for which method.
 
-    Exit status 1 where it says something impossible, or is not enough for any model.
+    Exit status 1 where a value is impossible, or the file is not enough for any model.
     """
     from sideslip.aircraft_files import check_aircraft
     from sideslip.verbs.delivery import deliver

@@ -1,11 +1,11 @@
-"""The verb `analyse`: from logs to one page, each stage kept so that a rerun does what has changed and no more."""
+"""The verb `analyse`: from logs to one page; stages are stored, so that a rerun repeats only what has changed."""
 
 from pathlib import Path
 
 import click
 
 from daq.utilities.options import aircraft_option, flights_argument, json_option, path_option
-from daq.utilities.outputs import tried_folder, write_json
+from daq.utilities.outputs import tried_folder
 
 EXAMPLE = "Example: sideslip analyse log.bin --map surfaces.toml --aircraft plane.toml -o analysis"
 _PATH = click.Path(path_type=Path)
@@ -30,17 +30,9 @@ def analyse(
 ) -> int:
     """From LOGs to an answer: import, contradictions, stretches, air data, the richest model, estimate, gap and one page."""
     from sideslip import analysis
-    from sideslip.verbs.delivery import Progress
+    from sideslip.verbs.delivery import Progress, deliver
 
     with Progress("analysing") as progress:
         answer = analysis.analyse(logs, aircraft, mapping, holdout, output, progress)
-    for line in answer.lines():
-        click.echo(line)
-    if json_path is not None:
-        write_json(answer.to_json(), json_path)
-    repeated_stages = ", ".join(answer.repeated)
-    click.echo(
-        f"page: {output / 'index.html'}"
-        + (f" (done in this run: {repeated_stages})" if repeated_stages else " (nothing had changed)")
-    )
-    return 0 if answer.passed else 1
+    stages = f"done in this run: {', '.join(answer.repeated)}" if answer.repeated else "nothing had changed"
+    return deliver(answer, json_path, written=[f"page: {output / 'index.html'} ({stages})"])

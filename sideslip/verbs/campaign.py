@@ -1,4 +1,4 @@
-"""The verb `campaign`: many flights on one machine or many, resumable, into tables that people can query."""
+"""The verb `campaign`: many flights on one machine or several, resumable, into tables to query."""
 
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
 @flag_option("--no-report", text="Tables only, no page.")
 @json_option("Write counts and failures as JSON.")
 def campaign(flights: tuple[str, ...], json_path: Path | None, **options: Any) -> int:
-    """Estimate many flights (files, patterns, folders, URLs; or a PLAN.toml); what lies in --out already is not done again."""
+    """Estimate many flights (files, patterns, folders, URLs; or a PLAN.toml); finished work in --out is not repeated."""
     from sideslip.campaigns import campaign as estimate_all
     from sideslip.verbs.delivery import Progress, deliver
 

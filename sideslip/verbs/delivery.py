@@ -1,4 +1,4 @@
-"""What verbs share: progress of long work, and what becomes of an answer: files written, lines printed, exit status."""
+"""Shared by the verbs: progress of long work, and the delivery of an answer: files written, lines printed, exit status."""
 
 import sys
 from collections.abc import Iterable
@@ -26,11 +26,11 @@ def deliver(
     lines: Iterable[str] | None = None,
     written: Iterable[str] = (),
 ) -> int:
-    """Write, print, and give the exit status: 1 where the answer is a failed check.
+    """Write and print an answer, and give the exit status: 1 where it is a failed check.
 
-    lines: in place of the answer's own; written: a line on each file that the verb has written itself.
+    lines: printed instead of the answer's. written: a line on each file that the verb has written itself.
     """
-    # files first: a reader that closes the pipe early (| head) must not cost a result
+    # files first: a reader that closes the pipe early (| head) must not lose a result
     if json_path is not None:
         write_json(answer.to_json(), json_path)
     file_lines = list(written)
@@ -47,11 +47,11 @@ WORDS = (
     r"(?P<fail>\b(?:FAIL|fail|NO-GO|not converged)\b)", r"(?P<warn>\b(?:cannot tell|warn|doubt)\b)", r"(?P<ok>\b(?:pass|ok)\b)",
     r"(?P<head>^[=-]{5,}$)", r"(?P<next>^(?:next|recommended|verdict):)",
 )  # fmt: skip
-"""What is coloured on a terminal: words that decide, and rules of tables."""
+"""Patterns that are coloured on a terminal: verdicts, and rules of tables."""
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print an answer: with colours where a terminal shows them, plain in a pipe or with NO_COLOR."""
+    """Print an answer: with colours on a terminal, without in a pipe or with NO_COLOR."""
     out = sys.stdout
     terminal = out.bare if isinstance(out, VisibleStream) else out
     if not terminal.isatty():
@@ -76,19 +76,19 @@ def print_lines(lines: Iterable[str]) -> None:
 
 
 def beside_lines(paths: Iterable[Path]) -> list[str]:
-    """A line on each flight that was written with what a model shows beside it."""
+    """A line on each written flight that has a model's outputs beside its own columns."""
     return [f"histories: {path} (look at them with: sideslip view {path})" for path in paths]
 
 
 STEPS_OF_A_LOG = 4
-"""A log gets a line at the start and at each quarter: enough to see that work goes on, not so many that they bury it."""
+"""Lines of progress where standard error is no terminal: at the start and after each quarter of the work."""
 
 
 class Progress:
-    """A context manager that is told how far the work is: `progress(0.3)`, or `progress("fitting", 0.3)`.
+    """A context manager that shows progress: call `progress(0.3)`, or `progress("fitting", 0.3)`.
 
-    title: what is being done, where the calls do not say. Without a share of the whole, a call says what comes next, which a
-    log does not need: there it would only stand before an error's one line.
+    title: the work, for calls without a text. A call without a share announces the next work; a log leaves it out, so that only
+    the one line of an error stands there.
     """
 
     def __init__(self, title: str = "") -> None:
@@ -96,7 +96,7 @@ class Progress:
         context = click.get_current_context(silent=True)
         self._quiet = context is not None and bool(context.meta.get("sideslip.quiet"))
         self._live = sys.stderr.isatty() and not self._quiet
-        self._told = 0
+        self._next_step = 0
         self._bar = _bar() if self._live else None
         self._task = self._bar.add_task(title, total=None) if self._bar is not None else None
 
@@ -111,16 +111,16 @@ class Progress:
         if self._bar is not None:
             self._bar.stop()
 
-    def __call__(self, *told: str | float) -> None:
-        words = " ".join(t for t in told if isinstance(t, str)) or self._title
-        shares = [min(t, 1.0) for t in told if not isinstance(t, str)]
+    def __call__(self, *words_and_share: str | float) -> None:
+        words = " ".join(t for t in words_and_share if isinstance(t, str)) or self._title
+        shares = [min(t, 1.0) for t in words_and_share if not isinstance(t, str)]
         share = shares[0] if shares else None
         if self._bar is not None and self._task is not None:
             self._bar.update(
                 self._task, description=one_line(words), completed=share, total=None if share is None else 1.0
             )
-        elif share is not None and not self._quiet and int(STEPS_OF_A_LOG * share) >= self._told:
-            self._told = int(STEPS_OF_A_LOG * share) + 1
+        elif share is not None and not self._quiet and int(STEPS_OF_A_LOG * share) >= self._next_step:
+            self._next_step = int(STEPS_OF_A_LOG * share) + 1
             click.echo(f"{words}: {share:.0%}", err=True)
 
 
@@ -132,7 +132,7 @@ def _bar() -> "RichProgress":
     terminal = sys.stderr.bare if isinstance(sys.stderr, VisibleStream) else sys.stderr
     words = TextColumn("{task.description:<45}", markup=False)  # names of flights are among them
     columns = (words, BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
-    # What is printed meanwhile goes where it would go without a bar.
+    # printed lines keep their streams: without these options rich would take them over
     return RichProgress(
         *columns, console=Console(file=terminal), transient=True, redirect_stdout=False, redirect_stderr=False
     )

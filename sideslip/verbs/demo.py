@@ -1,8 +1,10 @@
-"""The verb `demo`: the whole chain in one go, told as a story."""
+"""The verb `demo`: the whole chain in one go, with explanations."""
 
 import os
+import shutil
 import subprocess
 import sys
+import time
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -20,11 +22,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 DEMO_FLIGHTS = ("cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4")
-DEMO_HIDDEN = ("Cn_da", 1.0)
+DEMO_HIDDEN = ("Cn_da", 1.0)  # hidden effect, and its size as a share of the default
 DEMO_SEED = 20
-DEMO_SPEEDS = (14.5, 19.0)  # [m/s] of the flights that the gap workflow learns from; CampaignFlights holds one more out
-WORKERS = 2  # processes that fly: two cores are what the demo is timed on
-DEMO_RADIO = {"drop": 0.05}
+DEMO_SPEEDS = (14.5, 19.0)  # [m/s] of the flights on which the gap workflow is trained; one more is held out
+WORKERS = 2  # processes that fly: the demo is timed on two cores
+DEMO_RADIO = {"drop": 0.05}  # share of frames that the radio loses
 
 
 @click.command(epilog="Example: sideslip demo --out demo")
@@ -38,9 +40,6 @@ DEMO_RADIO = {"drop": 0.05}
 )
 def demo(out: Path) -> int:
     """Fly, record, downlink, calibrate, check, estimate, match, and close a gap: the whole chain on a simulated aircraft."""
-    import shutil
-    import time
-
     start_time = time.monotonic()
     if out.exists() and any(out.iterdir()) and not (out / "demo.txt").is_file():
         raise UserError(f"{out} is not empty and not of an earlier demo; give --out another folder")
@@ -53,13 +52,13 @@ def demo(out: Path) -> int:
         "1  Four flights of the simulated aircraft: sensor bus, 20 Hz MCAP on board, 11.5 Hz MAVLink over a lossy radio\n"
     )
     with ProcessPoolExecutor(min(WORKERS, os.cpu_count() or 1), mp_context=get_context("spawn")) as workers:
-        plain, hidden = _take_off(out, workers)
-        with ThreadPoolExecutor(1) as beside:
-            gap_words = beside.submit(_gap, hidden, out)
-            flights = _landed(plain, out)
+        ordinary, hidden = _start_flights(out, workers)
+        with ThreadPoolExecutor(1) as gap_thread:
+            gap_output = gap_thread.submit(_gap, hidden, out)
+            flights = _finished_flights(ordinary, out)
             _estimates(flights, out)
             click.echo("\n5  Three flights with something hidden in the aircraft; the gap workflow is not told what\n")
-            click.echo(gap_words.result())
+            click.echo(gap_output.result())
 
     from estimation.report.front import write_front_page
 
@@ -73,7 +72,7 @@ def demo(out: Path) -> int:
 
 
 def write_truth(path: Path) -> None:
-    """What the simulator flew with: derivatives of the demo's flights, and the hidden effect with its size and unit."""
+    """Write the simulator's truth: derivatives of the demo's flights, and the hidden effect with its size and unit."""
     from daq.utilities.outputs import write_json
     from firmware_sim.physics.effects.registry import EFFECTS
     from firmware_sim.world.scenario import load_scenario
@@ -98,7 +97,7 @@ def truth_lines(report: Path) -> list[str]:
     lines = [f"  {'derivative':<12}{'truth':>10}{method:>12}{'corrected':>10}"]
     for name, e in joint_result["parameters"].items():
         if not e["identifiable"] or name not in truth["derivatives"] or name.endswith("_0"):
-            continue  # constants take up the sensors' offsets
+            continue  # constants absorb the sensors' offsets
         value, bound = rounded(e["estimate"], e["std_coloured"])
         lines.append(f"  {name:<12}{truth['derivatives'][name]:10.4g}{value:>12}{bound:>10}")
     hidden = truth["hidden"]
@@ -114,7 +113,7 @@ def truth_lines(report: Path) -> list[str]:
 
 
 def _run(verb: str, *arguments: object) -> None:
-    """Run a verb as a person would, in this process. A failed check (status 1) is part of the story."""
+    """Print a verb's command line and run it in this process. A failed check (status 1) does not end the demo."""
     text = [verb, *(str(a) for a in arguments)]
     click.echo(f"$ sideslip {' '.join(text)}\n")
     from sideslip.cli import cli
@@ -142,52 +141,52 @@ def _estimates(flights: list[Path], out: Path) -> None:
     _run("match", out / "model.toml", *flights, "--free", "CY_0,Cl_0,Cn_0", *proof)
 
 
-def _gap(flown: "Sequence[Future[Path]]", out: Path) -> str:
-    """The gap workflow in a process of its own, as soon as its flights have landed, the last one held out; what it prints."""
+def _gap(futures: "Sequence[Future[Path]]", out: Path) -> str:
+    """Run the gap workflow in another process once its flights are finished, the last one held out; gives its output."""
     report = out / "report"
-    *train, holdout = [_named_copy(f.result(), out, f"hidden_{i}") for i, f in enumerate(flown)]
+    *training, holdout = [_named_copy(f.result(), out, f"hidden_{i}") for i, f in enumerate(futures)]
     text = [
         str(word)
-        for word in ("gap", *train, "--holdout", holdout, "--json", report / "gap.json", "--report", report / "gap")
+        for word in ("gap", *training, "--holdout", holdout, "--json", report / "gap.json", "--report", report / "gap")
     ]
     command = [sys.executable, "-m", "sideslip", "--quiet", *text]
-    done = subprocess.run(
+    process = subprocess.run(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8", check=False
     )
-    if done.returncode not in (0, 1):
-        raise UserError(f"demo: sideslip gap ended with status {done.returncode}: {done.stdout.strip()}")
-    return f"$ sideslip {' '.join(text)}\n\n{done.stdout.rstrip()}"
+    if process.returncode not in (0, 1):
+        raise UserError(f"demo: sideslip gap ended with status {process.returncode}: {process.stdout.strip()}")
+    return f"$ sideslip {' '.join(text)}\n\n{process.stdout.rstrip()}"
 
 
-def _take_off(out: Path, workers: ProcessPoolExecutor) -> "tuple[list[Future[ChainFlight]], list[Future[Path]]]":
-    """The four flights, and those of an aircraft with one hidden effect, the held out one last."""
+def _start_flights(out: Path, workers: ProcessPoolExecutor) -> "tuple[list[Future[ChainFlight]], list[Future[Path]]]":
+    """Start the four flights, and those of an aircraft with a hidden effect, of which the last is held out."""
     from firmware_sim.runs.campaign import CampaignFlights
     from firmware_sim.world.scenario import load_scenario
 
     hidden_flights = CampaignFlights(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED, training_speeds=DEMO_SPEEDS)
-    plain = [
+    ordinary = [
         workers.submit(fly_scenario, load_scenario(name).altered(radio=DEMO_RADIO), out / name) for name in DEMO_FLIGHTS
     ]
     hidden = [
         workers.submit(fly_onboard, scenario, out / f"hidden_{number}", seed=seed)
         for number, (scenario, seed) in enumerate(hidden_flights.scenarios())
     ]
-    return plain, hidden
+    return ordinary, hidden
 
 
-def _landed(flown: "Sequence[Future[ChainFlight]]", out: Path) -> list[Path]:
-    """Wait for the four flights, and say what came down of each; their files."""
+def _finished_flights(futures: "Sequence[Future[ChainFlight]]", out: Path) -> list[Path]:
+    """Wait for the four flights and print what the radio delivered of each; gives their files."""
     from sideslip.verbs.delivery import Progress
 
     with Progress("flying") as bar:
-        for done, _ in enumerate(as_completed(flown), 1):
-            bar(done / len(flown))
-    for name, flight in zip(DEMO_FLIGHTS, flown, strict=True):
-        click.echo(_delivered(name, flight.result()))
-    return [_named_copy(f.result().onboard, out, name) for name, f in zip(DEMO_FLIGHTS, flown, strict=True)]
+        for finished, _ in enumerate(as_completed(futures), 1):
+            bar(finished / len(futures))
+    for name, flight in zip(DEMO_FLIGHTS, futures, strict=True):
+        click.echo(_radio_line(name, flight.result()))
+    return [_named_copy(f.result().onboard, out, name) for name, f in zip(DEMO_FLIGHTS, futures, strict=True)]
 
 
-def _delivered(name: str, flight: ChainFlight) -> str:
+def _radio_line(name: str, flight: ChainFlight) -> str:
     s = flight.summary
     lost_scans = sum(b - a + 1 for a, b in s["scans_lost"])
     agree = "air and ground agree" if flight.agreed else "air and ground DO NOT agree"
@@ -195,9 +194,7 @@ def _delivered(name: str, flight: ChainFlight) -> str:
 
 
 def _named_copy(flight: Path, out: Path, name: str) -> Path:
-    """The flight under a name of its own in one folder, where a person looks for it."""
-    import shutil
-
+    """A copy of a flight under its name in the folder `flights`."""
     target = out / "flights" / f"{name}.mcap"
     target.parent.mkdir(exist_ok=True)
     with whole(target) as new:

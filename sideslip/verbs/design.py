@@ -1,4 +1,4 @@
-"""`sideslip design`: an input designed from what is known, with what it will do to the aircraft and what it will tell."""
+"""`sideslip design`: an input designed from a model, with the predicted motion and bounds."""
 
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,7 @@ def design(
 
 
 def _band(text: str) -> tuple[float, float]:
+    """Two frequencies [Hz] from `0.1,1.5`. Raises EstimationError."""
     from estimation.errors import EstimationError
 
     try:

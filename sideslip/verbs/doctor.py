@@ -1,4 +1,4 @@
-"""`sideslip doctor`, `help`, `completion`: what is installed here, and how the command explains itself."""
+"""`sideslip doctor`, `help`, `completion`: the installation, help on verbs, and completion for shells."""
 
 import os
 import platform
@@ -21,7 +21,7 @@ from daq.utilities.packages import EXTRAS, installed
 @json_option()
 def doctor(json_path: Path | None) -> int:
     """What is installed here: versions, extras and what each lacks, cores, serial ports and whether they may be opened."""
-    facts = examined()
+    facts = installation()
     if json_path is not None:
         write_json(facts, json_path)
     click.echo(f"sideslip {facts['sideslip']}, Python {facts['python']} on {facts['system']}")
@@ -42,18 +42,18 @@ def doctor(json_path: Path | None) -> int:
 NOT_ALLOWED = "may not be opened by you; on Linux: sudo usermod -aG dialout $USER, then log in anew"
 
 
-def examined() -> dict[str, Any]:
-    """What `doctor --json` writes."""
+def installation() -> dict[str, Any]:
+    """The content of `doctor --json`: versions, extras, cores, disk, compiler, serial ports."""
     from serial.tools import list_ports
 
     try:
-        ours = version("sideslip")
+        sideslip_version = version("sideslip")
     except PackageNotFoundError:
-        ours = "unknown (run from a bare tree)"
+        sideslip_version = "unknown (run from a bare tree)"
     distributions = packages_distributions()
     affinity = getattr(os, "sched_getaffinity", None)  # Linux alone has it
     return {
-        "sideslip": ours,
+        "sideslip": sideslip_version,
         "python": platform.python_version(),
         "system": platform.platform(terse=True),
         "executable": sys.executable,
@@ -74,7 +74,7 @@ def examined() -> dict[str, Any]:
 
 
 def _version_of(module: str, distributions: Mapping[str, list[str]]) -> str:
-    """Of the package that a module is from (rerun is from rerun-sdk); else ""."""
+    """Version of the package of a module (rerun is from rerun-sdk); empty where it is not installed."""
     for name in (*distributions.get(module, ()), module, module.replace("_", "-")):
         try:
             return version(name)
@@ -106,14 +106,15 @@ def help_(context: click.Context, verb: str | None) -> int:
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 @click.pass_context
 def completion(context: click.Context, shell: str) -> int:
-    """Print what makes a SHELL complete verbs, options and files: for ~/.bashrc, ~/.zshrc or ~/.config/fish/config.fish."""
+    """Print the script with which a SHELL completes verbs, options and files: for ~/.bashrc, ~/.zshrc or
+    ~/.config/fish/config.fish."""
     from click.shell_completion import get_completion_class
 
-    kind = get_completion_class(shell)
-    if kind is None:
+    completion_class = get_completion_class(shell)
+    if completion_class is None:
         raise UserError(f"completion: this click knows no shell {shell}")
     root = context.find_root().command
-    made = kind(root, {}, "sideslip", "_SIDESLIP_COMPLETE")
-    # the version check of click's own `source` starts the shell, which need not be here
-    click.echo(made.source_template % made.source_vars())
+    script = completion_class(root, {}, "sideslip", "_SIDESLIP_COMPLETE")
+    # not `script.source()`: its version check starts the shell, which may not be installed
+    click.echo(script.source_template % script.source_vars())
     return 0

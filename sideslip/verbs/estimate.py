@@ -1,4 +1,4 @@
-"""`sideslip estimate`: aerodynamic parameters with bounds, beside what was believed before flying."""
+"""`sideslip estimate`: aerodynamic parameters with bounds, beside prior beliefs."""
 
 from pathlib import Path
 from typing import Any
@@ -26,8 +26,8 @@ from estimation.estimators.registry import estimator_names, listed_words
 EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint --report out/"
 
 
-def _able(extra: Extra) -> str:
-    """The methods that heed an extra, as help says them."""
+def _methods_with(extra: Extra) -> str:
+    """The methods that support an extra, as text for the help."""
     return f"method{'s' if len(estimator_names(extra)) > 1 else ''} {listed_words(estimator_names(extra))}"
 
 
@@ -53,7 +53,7 @@ def _able(extra: Extra) -> str:
 )
 @flag_option(
     "--raw-inputs",
-    text=f"Take measured inputs with their noise, as a plain output error does ({_able(Extra.RAW_INPUTS)}).",
+    text=f"Take measured inputs with their noise, as a plain output error does ({_methods_with(Extra.RAW_INPUTS)}).",
 )
 @flag_option(
     "--keep-held",
@@ -71,7 +71,7 @@ def _able(extra: Extra) -> str:
     metavar="NAMES",
     help="Comma-separated states whose initial values are estimated though the model fixes them; all.",
 )
-@flag_option("--stepwise", text=f"Keep only the terms that a partial F ratio finds ({_able(Extra.STEPWISE)}).")
+@flag_option("--stepwise", text=f"Keep only the terms that a partial F ratio finds ({_methods_with(Extra.STEPWISE)}).")
 @json_option()
 @report_option()
 @figure_option("Write a figure of measured and estimated histories.")
@@ -87,13 +87,13 @@ def _able(extra: Extra) -> str:
     "--profile",
     default="",
     metavar="NAMES",
-    help=f"Comma-separated parameters: 95 % interval by profile likelihood ({_able(Extra.PROFILE)}).",
+    help=f"Comma-separated parameters: 95 % interval by profile likelihood ({_methods_with(Extra.PROFILE)}).",
 )
 @click.option(
     "--bootstrap",
     default=0,
     metavar="N",
-    help=f"Spread by N refits ({_able(Extra.BOOTSTRAP)}): of simulated repetitions, or networks on resampled "
+    help=f"Spread by N refits ({_methods_with(Extra.BOOTSTRAP)}): of simulated repetitions, or networks on resampled "
     "stretches (64 where not given).",
 )
 @click.option(

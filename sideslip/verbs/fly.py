@@ -81,7 +81,7 @@ def fly(
     logger_files = {"config_file": config_file, "calibration": _calibration_folder(calibration)}
     if port is not None:
         return _fly_over_port(loaded_scenario, folder, port, seed, pace, **logger_files)
-    view = LiveFactory() if live else None
+    view = _LivePage() if live else None
     try:
         with Progress(f"flying {loaded_scenario.name}") as bar:
             chain_flight = fly_scenario(
@@ -91,7 +91,7 @@ def fly(
                 speed=pace,
                 backfill=not no_backfill,
                 live=view.make if view else None,
-                tell=bar,
+                progress=bar,
                 **logger_files,
             )
     finally:
@@ -140,14 +140,14 @@ def _calibration_folder(calibration: str | None) -> Path | None:
 
 
 def _with_manoeuvre(scenario: "Scenario", path: Path) -> "Scenario":
-    """The scenario with a sequencer that flies this file. Raises ManoeuvreError for one that cannot be flown."""
+    """The scenario with a sequencer that flies a manoeuvre file. Raises ManoeuvreError for one that cannot be flown."""
     from daq.contract.manoeuvre import load_manoeuvre
     from firmware_sim.hardware.cockpit import switch_for
 
     loaded_manoeuvre = load_manoeuvre(path)
-    ordered = dict(scenario.logger)
-    ordered["sequencer"] = {**ordered.get("sequencer", {}), "manoeuvre": str(path.resolve())}
-    changes: dict[str, Any] = {"logger": ordered}
+    logger = dict(scenario.logger)
+    logger["sequencer"] = {**logger.get("sequencer", {}), "manoeuvre": str(path.resolve())}
+    changes: dict[str, Any] = {"logger": logger}
     if scenario.sequencer is None:
         changes["sequencer"] = {"switch": switch_for(scenario, loaded_manoeuvre.duration_s)}
         changes["flight"] = {"manoeuvres": "none"}
@@ -155,7 +155,7 @@ def _with_manoeuvre(scenario: "Scenario", path: Path) -> "Scenario":
     return scenario.altered(**changes)
 
 
-RADIO_ON_S = 7 * 24 * 3600.0  # after landing: longer than anybody waits for Ctrl-C
+RADIO_ON_S = 7 * 24 * 3600.0  # after landing: in effect until Ctrl-C
 
 
 def _fly_over_port(
@@ -193,9 +193,9 @@ def _fly_over_port(
 
 
 def _serve_until_interrupted(flight: "SimulatedFlightRun") -> bool:
-    """Leave the radio on until Ctrl-C, or for RADIO_ON_S; whether it was Ctrl-C.
+    """Leave the radio on until Ctrl-C, or for RADIO_ON_S; gives whether it was Ctrl-C.
 
-    By a flag: an exception raised between any two instructions is lost where it meets a finaliser.
+    The handler sets a flag: an exception from a handler is lost where it meets a finaliser.
     """
     interrupted = threading.Event()
     old_handler = signal.signal(signal.SIGINT, lambda number, frame: interrupted.set())
@@ -206,6 +206,7 @@ def _serve_until_interrupted(flight: "SimulatedFlightRun") -> bool:
 
 
 def _pace(speed: str, live: bool) -> float | None:
+    """Simulated seconds a second from --speed; None for as fast as possible. live: max means real time."""
     if speed == "max":
         return 1.0 if live else None
     try:
@@ -217,20 +218,19 @@ def _pace(speed: str, live: bool) -> float | None:
     return pace
 
 
-class LiveFactory:
-    """Live views of a simulated flight, one an aircraft, on one web page."""
+class _LivePage:
+    """The live view of a simulated flight, and its web page."""
 
-    def __init__(self, layout: str = "full") -> None:
+    def __init__(self) -> None:
         from groundstation.viewer.live import LiveView, ViewOptions, free_port
         from groundstation.viewer.window import WebPage
 
-        port = free_port()
-        self._view = LiveView("flight", ViewOptions(layout="light" if layout == "light" else "full", port=port))
+        self._view = LiveView("flight", ViewOptions(port=free_port()))
         self._page = WebPage(self._view.url, free_port())
         click.echo(f"live view: {self._page.url}")
 
     def make(self, system: int) -> "LiveView":
-        """The view; one aircraft flies here."""
+        """The view: only one aircraft flies."""
         return self._view
 
     def close(self) -> None:

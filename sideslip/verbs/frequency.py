@@ -1,4 +1,4 @@
-"""`sideslip frequency`: the response of an output to a control over frequency, with its error, a fit, and what that says."""
+"""`sideslip frequency`: the response of an output to a control over frequency, with its error, a fit, and handling qualities."""
 
 import math
 from pathlib import Path
@@ -60,11 +60,12 @@ def frequency(
     from sideslip.verbs.delivery import deliver
 
     lengths = _numbers("--windows", windows) or ()
-    answer = responses.frequency(flights, control, output, band=_two(band), windows=lengths, **options)
+    answer = responses.frequency(flights, control, output, band=_band(band), windows=lengths, **options)
     return deliver(answer, json_path, figure_path, report_folder)
 
 
-def _two(text: str | None) -> tuple[float, float] | None:
+def _band(text: str | None) -> tuple[float, float] | None:
+    """Two frequencies [Hz] of --band; None where it is not given. Raises EstimationError."""
     from estimation.errors import EstimationError
 
     numbers = _numbers("--band", text)
@@ -76,6 +77,7 @@ def _two(text: str | None) -> tuple[float, float] | None:
 
 
 def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:
+    """Comma-separated numbers of an option; None where it is not given. Raises EstimationError."""
     from estimation.errors import EstimationError
 
     if text is None:

@@ -23,11 +23,12 @@ class _ManyHoldouts(click.Command):
     """Lets `--holdout` take several flights in a row, as the flights themselves do."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        spread: list[str] = []
-        flight_count = holding = 0
+        spread: list[str] = []  # the words, with --holdout before each holdout
+        flight_count = 0
+        holding = 0  # 1 after --holdout, 2 after its first flight, 0 elsewhere
         for word, following in zip(args, [*args[1:], "-"], strict=True):
             if word == "--holdout":
-                if following.startswith("-"):  # as an empty pattern of a shell leaves it
+                if following.startswith("-"):  # such as a shell's pattern that matches no file
                     raise click.UsageError("--holdout has no flight after it; name one, or leave --holdout out", ctx)
                 holding = 1
             elif word.startswith("-"):

@@ -1,4 +1,4 @@
-"""The verb `info`: what is in a file of any of our kinds."""
+"""The verb `info`: the content of a recording, flight or log."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,12 +10,11 @@ from daq.utilities.errors import UserError
 from daq.utilities.options import json_option
 from daq.utilities.outputs import write_json
 
-MOST_SAID = 40
-"""Modes, and events with messages, that are printed; the JSON has all."""
+MOST_PRINTED = 40  # modes, and events with messages; the JSON has all
 _READ_HERE = (".tlog", ".csv", ".parquet")
 AFTER = {"raw": "sideslip calibrate {file} -o flight.mcap", "flight": "sideslip check {file}"}
 AFTER_A_LOG = "sideslip import {file} -o flight.mcap"
-"""What to do next, by the kind of the file."""
+"""Next step, by the kind of the file."""
 
 
 @click.command(epilog="Example: sideslip info recordings/cdfp_ld1_raw.mcap --json info.json")
@@ -34,7 +33,7 @@ def info(file: Path, json_path: Path | None) -> int:
 
 
 def content_of(file: Path) -> dict[str, Any]:
-    """What is in a file, as `info --json` has it. Raises UserError for what cannot be read, or is a table to be imported."""
+    """The content of `info --json`. Raises UserError for a file that cannot be read, or a table that must be imported."""
     from groundstation.importers.about import is_foreign_log, log_info
     from groundstation.importers.endings import FOREIGN
     from groundstation.importers.run import refuse_others
@@ -56,7 +55,7 @@ def content_of(file: Path) -> dict[str, Any]:
 
 
 def _tlog_info(file: Path) -> dict[str, Any]:
-    """Of our own downlink; where it holds no scan of ours, of an autopilot's."""
+    """Content of a telemetry log of our downlink or, without a scan of it, of an autopilot."""
     from groundstation.receiver.tlog import TlogError, info_tlog
 
     try:
@@ -69,7 +68,7 @@ def _tlog_info(file: Path) -> dict[str, Any]:
 
 
 def _log_or(other: "dict[str, Any] | Exception", file: Path) -> dict[str, Any]:
-    """What is in a telemetry log of an autopilot; the other answer where nothing can be read of it."""
+    """Content of a telemetry log of an autopilot; `other`, returned or raised, where it cannot be read as one."""
     from groundstation.importers.about import log_info
     from groundstation.importers.errors import ImportDataError
 
@@ -82,6 +81,7 @@ def _log_or(other: "dict[str, Any] | Exception", file: Path) -> dict[str, Any]:
 
 
 def lines_of(file: Path, content: dict[str, Any]) -> Iterator[str]:
+    """The content of a file as lines for a person."""
     if "boots" in content:
         yield from _log_lines(content)
         return
@@ -109,10 +109,10 @@ def _log_lines(content: dict[str, Any]) -> Iterator[str]:
     yield f"{content['file']}: {kind}, {duration}; 'sideslip import' makes a flight of it"
     yield from (f"  note: {note}" for note in content.get("notes", []))
     yield from (
-        f"  mode {m['mode']:<16} {m['from']:10.2f} to {m['to']:.2f} s" for m in content.get("modes", [])[:MOST_SAID]
+        f"  mode {m['mode']:<16} {m['from']:10.2f} to {m['to']:.2f} s" for m in content.get("modes", [])[:MOST_PRINTED]
     )
     marks = sorted([*content.get("events", []), *content.get("messages", [])], key=lambda m: m["time"])
-    yield from (f"  {mark['time']:10.2f} s  {mark['text']}" for mark in marks[:MOST_SAID])
+    yield from (f"  {mark['time']:10.2f} s  {mark['text']}" for mark in marks[:MOST_PRINTED])
     if content.get("parameters"):
         yield f"  {len(content['parameters'])} parameters (--json lists them)"
     topics: dict[str, int] = {}

@@ -1,4 +1,4 @@
-"""`sideslip watch`: the gap monitor over a flight, when did the model stop describing the aircraft."""
+"""`sideslip watch`: the gap monitor over a flight: when a model stopped describing the aircraft."""
 
 from pathlib import Path
 from typing import Any

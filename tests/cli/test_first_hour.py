@@ -46,6 +46,14 @@ def test_help_of_a_verb_is_its_help_and_a_mistyped_one_is_answered(capsys: pytes
     assert "did you mean 'sideslip estimate'" in err
 
 
+def test_the_next_step_names_the_checked_aircraft_wherever_it_stands() -> None:
+    expected = "sideslip estimate FLIGHT --aircraft glider.toml"
+    assert next_line(["aircraft", "check", "glider.toml"], failed=False) == expected
+    assert next_line(["aircraft", "check", "--json", "a.json", "glider.toml"], failed=False) == expected
+    assert next_line(["aircraft", "check", "glider.toml", "--json", "a.json"], failed=False) == expected
+    assert next_line(["aircraft"], failed=False).endswith("AIRCRAFT.toml")
+
+
 def test_doctor_names_every_extra_and_what_it_lacks(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,7 +17,7 @@ from groundstation.flight.stretches import airborne
 __all__ = ["CONTRADICTIONS", "Contradiction", "contradictions", "contradictions_of", "no_airspeed"]
 
 CONTRADICTIONS = "contradictions"
-"""Key of a provenance's detail: contradictions that an import found in the log, and that the columns no longer show."""
+"""Key of a provenance's detail: contradictions that an import found in the log and that its columns no longer show."""
 
 COMPARISONS: tuple[Callable[[Array, Columns], Iterator[Contradiction]], ...] = (
     air.pitot_against_ground,
@@ -80,8 +80,7 @@ def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
 
 
 def no_airspeed(flight: Flight) -> str:
-    """Why a flight's V is not its airspeed, as the end of a sentence, beginning with '; '; empty where no other column shows
-    it."""
+    """Why a flight's V is not its airspeed, as the end of a sentence, beginning with '; '; empty without evidence."""
     columns = _measured(flight.columns)
     with _numpy_warnings_off():
         lost = [c for c in failing_sensors(flight.time, columns)[0] if c.between[0] in PITOT]

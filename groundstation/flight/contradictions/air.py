@@ -30,7 +30,8 @@ DENSITY_TOLERANCE = 0.08  # between two densities: 25 K of temperature, or a day
 SIGMAS = 4.0  # by chance once in 16000 comparisons
 LEAST_CHI_SQUARE = 9.0  # difference by which the ground velocity favours one scale of V over another: three sigmas
 CREDIBLE_SCALE = 0.1  # a scale further than this, and 2 sigma, from that of the ground velocity is not favoured
-LEAST_FAST = 0.1  # of a flight: fewer fast samples may be a taxi run, or errors of the fix
+LEAST_FAST = 0.1  # share of fast samples: fewer may be a taxi run, or errors of the fix
+DENSITY_LAPSE = 0.1  # relative fall of the density in 1000 m
 PRESSURE_ALTITUDE = 600.0  # [m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes
 
 
@@ -50,8 +51,8 @@ def air_density(c: Columns) -> AirDensity | None:
 
 def independent_density(c: Columns) -> AirDensity | None:
     """Density by pressure or altitude with a credible temperature (`atmosphere.DENSITY_WAYS`), without use of a column rho."""
-    able = (w for w in DENSITY_WAYS if all(n in c for n in w.needs))
-    way = next((w for w in able if w.credible(*(c[n] for n in w.needs))), None)
+    available = (w for w in DENSITY_WAYS if all(n in c for n in w.needs))
+    way = next((w for w in available if w.credible(*(c[n] for n in w.needs))), None)
     if way is None:
         return None
     return AirDensity(way.build(*(c[n] for n in way.needs)), " and ".join(way.needs), way.guesses)
@@ -84,7 +85,7 @@ def speed_and_pressure(time: Array, c: Columns) -> Iterator[Contradiction]:
 
 
 def _favoured(scale: tuple[FitWithError, FitWithError] | None, name: str, ratio: float) -> tuple[str, str]:
-    """The side that the ground velocity favours, empty where neither, and the evidence as text. scale: as of `scale_by_ground`.
+    """The side that the ground velocity favours, empty where neither, and the evidence as text. scale: from `scale_by_ground`.
     ratio: dynamic pressure of V over the one measured."""
     if scale is None:
         return "", "nothing else in the flight tells which is right: check the pitot's ratio and the density"
@@ -180,7 +181,7 @@ def pressure_and_height(time: Array, c: Columns) -> Iterator[Contradiction]:
         return
     by_pressure = density_at_pressure(c[side]) if side == "p_static" else density_at_altitude(c[side])
     ratio = ratio_of(by_pressure, density_at_altitude(c["altitude_gnss"]))
-    if ratio is None or not ratio.differs_from(1.0, 0.1 * PRESSURE_ALTITUDE / 1000.0, SIGMAS):
+    if ratio is None or not ratio.differs_from(1.0, DENSITY_LAPSE * PRESSURE_ALTITUDE / 1000.0, SIGMAS):
         return
     cure = "the static port" if side == "p_static" else "whether it is above the field"
     text = (
@@ -197,8 +198,8 @@ def _weather(dense: AirDensity, implied: float) -> str:
     share = implied / _median(dense.values)
     if not dense.guesses or not GUESSED_DENSITY[0] < share < GUESSED_DENSITY[1]:
         return ""
-    warmer = SEA_LEVEL_TEMPERATURE * (1.0 / share - 1.0)
+    warming = SEA_LEVEL_TEMPERATURE * (1.0 / share - 1.0)
     return (
-        f" with the standard temperature, a guess: air some {abs(warmer):.0f} K {'warmer' if warmer > 0 else 'colder'} would "
+        f" with the standard temperature, a guess: air some {abs(warming):.0f} K {'warmer' if warming > 0 else 'colder'} would "
         "make them agree, so add its temperature"
     )

@@ -52,7 +52,7 @@ def contradiction_from_json(content: object) -> Contradiction | None:
     if not sides or not isinstance(text, str):
         return None
     ratio, offset, std = (_number(content.get(key)) for key in ("ratio", "offset", "std"))
-    unit, favoured, moves = (_word(content.get(key)) for key in ("unit", "favoured", "moves"))
+    unit, favoured, moves = (_text(content.get(key)) for key in ("unit", "favoured", "moves"))
     stops = content.get("stops") is True
     return Contradiction(sides, one_line(text), ratio, offset, unit, std or math.nan, favoured, moves, stops)
 
@@ -61,5 +61,5 @@ def _number(value: object) -> float | None:
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
-def _word(value: object) -> str:
+def _text(value: object) -> str:
     return one_line(value) if isinstance(value, str) else ""

@@ -24,15 +24,14 @@ LARGEST_STILL = 0.25  # of the movement by the other sensors: a slow or damped s
 LEAST_MOVEMENT = 3.5  # times the usual disagreement, of the other sensors
 LEAST_CORRELATION = 0.7  # of a signal with its integrated rate, in a block in which the sensor works
 FEWEST_SAMPLES = 8  # of a block
+USUAL_STEP = 1.5  # of the 0.9 quantile of a slow sensor's intervals, up to which its samples are interpolated
 GAP = 3.0  # sample intervals without a sample
 MEANS_PER_BLOCK = 16  # of neighbouring samples, so that white noise hides no slow movement
 SHORTEST_REST = 3.0  # [s] of the flight before, between or after failures, that is worth estimating from
 STILL_BAND = 1.2  # times the largest movement of a failed sensor, within which it counts as still
 FROZEN, FROZEN_SAMPLES = 2.0, 20  # [s] and samples of one value, from which a sensor with noise has failed
-WEIGHTLESS, PARABOLA = (
-    0.2 * GRAVITY,
-    3.0,
-)  # [m/s2] of specific force for longer than so many [s], which no aeroplane flies
+WEIGHTLESS, PARABOLA = 0.2 * GRAVITY, 3.0
+"""No aeroplane flies with less specific force [m/s2] for longer [s]."""
 OTHER_INSTANCE = "take another sensor's instance"
 PITOT = ("V", "p_dynamic", "V_cas")
 SENSED = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V", "p_dynamic")
@@ -76,7 +75,7 @@ def failing_sensors(time: Array, c: Columns) -> tuple[tuple[Contradiction, ...],
 
 def _frozen(time: Array, c: Columns) -> dict[tuple[str, ...], Mask]:
     """Columns -> the samples (N,) at which they show one value while others change; only columns with noise elsewhere. Columns
-    that freeze at the same samples, as those of one device, are one entry."""
+    that freeze at the same samples, as those of one device do, share an entry."""
     masks: dict[bytes, tuple[tuple[str, ...], Mask]] = {}
     present = [n for n in SENSED if n in c]
     for name in present:
@@ -107,7 +106,7 @@ def _weightless(time: Array, c: Columns) -> Mask:
     weightless = np.zeros(time.size, bool)
     for a, b in true_runs(force < WEIGHTLESS):
         weightless[a:b] = time[b - 1] - time[a] >= PARABOLA and not _pushes_over(c, slice(a, b))
-    return weightless & bool(np.nanmax(force) > 0.5 * GRAVITY)  # else the accelerometers never worked
+    return weightless & bool(np.nanmax(force) > 0.5 * GRAVITY)  # else they never worked in this flight
 
 
 def _pushes_over(c: Columns, run: slice) -> bool:
@@ -156,9 +155,9 @@ class _Blocks:
             averaged = float(np.median(steps.sum(axis=1))) / MEANS_PER_BLOCK if count else 0.0
             longest = max(GAP * float(np.median(steps)), averaged) if count else 0.0
             complete &= steps.max(axis=1, initial=0.0) <= longest  # the movement across a gap is unknown
-            a, b, off = (np.where(complete, np.sqrt(np.mean(v**2, axis=1)), np.nan) for v in (x, y, x - y))
+            a, b, difference = (np.where(complete, np.sqrt(np.mean(v**2, axis=1)), np.nan) for v in (x, y, x - y))
             follows = complete & (np.mean(x * y, axis=1) > LEAST_CORRELATION * a * b)
-        return cls((a, b), follows, float(np.median(off[follows])) if follows.any() else np.inf)
+        return cls((a, b), follows, float(np.median(difference[follows])) if follows.any() else np.inf)
 
     def evident(self, side: int, margin: float = 1.0) -> Mask:
         """(m,) blocks in which the other side moves enough to judge this one. side: 0 the signal, 1 the integral."""
@@ -224,7 +223,7 @@ def _pitot_lost(time: Array, c: Columns, lost: Mask) -> Contradiction:
     )
     name = next(n for n in PITOT if n in c)
     text = (
-        f"{name} is that of {np.nanmedian(speed[lost]):.2g} m/s {_when(time, lost)} while {witness}: the pitot blocked (water, "
+        f"{name} is that of {np.nanmedian(speed[lost]):.2g} m/s {_times(time, lost)} while {witness}: the pitot blocked (water, "
         f"ice) or lost its tube there; {_leave_out(time, lost, RECONSTRUCT)}"
     )
     sides = (name, "vn", "ve") if np.isfinite(ground).any() else (name, "ax", "theta")
@@ -238,7 +237,7 @@ def _stood_still(
     stand, them = ("stand", "them") if len(sensors) > 1 else ("stands", "it")
     while_others = f"{', '.join(witnesses)} make {them} move" if witnesses else "the other sensors go on"
     text = (
-        f"{', '.join(sensors)} {stand} still {_when(time, still)} while {while_others}: frozen, blocked or old values; "
+        f"{', '.join(sensors)} {stand} still {_times(time, still)} while {while_others}: frozen, blocked or old values; "
         f"{_leave_out(time, still, cure)}"
     )
     return _failed((*sensors, *witnesses), text, time, still)
@@ -250,15 +249,16 @@ def _failed(sides: tuple[str, ...], text: str, time: Array, failed: Mask) -> Con
     return Contradiction(sides, text, favoured=", ".join(sides[1:]), moves=moves, stops=True, spans=spans)
 
 
-def _when(time: Array, failed: Mask) -> str:
+def _times(time: Array, failed: Mask) -> str:
+    """The times of the runs of True as text."""
     return " and ".join(f"from {time[a]:.1f} to {time[b - 1]:.1f} s" for a, b in true_runs(failed))
 
 
 def _leave_out(time: Array, failed: Mask, cure: str) -> str:
     """The remedy as text: the stretches without the failure in the form of `--segments`, and `cure`."""
-    rest = [(time[a], time[b - 1]) for a, b in true_runs(~failed) if time[b - 1] - time[a] >= SHORTEST_REST]
-    stretches = ",".join(f"{np.ceil(a * 10) / 10:.1f}:{np.floor(b * 10) / 10:.1f}" for a, b in rest)
-    return f"leave it out with --segments {stretches}, {cure}" if rest else cure.removeprefix("or ")
+    sound_spans = [(time[a], time[b - 1]) for a, b in true_runs(~failed) if time[b - 1] - time[a] >= SHORTEST_REST]
+    stretches = ",".join(f"{np.ceil(a * 10) / 10:.1f}:{np.floor(b * 10) / 10:.1f}" for a, b in sound_spans)
+    return f"leave it out with --segments {stretches}, {cure}" if sound_spans else cure.removeprefix("or ")
 
 
 def _mask_samples(columns: dict[str, Array], names: Sequence[str], rows: Mask) -> None:
@@ -274,7 +274,7 @@ def _filled(time: Array, values: Array) -> Array:
     if known.all() or known.sum() < 2:
         return values
     steps = np.diff(time[known])
-    usual = 1.5 * float(np.quantile(steps, 0.9))
+    longest = USUAL_STEP * float(np.quantile(steps, 0.9))
     filled = np.interp(time, time[known], values[known], left=np.nan, right=np.nan)
     after = np.clip(np.searchsorted(time[known], time, "left"), 1, int(known.sum()) - 1)
-    return np.where(known | (steps[after - 1] <= usual), filled, np.nan)
+    return np.where(known | (steps[after - 1] <= longest), filled, np.nan)

@@ -5,13 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.flight.arrays import Array
+from groundstation.flight.arrays import MAD_TO_SIGMA, Array
 
 Columns = Mapping[str, Array]
 
 BLOCK = 1.0  # [s] over which signals are averaged: longer than half a Dutch roll, shorter than a turn
 WINDOW = 60.0  # [s] within which wind and slow errors are taken as constant
 FEWEST_BLOCKS = 8  # of a fit; also the fewest values of a column that counts as measured
+FULL_SHARE = 0.5  # of the usual number of samples, that a block must have
+LEAST_DENOMINATOR = 0.3  # of the median, below which a ratio is mostly noise
+SAMPLES_PER_INDEPENDENT = 4.0  # samples of a ratio that count as one, since neighbours correlate
 LARGEST_CORRELATION = 0.9  # of neighbouring residuals; it widens a variance by (1 + 0.9) / (1 - 0.9) = 19
 
 
@@ -37,7 +40,7 @@ def block_means(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]
     t = time[finite]
     number = np.floor((t - t[0]) / BLOCK).astype(np.int64)
     _, label, count = np.unique(number, return_inverse=True, return_counts=True)
-    full = count >= 0.5 * np.median(count)
+    full = count >= FULL_SHARE * np.median(count)
     means = tuple((np.bincount(label, s[finite]) / count)[full] for s in signals)
     centre = (np.bincount(label, t) / count)[full]
     return np.floor((centre - t[0]) / WINDOW), means
@@ -53,8 +56,8 @@ def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Ar
     """Coefficients (k,) and their covariance (k, k), widened by the correlation of neighbouring residuals; None where
     undetermined. design: (m, k); target: (m,); windows: number of constants already removed from both."""
     rows, unknown = design.shape
-    free = rows - unknown - windows
-    if free < FEWEST_BLOCKS // 2 or np.linalg.matrix_rank(design) < unknown:
+    freedom = rows - unknown - windows
+    if freedom < FEWEST_BLOCKS // 2 or np.linalg.matrix_rank(design) < unknown:
         return None
     normal = design.T @ design
     solved = np.linalg.solve(normal, design.T @ target)
@@ -62,7 +65,7 @@ def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Ar
     spread = float(residual @ residual)
     neighbours = float(residual[1:] @ residual[:-1]) / spread if spread > 0 else 0.0
     rho = min(max(neighbours, 0.0), LARGEST_CORRELATION)
-    variance = spread / free * (1.0 + rho) / (1.0 - rho)
+    variance = spread / freedom * (1.0 + rho) / (1.0 - rho)
     return np.asarray(solved, float), np.asarray(variance * np.linalg.inv(normal), float)
 
 
@@ -98,14 +101,16 @@ def scale_by_ground(time: Array, c: Columns) -> tuple[FitWithError, FitWithError
 
 
 def ratio_of(first: Array, second: Array) -> FitWithError | None:
-    """Median of first / second and its 1 sigma, over the finite samples at which the second exceeds 0.3 of its median; None for
-    too few of them."""
+    """Median of first / second and its 1 sigma, over the finite samples at which the second exceeds LEAST_DENOMINATOR of its
+    median; None for too few of them."""
     if not np.isfinite(second).any():
         return None
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(second > 0.3 * np.nanmedian(second), first / second, np.nan)
+        ratio = np.where(second > LEAST_DENOMINATOR * np.nanmedian(second), first / second, np.nan)
     ratio = ratio[np.isfinite(ratio)]
     if ratio.size < FEWEST_BLOCKS:
         return None
     middle = float(np.median(ratio))
-    return FitWithError(middle, 1.4826 * float(np.median(np.abs(ratio - middle))) / np.sqrt(ratio.size / 4.0))
+    return FitWithError(
+        middle, MAD_TO_SIGMA * float(np.median(np.abs(ratio - middle))) / np.sqrt(ratio.size / SAMPLES_PER_INDEPENDENT)
+    )

@@ -53,8 +53,8 @@ def gyros_and_attitude(time: Array, c: Columns) -> Iterator[Contradiction]:
 def _wrong_scale(slope: float, agreement: float, std: float) -> bool:
     """Whether a slope of 1 is excluded by more than a sensor's scale error and the slope's own error `std`, which is large where
     the flight is a single window."""
-    off = abs(slope - 1.0)
-    significant = off > max(SCALE_TOLERANCE, SCALE_SIGMAS * std)
+    deviation = abs(slope - 1.0)
+    significant = deviation > max(SCALE_TOLERANCE, SCALE_SIGMAS * std)
     return agreement > AGREEMENT and significant and 1 / LARGEST_SCALE < slope < LARGEST_SCALE
 
 
@@ -87,7 +87,7 @@ def _smoothed(t: Array, change: Array, speed: Array) -> tuple[Array, Array, Arra
 
 
 def _fit_delayed(parts: list[tuple[Array, Array, Array, int]], delay: float) -> tuple[float, float, Pairs]:
-    """Slope, agreement and the averaged pairs, for a receiver that is `delay` [s] late. parts: as of `_smoothed`."""
+    """Slope, agreement and the averaged pairs, for a receiver that is `delay` [s] late. parts: from `_smoothed`."""
     pairs = [
         (np.convolve(np.interp(t - delay, t, change), np.full(width, 1.0 / width), "valid"), speed)
         for t, change, speed, width in parts

@@ -4,12 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from groundstation.flight.arrays import Array
+from groundstation.flight.arrays import MAD_TO_SIGMA, Array
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Columns
 from groundstation.flight.kinematics import GYROS
 
 BLOCK = 2.0  # [s] over which a rate and the change of its angle are averaged
+FULL_SHARE = 0.8  # of a block's samples, that must be there
 LEAST_BLOCKS = 5  # on either side of a jump
 BLOCKS_AT_JUMP = 3  # blocks next to the jump, on either side, which must show it: a drift does not
 LOCAL_SHARE = 0.7  # of the jump that these blocks must show
@@ -34,15 +35,15 @@ def gyros_beside_attitude(time: Array, c: Columns) -> Iterator[Contradiction]:
 def _jumped_zeros(time: Array, c: Columns, rates: Columns) -> Iterator[Contradiction]:
     """Each gyro whose zero changes at some instant, by its angle of attitude. rates: of the attitude, as p, q and r."""
     for angle, gyro in GYROS.items():
-        begins, turn, error = _blocks(time, rates[gyro], c[gyro] - rates[gyro])
+        starts, turn, error = _blocks(time, rates[gyro], c[gyro] - rates[gyro])
         jump = _jump(error, turn)
         if jump is None:
             continue
         k, step = jump
-        before = f"{time[0]:.1f}:{begins[k] - BLOCK:.1f}"
-        after = f"{begins[k] + BLOCK:.1f}:{time[-1]:.1f}"
+        before = f"{time[0]:.1f}:{starts[k] - BLOCK:.1f}"
+        after = f"{starts[k] + BLOCK:.1f}:{time[-1]:.1f}"
         text = (
-            f"{gyro} turns by {step:+.3f} rad/s more than {angle} does from {begins[k]:.0f} s on: its zero jumped; estimate "
+            f"{gyro} turns by {step:+.3f} rad/s more than {angle} does from {starts[k]:.0f} s on: its zero jumped; estimate "
             f"either part, --segments {before} or {after}"
         )
         moves = f"what is estimated with {gyro} over both parts"
@@ -75,7 +76,7 @@ def _exchanged_axes(time: Array, c: Columns, rates: Columns) -> Iterator[Contrad
 def _rates_of_attitude(time: Array, c: Columns) -> dict[str, Array]:
     """p, q, r (N,) [rad/s] of the recorded attitude (Etkin, eq. 4.4). A gyro's zero is its constant difference from them at any
     bank, which it would not be from the slopes of the angles."""
-    slope = {n: np.gradient(np.interp(time, *_known(time, c[n])), time) for n in GYROS}
+    slope = {n: np.gradient(np.interp(time, *_finite_samples(time, c[n])), time) for n in GYROS}
     sf, cf, st, ct = np.sin(c["phi"]), np.cos(c["phi"]), np.sin(c["theta"]), np.cos(c["theta"])
     return {
         "p": slope["phi"] - st * slope["psi"],
@@ -84,7 +85,7 @@ def _rates_of_attitude(time: Array, c: Columns) -> dict[str, Array]:
     }
 
 
-def _known(time: Array, angle: Array) -> tuple[Array, Array]:
+def _finite_samples(time: Array, angle: Array) -> tuple[Array, Array]:
     """Times and unwrapped angles of the finite samples."""
     known = np.isfinite(angle)
     return time[known], np.unwrap(angle[known])
@@ -94,7 +95,7 @@ def _blocks(time: Array, *signals: Array) -> tuple[Array, ...]:
     """Begin [s] and mean of each signal, (m,) over the blocks without a gap or a missing value."""
     step = float(np.median(np.diff(time)))
     edges = np.searchsorted(time, np.arange(time[0], time[-1], BLOCK))
-    complete = np.diff(edges) > max(0.8 * BLOCK / step, 1.0)
+    complete = np.diff(edges) > max(FULL_SHARE * BLOCK / step, 1.0)
     means = [
         np.add.reduceat(s, edges[:-1])[complete] / np.diff(edges)[complete] if complete.any() else np.zeros(0)
         for s in signals
@@ -110,13 +111,15 @@ def _jump(zero: Array, turn: Array) -> tuple[int, float] | None:
         return None
     count = np.arange(1, zero.size)
     sums, squares = np.cumsum(zero)[:-1], np.cumsum(zero**2)[:-1]
-    rest, rest_squares = zero.sum() - sums, np.sum(zero**2) - squares
-    residual_squares = squares - sums**2 / count + rest_squares - rest**2 / (zero.size - count)
+    sums_after, squares_after = zero.sum() - sums, np.sum(zero**2) - squares
+    residual_squares = squares - sums**2 / count + squares_after - sums_after**2 / (zero.size - count)
     k = int(np.argmin(residual_squares[LEAST_BLOCKS - 1 : zero.size - LEAST_BLOCKS])) + LEAST_BLOCKS
     before, after = zero[:k], zero[k:]
     step = float(np.median(after) - np.median(before))
-    scatter = 1.4826 * float(np.median(np.abs(np.concatenate([before - np.median(before), after - np.median(after)]))))
+    scatter = MAD_TO_SIGMA * float(
+        np.median(np.abs(np.concatenate([before - np.median(before), after - np.median(after)])))
+    )
     local = float(np.median(after[:BLOCKS_AT_JUMP]) - np.median(before[-BLOCKS_AT_JUMP:]))
-    turned = abs(float(np.mean(turn[k:]) - np.mean(turn[:k])))
-    least = max(LEAST_JUMP, LEAST_JUMP_OVER_SCATTER * scatter, LEAST_JUMP_OVER_TURN * turned)
-    return (k, step) if abs(step) > least and local / step > LOCAL_SHARE else None
+    rate_change = abs(float(np.mean(turn[k:]) - np.mean(turn[:k])))
+    threshold = max(LEAST_JUMP, LEAST_JUMP_OVER_SCATTER * scatter, LEAST_JUMP_OVER_TURN * rate_change)
+    return (k, step) if abs(step) > threshold and local / step > LOCAL_SHARE else None

@@ -47,8 +47,8 @@ def read_csv(path: Path, error: type[UserError]) -> dict[str, Array]:
 
 
 def _check_length(path: Path, error: type[UserError]) -> None:
-    """Raise `error` for more rows than are read of a Parquet file: a row takes over a microsecond, and a line may be two
-    bytes."""
+    """Raise `error` for more rows than a Parquet file may have: reading a row takes over a microsecond, and a line may have only
+    two bytes."""
     limit, lines = max(MOST_ROWS, path.stat().st_size // 4), 0
     with path.open("rb") as handle:
         while block := handle.read(2**20):

@@ -1,9 +1,9 @@
-"""The plain columns of a Parquet file, read one at a time and never beyond what its bytes can stand for.
+"""The columns of a Parquet file without nested ones, read one at a time and within bounds.
 
-A footer of a kilobyte can announce a thousand million rows, and a compressed page of a few hundred bytes become two
-gigabytes: rows and the size that each page claims are looked at before Arrow reads it (parquet-format, "Data Pages" and
-`PageHeader` of parquet.thrift). Arrow's own accessors of the footer end the process where a column's statistics do not fit each
-other, so footer and page headers are read here, as structs of Thrift's compact protocol (thrift-compact-protocol.md).
+A footer of a kilobyte can announce 10^9 rows, and a compressed page of a few hundred bytes can unpack to two gigabytes. So the
+number of rows and the stated size of each page are checked before Arrow reads it (parquet-format, "Data Pages" and `PageHeader`
+of parquet.thrift). Arrow's own accessors of the footer abort the process where a column's statistics are inconsistent, so footer
+and page headers are read here, as structs of Thrift's compact protocol (thrift-compact-protocol.md).
 """
 
 import io
@@ -21,12 +21,12 @@ from daq.utilities.packages import optional
 from groundstation.flight.arrays import Array
 
 MOST_CELLS = 12_000_000
-"""Of a table, or one a byte of the file where that is more: three hours at 50 Hz with twenty columns; 200 MB while it is read."""
-MOST_ROWS = 4_000_000  # of a table, or one for four bytes of the file where that is more: eleven hours at 100 Hz
+"""Of a table, or one per byte of the file if that is more: three hours at 50 Hz with twenty columns; 200 MB while it is read."""
+MOST_ROWS = 4_000_000  # of a table, or one per four bytes of the file if that is more: eleven hours at 100 Hz
 LARGEST_PAGE = 2**26  # bytes of a page when unpacked; writers make pages of 1 MB
 MOST_COLUMNS = 4096  # of a table; a PX4 log with all its topics has some 3,000
 MOST_VALUES = 1_000_000
-"""Of a footer, or one for 16 bytes of the file where that is more: ten row groups of 3,000 columns; a second or two."""
+"""Of a footer, or one per 16 bytes of the file if that is more: ten row groups of 3,000 columns, read in a second or two."""
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _DEEPEST = 12  # nested values; the deepest of parquet.thrift's own (statistics of a column of a row group) is 6
 _MOST_SCHEMA = 100_000  # elements of a list in the footer
@@ -35,9 +35,9 @@ _LONGEST_TEXT = 2**24  # bytes of a text in the footer
 
 @dataclass
 class ParquetColumns:
-    """Columns of a Parquet file by name. numeric: (N,) with NaN where empty; dates: (N,) [s] after the first,
-    durations and times of day as they are [s]; firsts: the first date of each [s since 1970]; words: cells of
-    columns of text that were asked for, none of the others; footer: the application's own metadata."""
+    """Columns of a Parquet file by name. numeric: (N,), NaN where empty. dates: (N,) [s] after the first date, or durations and
+    times of day [s]. firsts: the first date of each [s since 1970]. words: cells of the wanted columns of text, empty for other
+    columns that are not numbers. footer: the application's metadata."""
 
     numeric: dict[str, Array] = field(default_factory=dict)
     dates: dict[str, Array] = field(default_factory=dict)
@@ -49,9 +49,9 @@ class ParquetColumns:
 def read_parquet(
     path: Path, error: type[UserError], wanted: Callable[[str], bool] = lambda name: False
 ) -> ParquetColumns:
-    """The columns of numbers, dates and text. wanted: whether the cells of a column of text are.
+    """The columns of numbers, dates and text. wanted: name of a column of text -> whether its cells are read.
 
-    Raises `error` for a file that is none, is damaged, or would not fit the memory.
+    Raises `error` for a file that is not Parquet, is damaged, or would not fit the memory.
     """
     pa, pq = optional("pyarrow", "reading Parquet"), optional("pyarrow.parquet", "reading Parquet")
     data = read_bytes(path, error=error)
@@ -70,7 +70,7 @@ def read_parquet(
             _check_pages(path, data, item.name, chunks_by_name[item.name], error)
             text = pa.types.is_string(item.type) or pa.types.is_large_string(item.type)
             reader = pq.ParquetFile(io.BytesIO(data), read_dictionary=[item.name], **limits) if text else file
-            _keep(content, item.name, reader.read(columns=[item.name]).column(0), wanted(item.name))
+            _add_column(content, item.name, reader.read(columns=[item.name]).column(0), wanted(item.name))
     except (pa.ArrowException, OSError, ValueError, OverflowError, KeyError, IndexError, MemoryError) as reason:
         message = " ".join(str(reason).split())[:200]
         raise error(f"{path}: not a readable Parquet file ({message or type(reason).__name__})") from reason
@@ -91,7 +91,8 @@ def _check_size(path: Path, metadata: Any, columns: int, size: int, error: type[
         )
 
 
-def _keep(out: ParquetColumns, name: str, column: Any, wanted: bool) -> None:
+def _add_column(content: ParquetColumns, name: str, column: Any, wanted: bool) -> None:
+    """Add an Arrow column to `content`, by its type. wanted: whether the cells of a text are read."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -99,13 +100,13 @@ def _keep(out: ParquetColumns, name: str, column: Any, wanted: bool) -> None:
         stamps = column.cast(pa.int64())
         first = pc.min(stamps).as_py() or 0
         scale = _SECONDS[column.type.unit]
-        out.dates[name], out.firsts[name] = _floats(pc.subtract(stamps, first)) * scale, first * scale
+        content.dates[name], content.firsts[name] = _floats(pc.subtract(stamps, first)) * scale, first * scale
         return
     if pa.types.is_duration(column.type) or pa.types.is_time(column.type):
         integers = (
             column.cast(pa.int32()).cast(pa.int64()) if pa.types.is_time32(column.type) else column.cast(pa.int64())
         )
-        out.dates[name] = _floats(integers) * _SECONDS[column.type.unit]
+        content.dates[name] = _floats(integers) * _SECONDS[column.type.unit]
         return
     if pa.types.is_dictionary(column.type):
         column = column.unify_dictionaries()
@@ -115,38 +116,39 @@ def _keep(out: ParquetColumns, name: str, column: Any, wanted: bool) -> None:
             indices = [
                 chunk.indices.fill_null(len(dictionary)).to_numpy(zero_copy_only=False) for chunk in column.chunks
             ]
-            out.numeric[name] = values[np.concatenate(indices).astype(np.int64)] if indices else np.zeros(0)
+            content.numeric[name] = values[np.concatenate(indices).astype(np.int64)] if indices else np.zeros(0)
         except pa.ArrowException:
-            out.words[name] = _cells(dictionary.to_pylist(), column) if wanted else []
+            content.words[name] = _cells(dictionary.to_pylist(), column) if wanted else []
         return
     try:
-        out.numeric[name] = _floats(column)
+        content.numeric[name] = _floats(column)
     except pa.ArrowException:
-        out.words[name] = []
+        content.words[name] = []
 
 
 def _floats(column: Any) -> Array:
+    """(N,) an Arrow column as numbers, NaN where empty. Raises ArrowException where it holds none."""
     import pyarrow as pa
 
     with np.errstate(over="ignore"):
-        values = np.array(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
-    return values
+        return np.array(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
 
 
 def _cells(words: list[str], column: Any) -> list[str]:
+    """The cells of a column of text, empty ones as "". words: its dictionary."""
     labels = [*words, ""]
     return [labels[len(words) if i is None else i] for chunk in column.chunks for i in chunk.indices.to_pylist()]
 
 
 _Chunk = tuple[int, int]
-"""Where the pages of a column in a row group begin and end, by the footer."""
+"""First byte of the pages of a column in a row group, and the byte behind them, by the footer."""
 
 
 def _chunks(data: bytes, columns: int) -> list[list[_Chunk]]:
-    """Of each row group in each of so many plain columns, in the order of the schema: Arrow goes by it, not by the names
-    that the row groups repeat (parquet.thrift, `FileMetaData`, `RowGroup`, `ColumnChunk`, `ColumnMetaData`).
+    """For each of `columns` columns its chunks in all row groups, in the order of the schema, by which Arrow reads, and not by
+    the names that the row groups repeat (parquet.thrift, `FileMetaData`, `RowGroup`, `ColumnChunk`, `ColumnMetaData`).
 
-    Raises ValueError where the footer is none.
+    Raises ValueError for an invalid footer.
     """
     position = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
     footer = ThriftReader(data, position, max(MOST_VALUES, len(data) // 16)).struct()
@@ -193,10 +195,10 @@ def _check_pages(path: Path, data: bytes, name: str, chunks: list[_Chunk], error
 
 
 class ThriftReader:
-    """Reads values one after the other. end: where the next one begins. most: values that are read, those of lists and
-    structs included.
+    """Reads values of Thrift's compact protocol in sequence. end: position of the next value. most: values that are read, with
+    those within lists and structs.
 
-    Raises ValueError where the bytes are no such value or more of them: never anything else.
+    Raises ValueError, and nothing else, for bytes that are not valid or hold more values.
     """
 
     def __init__(self, data: bytes, at: int = 0, most: int = 1000) -> None:
@@ -205,7 +207,7 @@ class ThriftReader:
         self.end = at
 
     def struct(self, depth: int = _DEEPEST) -> dict[int, Any]:
-        """Value of each field by its number; the last one counts where a number stands twice."""
+        """Number of each field -> its value, the last one of a repeated number."""
         fields: dict[int, Any] = {}
         number = 0
         while (head := self._byte()) != 0:
@@ -214,7 +216,8 @@ class ThriftReader:
         return fields
 
     def _value(self, kind: int, depth: int) -> Any:
-        """3 byte, 4 to 6 integers, 7 double, 8 bytes, 9, 10 lists, 12 struct; 1, 2 booleans of a list stand in a byte."""
+        """A value of a type: 1, 2 booleans of a list, in a byte; 3 byte; 4 to 6 integers; 7 double; 8 bytes; 9, 10 lists; 12
+        struct."""
         self._counted()
         if depth <= 0:
             raise ValueError("a header nested too deep")
@@ -233,6 +236,7 @@ class ThriftReader:
         raise ValueError("a header that is none")
 
     def _counted(self, value: bool = True) -> bool:
+        """Count one value against the limit, and pass it on."""
         self._left -= 1
         if self._left < 0:
             raise ValueError("a header of too many values")

@@ -1,4 +1,4 @@
-"""Flights from files: MCAP, CSV and Parquet, within bounds, with a note for whatever was not as it should be."""
+"""Flights from files: MCAP, CSV and Parquet, within bounds, with notes on what was corrected or left out."""
 
 import hashlib
 import struct
@@ -21,9 +21,10 @@ from groundstation.flight.flight import GAP_FACTOR, Array, Flight, Provenance
 from groundstation.flight.writing import FLIGHT_TOPIC, METADATA_NAME, value_digest
 
 LARGEST = 1e12
-"""No quantity of a flight in SI units is as large; squares and sums of what is smaller stay far from the largest float."""
+"""No quantity of a flight in SI units is as large; squares and sums of smaller values do not overflow."""
 FOREIGN = "if another program wrote the file, convert it with 'sideslip import'"
 
+_MOST_NOTES = 30  # on columns that are not numeric
 _Read = tuple[dict[str, Array], Provenance, list[Finding | str]]
 
 
@@ -77,7 +78,7 @@ def named_aircraft(path: Path) -> str:
 
 
 def _mcap_origin(path: Path) -> dict[str, Any]:
-    """What a flight says of its origin."""
+    """The provenance of a flight file, as its metadata hold it."""
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
@@ -103,8 +104,8 @@ def _read_parquet(path: Path) -> _Read:
     notes: list[Finding | str] = [
         f"column {plain_name(name)} is not numeric: left out" for name in (*content.words, *content.dates)
     ]
-    if len(notes) > 30:
-        notes = [*notes[:30], f"{len(notes) - 30} more columns are not numeric: left out"]
+    if len(notes) > _MOST_NOTES:
+        notes = [*notes[:_MOST_NOTES], f"{len(notes) - _MOST_NOTES} more columns are not numeric: left out"]
     meta = content.footer.get(METADATA_NAME.encode())
     origin = json_object(meta) if meta else {}
     if meta and not origin:
@@ -162,7 +163,7 @@ def _read_mcap(path: Path) -> _Read:
 
 
 def credible_values(columns: Mapping[str, Array]) -> tuple[dict[str, Array], list[str]]:
-    """The columns with NaN for what no instrument measures, and notes on it: infinities, and values beyond LARGEST."""
+    """The columns with NaN for infinities and, in known columns, values beyond LARGEST; and notes on these."""
     credible, notes = dict(columns), []
     for name, values in columns.items():
         for problem, mask in (
@@ -176,7 +177,7 @@ def credible_values(columns: Mapping[str, Array]) -> tuple[dict[str, Array], lis
 
 
 def plain_names(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """The columns under names that can be shown anywhere, each of its own."""
+    """The columns under unique names that can be shown anywhere."""
     renamed: dict[str, Array] = {}
     for name, values in columns.items():
         label = plain_name(name)

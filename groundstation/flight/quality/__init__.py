@@ -1,4 +1,4 @@
-"""What a flight's own columns say of themselves: repeats, ranges, skew between devices, noise, and the report of it all."""
+"""Quality of a flight's columns: repeats, ranges, skew between devices, noise, and the report on all of these."""
 
 from groundstation.flight.quality.report import quality_report
 

@@ -86,9 +86,11 @@ def wrong_axes(time: Array, columns: Columns) -> Iterator[Finding]:
     if not shares:
         return
     best = max(shares, key=lambda m: shares[m])
-    others = max((s for m, s in shares.items() if m is not best and (m.axes != best.axes or not m.axes)), default=0.0)
+    second_share = max(
+        (s for m, s in shares.items() if m is not best and (m.axes != best.axes or not m.axes)), default=0.0
+    )
     clear = _clearly_better(shares[best], uncorrected, UNCORRECTED_OVER_CORRECTED)
-    clear = clear and _clearly_better(shares[best], others, SECOND_OVER_BEST)
+    clear = clear and _clearly_better(shares[best], second_share, SECOND_OVER_BEST)
     if best.text and clear and shares[best] > (LEAST_SHARE if upright else LEAST_SHARE_INVERTED):
         yield Finding(FindingKind.UNLIKELY, f"{', '.join(best.columns)}: {best.text}", columns=best.columns)
 
@@ -116,8 +118,8 @@ def explained(time: Array, c: Columns) -> float:
 
 
 def _in_degrees(c: Columns) -> bool:
-    most = {"theta": 1.0, "phi": 2.0, "alpha": 1.0, "beta": 1.0}
-    return any(float(np.nanmax(np.abs(c[n]))) > LARGEST_PITCH * times for n, times in most.items())
+    multiples = {"theta": 1.0, "phi": 2.0, "alpha": 1.0, "beta": 1.0}
+    return any(float(np.nanmax(np.abs(c[n]))) > LARGEST_PITCH * times for n, times in multiples.items())
 
 
 def _upright(c: Columns) -> bool:
@@ -174,11 +176,11 @@ def _mistakes() -> Iterator[Mistake]:
         FORCE: ("accelerometers sit", "accelerometer.toml"),
     }
     for axes in list(TURNS)[1:]:
-        for names, (who, files) in sensors.items():
+        for names, (subject, files) in sensors.items():
             level = f" and boresight = {boresight(axes)} in attitude.toml" if ATTITUDE[0] in names else ""
             matrix = TURNS[axes].astype(int).tolist()
             text = (
-                f"the {who} turned: what was recorded as {', '.join(axes)} lies along the aircraft's x, y, z. Turn it by "
+                f"the {subject} turned: what was recorded as {', '.join(axes)} lies along the aircraft's x, y, z. Turn it by "
                 f"matrix = {matrix} in {files}{level}, or by the map of the import; then correct its mounting"
             )
             yield Mistake(names, text, partial(turned, axes=axes, names=names), axes)

@@ -22,17 +22,36 @@ integral of its cause (n,)."""
 
 
 REVERSED_AGREEMENT = 0.85  # least share of a motion's variance that is explained with the sign reversed
-MOST_REMAINING = (
-    1.0 / 3.0
-)  # of the variance that is unexplained with the recorded sign, at most, may then be unexplained
+MOST_REMAINING = 1.0 / 3.0  # of the variance unexplained with the recorded sign, that may then remain unexplained
 SLOPE_TOLERANCE = 0.25  # of the slope about 1, with the sign reversed
 LEAST_AGREEMENT = 0.7  # share of an angle's variance that its rate explains, for their slope to count
 LARGEST_RADIANS = 1.6  # of theta, or a bank angle in ordinary flight: a larger one is in degrees
 
+ONE_G = (0.75, 1.3)  # median specific force of a flight in g; turns and pulls lie within
+UNIT_RATIO = (0.8, 1.25)  # of the median specific force over one g in another unit, for that unit to be suggested
+FREE_OF_GRAVITY = 0.3  # g; a smaller median specific force looks like one without gravity
+UPWARD_GRAVITY = (0.5, 1.3)  # median of az in g, for its sign to be reversed
+MOST_BACKWARDS = 0.02  # share of steps back in time, beyond which the rows are shuffled, or the column is not time
+SAMPLE_STEP = (1e-3, 0.5)  # [s] between samples that a unit of time must give for it to be suggested
+LEAST_OTHER_STEP = 4.0  # between samples as read, from which ms, us or ns is suspected in place of s
+SLOWEST_STEP, FASTEST_STEP = 2.0, 1e-4  # [s] between samples, beyond which the unit of time is doubtful
+EVEN_STEP, EVEN_SHARE, FEWEST_EVEN = 0.2, 0.9, 20
+"""Sorted times are evenly spaced where this share of at least so many steps is within EVEN_STEP of the median."""
+RANGE_MARGIN = 1e-3  # [rad] of rounding beyond the range of an angle
+LARGEST_DEGREES = 370.0  # a larger angle is not in degrees
+SAME_SLOPE = 1.2  # largest over smallest slope of the three angles for an error of the clock
+UNIT_AGREEMENT = 0.8  # least share of the sideways motion that is explained, for its slope to show the unit of V
+UNIT_TOLERANCE, UNIT_TOLERANCE_BY_GROUND = 0.08, 0.15  # relative, of a ratio of speeds from that of two units
+LEAST_PRESSURE = 20.0  # [Pa], of 6 m/s: noise of the zero spoils the speed by a smaller one
+LEAST_GROUND_SPEED, FEWEST_GROUND_SPEEDS = 5.0, 20  # [m/s] and samples of the ground speed for a ratio to V
+LARGEST_WIND_RATIO = 1.7  # of V over ground speed; wind makes the median of a flight no larger
+FEWEST_RATIOS = 5
+WRAPPED_RANGE = 7.0  # [rad], a little over a turn: an angle with a larger range is not wrapped, or in degrees
+
 _GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "mg (or cm/s2)": 990.0}
 _ANGLES = ("phi", "theta", "psi", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 _RADIANS = (0.5, 2.0)
-"""Slope of an angle in radians against the integral of its gyro; it is 57 for degrees, and -1 for the wrong sign."""
+"""Slope of an angle against the integral of its gyro in the same unit; it is 57 for degrees, and -1 for the wrong sign."""
 
 _RATES = ("p", "q", "r")
 DAMAGED_FACTOR = 1e5  # times the plausible limit: beyond degrees, hundredths of them and microseconds of a servo
@@ -66,7 +85,7 @@ NORMAL_FORCE_TOLERANCE = 0.25
 def suspicions(time: Array, columns: Columns) -> list[Finding]:
     """Findings on columns that look like another unit, sign or axis. time: (N,) [s]; columns: name -> (N,), as recorded."""
     present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
-    units = (_time, _gravity, _angles, _rates, _speed, _others, _pressure_speed, _ground_speed)
+    units = (_time, _gravity, _angles, _rates, _speed, _other_columns, _pressure_speed, _ground_speed)
     signs = (_gravity_sign, _attitude_rate, _sideways, _upwards)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # the checks report such values
         axes = list(wrong_axes(time, present))  # explain every wrong sign, too
@@ -89,21 +108,21 @@ def _time(time: Array, c: Columns) -> Iterator[Finding]:
     steps = np.diff(time)
     backwards = float(np.mean(steps < 0)) if steps.size else 0.0
     steps = steps[steps > 0]
-    if backwards > 0.02:
+    if backwards > MOST_BACKWARDS:
         yield _suspect("time", f"runs backwards from {backwards:.0%} of the rows to the next; is this the time column?")
         return  # the steps of shuffled rows, or of a column that is not time, do not show a unit
     if not steps.size:
         return
     interval = float(np.median(steps))
     for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
-        if interval >= 4 and 1e-3 <= interval * scale <= 0.5:
+        if interval >= LEAST_OTHER_STEP and SAMPLE_STEP[0] <= interval * scale <= SAMPLE_STEP[1]:
             yield _suspect("time", f"{interval:g} s from sample to sample; is the column in {unit}?")
             return
-    if interval > 2:
+    if interval > SLOWEST_STEP:
         yield _suspect(
             "time", f"{interval:g} s from sample to sample is too slow for flight dynamics; check the time unit"
         )
-    elif interval < 1e-4:
+    elif interval < FASTEST_STEP:
         units = [u for u, scale in _LONG_UNITS.items() if _USUAL_STEP[0] <= interval * scale <= _USUAL_STEP[1]]
         begin = float(np.nanmin(time))
         if any(first < begin < last for first, last in DAY_NUMBERS):
@@ -115,21 +134,21 @@ def _time(time: Array, c: Columns) -> Iterator[Finding]:
 def _shuffled(time: Array) -> bool:
     """Whether the times, when sorted, are evenly spaced, so that only the order of the rows is wrong."""
     finite = time[np.isfinite(time)]
-    if finite.size < 20:
+    if finite.size < FEWEST_EVEN:
         return False
     steps = np.diff(np.sort(finite))
     interval = float(np.median(steps))
-    return interval > 0 and float(np.mean(np.abs(steps - interval) < 0.2 * interval)) > 0.9
+    return interval > 0 and float(np.mean(np.abs(steps - interval) < EVEN_STEP * interval)) > EVEN_SHARE
 
 
 def _gravity(time: Array, c: Columns) -> Iterator[Finding]:
     if not all(a in c for a in ("ax", "ay", "az")):
         return
     size = _median(np.sqrt(c["ax"] ** 2 + c["ay"] ** 2 + c["az"] ** 2))
-    if not 0.75 * GRAVITY < size < 1.3 * GRAVITY and not _pulled(c):
+    if not ONE_G[0] * GRAVITY < size < ONE_G[1] * GRAVITY and not _pulled(c):
         nearest = min(_GRAVITY_IN, key=lambda u: abs(np.log(max(size, 1e-9) / _GRAVITY_IN[u])))
-        unit = nearest if 0.8 < size / _GRAVITY_IN[nearest] < 1.25 else None
-        if unit is None and size < 0.3 * GRAVITY:
+        unit = nearest if UNIT_RATIO[0] < size / _GRAVITY_IN[nearest] < UNIT_RATIO[1] else None
+        if unit is None and size < FREE_OF_GRAVITY * GRAVITY:
             hint = "an accelerometer in level flight shows one g: is gravity taken out of ax, ay, az?"
         else:
             hint = f"are ax, ay, az in {unit}?" if unit else "check unit and axes of ax, ay, az"
@@ -137,7 +156,7 @@ def _gravity(time: Array, c: Columns) -> Iterator[Finding]:
 
 
 def _gravity_sign(time: Array, c: Columns) -> Iterator[Finding]:
-    if "az" in c and 0.5 * GRAVITY < _median(c["az"]) < 1.3 * GRAVITY:
+    if "az" in c and UPWARD_GRAVITY[0] * GRAVITY < _median(c["az"]) < UPWARD_GRAVITY[1] * GRAVITY:
         yield _suspect("az", "positive in the mean, but with z down level flight has -9.8 m/s2; turn it with sign = -1")
 
 
@@ -162,8 +181,8 @@ def _angles(time: Array, c: Columns) -> Iterator[Finding]:
             extreme = highest if highest > -lowest else lowest
             if damaged := _damaged(c[name], high):
                 yield _suspect(name, damaged)
-            elif (lowest < low - 1e-3 or highest > high + 1e-3) and not is_unwrapped(time, c, name):
-                unit = "deg" if abs(extreme) <= 370 else "cdeg or us"
+            elif (lowest < low - RANGE_MARGIN or highest > high + RANGE_MARGIN) and not is_unwrapped(time, c, name):
+                unit = "deg" if abs(extreme) <= LARGEST_DEGREES else "cdeg or us"
                 limit = high if extreme > 0 else low
                 yield _suspect(name, f"reaches {extreme:.4g} rad, beyond {limit:.3g}; is it in {unit}?")
 
@@ -174,7 +193,7 @@ def is_unwrapped(time: Array, c: Columns, name: str) -> bool:
     if name not in ("phi", "psi") or not all(n in c for n in (name, GYROS[name])):
         return False
     slope = _angle_slope(time, c, name)
-    return slope is not None and _RADIANS[0] < slope < _RADIANS[1]
+    return slope is not None and _about_one(slope)
 
 
 def _rates(time: Array, c: Columns) -> Iterator[Finding]:
@@ -206,7 +225,7 @@ def _speed(time: Array, c: Columns) -> Iterator[Finding]:
         yield _suspect("V", f"median {middle:.4g} m/s, beyond {high:g}; is it in {unit}?")
 
 
-def _others(time: Array, c: Columns) -> Iterator[Finding]:
+def _other_columns(time: Array, c: Columns) -> Iterator[Finding]:
     for name, values in c.items():
         if name in (*_ANGLES, *_RATES, "ax", "ay", "az", "V", "V_cas"):
             continue
@@ -235,22 +254,27 @@ def _attitude_rate(time: Array, c: Columns) -> Iterator[Finding]:
         rate = GYROS[angle]
         if slope is None:
             continue
-        if 0.5 < abs(slope) / RADIAN < 2:
+        if _about_one(abs(slope) / RADIAN):
             yield _suspect(angle, f"moves {abs(slope):.0f} times as far as {rate} turns; is {angle} in deg?")
-        elif 0.5 < abs(slope) * RADIAN < 2:
+        elif _about_one(abs(slope) * RADIAN):
             yield _suspect(rate, f"turns {1 / abs(slope):.0f} times as far as {angle} moves; is {rate} in deg/s?")
-        elif -2 < slope < -0.5:
+        elif _about_one(-slope):
             yield _suspect(rate, f"turns against {angle}; one of them has the wrong sign (sign = -1)")
+
+
+def _about_one(slope: float) -> bool:
+    """Whether a slope is that of two angles in the same unit and with the same sign."""
+    return _RADIANS[0] < slope < _RADIANS[1]
 
 
 def _clock_ratio(slopes: Sequence[float]) -> float | None:
     """Factor by which the clock runs too fast, from the slopes of the angles against their gyros; None where these differ, or are
     explained by the units of the angles."""
     positive = [s for s in slopes if s > 0.0]
-    if len(positive) < 2 or max(positive) > 1.2 * min(positive):
+    if len(positive) < 2 or max(positive) > SAME_SLOPE * min(positive):
         return None
     middle = float(np.median(positive))
-    by_unit = (0.5 < middle < 2.0) or (0.5 < middle / RADIAN < 2.0) or (0.5 < middle * RADIAN < 2.0)
+    by_unit = any(_about_one(slope) for slope in (middle, middle / RADIAN, middle * RADIAN))
     return None if by_unit else 1.0 / middle
 
 
@@ -274,8 +298,8 @@ def _sideways(time: Array, c: Columns) -> Iterator[Finding]:
     yawing, rolling = c["V"] * c["r"] * np.cos(alpha), c["V"] * c["p"] * np.sin(alpha)
     parts = list(windows(time, v, yawing, rolling, force, weight))
     slope, agreement = slope_and_agreement([(v + integral(t, r - p), integral(t, f + g)) for t, v, r, p, f, g in parts])
-    if agreement > 0.8 and slope > 0 and "p_dynamic" not in c:
-        units = [u for u, factor in _SPEED_UNITS.items() if abs(1 / (slope * factor) - 1) < 0.08]
+    if agreement > UNIT_AGREEMENT and slope > 0 and "p_dynamic" not in c:
+        units = [u for u, factor in _SPEED_UNITS.items() if abs(1 / (slope * factor) - 1) < UNIT_TOLERANCE]
         if units:
             text = (
                 f"{1 / slope:.3g} times the speed at which the aircraft turns and slips; is it in {' or '.join(units)}?"
@@ -329,7 +353,9 @@ def _wrong_signs(motion: str, agreement: float, reversals: Reversals) -> Iterato
 
 def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
     """Slope of an angle against the integral of a rate, over windows of 4 s less a straight line; None without common motion."""
-    pairs = [(integral(t, b), np.unwrap(a) if np.ptp(a) < 7 else a) for t, a, b in windows(time, angle, rate)]
+    pairs = [
+        (integral(t, b), np.unwrap(a) if np.ptp(a) < WRAPPED_RANGE else a) for t, a, b in windows(time, angle, rate)
+    ]
     slope, agreement = slope_and_agreement(pairs)
     return slope if agreement >= LEAST_AGREEMENT else None
 
@@ -344,8 +370,8 @@ def _pressure_speed(time: Array, c: Columns) -> Iterator[Finding]:
         yield _suspect("p_dynamic", "negative in flight: are the tubes of the pitot swapped? turn it with sign = -1")
     rho = c.get("rho", np.full_like(c["V"], 1.2))
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = c["V"] / np.sqrt(2 * np.where(c["p_dynamic"] > 20, c["p_dynamic"], np.nan) / rho)
-    yield from _speed_ratio(ratio, "the dynamic pressure gives", 0.08)
+        ratio = c["V"] / np.sqrt(2 * np.where(c["p_dynamic"] > LEAST_PRESSURE, c["p_dynamic"], np.nan) / rho)
+    yield from _speed_ratio(ratio, "the dynamic pressure gives", UNIT_TOLERANCE)
 
 
 def _ground_speed(time: Array, c: Columns) -> Iterator[Finding]:
@@ -353,15 +379,14 @@ def _ground_speed(time: Array, c: Columns) -> Iterator[Finding]:
         return
     ground = np.hypot(c["vn"], c["ve"])
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.where(ground > 5, c["V"] / ground, np.nan)
-    # wind changes the ratio, so that only one far beyond its effect is a mistake
-    if np.isfinite(ratio).sum() > 20 and _median(ratio) > 1.7:
-        yield from _speed_ratio(ratio, "GPS gives", 0.15)
+        ratio = np.where(ground > LEAST_GROUND_SPEED, c["V"] / ground, np.nan)
+    if np.isfinite(ratio).sum() > FEWEST_GROUND_SPEEDS and _median(ratio) > LARGEST_WIND_RATIO:
+        yield from _speed_ratio(ratio, "GPS gives", UNIT_TOLERANCE_BY_GROUND)
 
 
 def _speed_ratio(ratio: Array, source: str, tolerance: float) -> Iterator[Finding]:
     """The unit of V that explains the median of V over another speed, within a relative tolerance. source: of that speed."""
-    if np.isfinite(ratio).sum() < 5:
+    if np.isfinite(ratio).sum() < FEWEST_RATIOS:
         return
     middle = _median(ratio)
     for unit, factor in _SPEED_UNITS.items():

@@ -32,6 +32,9 @@ LONGEST_HOLD = 0.6  # [s]; slower channels (1 Hz GNSS and less) are too rare to 
 EVEN = 0.8  # share of holds, at least, within one sample of the median: those of a commanded step are uneven
 LATE = 0.05  # share of holds, at most, beyond twice the median: a slow sensor seldom loses two values in a row
 BEYOND_ERROR = 4.0  # times the usual error of a prediction, that a predicted movement must exceed
+ROWS_PER_PREDICTOR = 4  # of a regression on other channels, at least
+FEWEST_ERRORS = 3  # stretches from which the usual error of a prediction is known
+SMALL_GAPS = 0.05  # quantile
 FEWEST = 40  # finite values of a channel, below which its repeats are not judged
 GAUSSIAN = 0.6744897501960817  # median of the absolute value of a standard normal variable
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
@@ -72,8 +75,8 @@ def repeats(flight: Flight, column: str) -> RepeatedValues:
     if finite.size < FEWEST or np.ptp(finite) == 0.0 or commanded:
         return RepeatedValues(column, 0.0, no_samples, no_samples, no_samples, 0.0)
     step = quantum(finite)
-    repeated = _same(flight, values)
-    held_samples, rate = _held(flight, values, repeated, step)
+    repeated = _repeated(flight, values)
+    held_samples, rate = _slow_repeats(flight, values, repeated, step)
     runs = _long_runs(flight, repeated)
     evidence = _StuckEvidence(flight, column, repeated, held_samples, step, runs)
     stuck, at_rest = no_samples.copy(), no_samples.copy()
@@ -87,11 +90,11 @@ def repeats(flight: Flight, column: str) -> RepeatedValues:
 def quantum(values: Array) -> float:
     """Step between the levels of a channel [its unit]; almost zero for one without a visible quantum. values: (n,), finite.
 
-    It is the 0.05 quantile of the gaps between levels, since a channel that was rounded twice has a few smaller ones.
+    It is the SMALL_GAPS quantile of the gaps between levels, since a channel that was rounded twice has a few smaller ones.
     """
     gaps = np.diff(np.unique(values))
     gaps = gaps[gaps > SAME * span_of(values)]
-    return float(np.quantile(gaps, 0.05)) if gaps.size else 0.0
+    return float(np.quantile(gaps, SMALL_GAPS)) if gaps.size else 0.0
 
 
 def span_of(values: Array) -> float:
@@ -100,7 +103,7 @@ def span_of(values: Array) -> float:
     return float(high - low) or float(np.ptp(values))
 
 
-def _same(flight: Flight, values: Array) -> Mask:
+def _repeated(flight: Flight, values: Array) -> Mask:
     """(N,) whether a sample repeats the value of the one before it in its segment."""
     span = span_of(values[np.isfinite(values)])
     repeated = np.zeros(values.size, bool)
@@ -109,19 +112,19 @@ def _same(flight: Flight, values: Array) -> Mask:
     return repeated
 
 
-def _long_runs(flight: Flight, same: Mask) -> list[tuple[int, int]]:
+def _long_runs(flight: Flight, repeated: Mask) -> list[tuple[int, int]]:
     """[start, stop) of each run of one value that is long enough for a stuck sensor."""
-    runs = [(a - 1, b) for a, b in true_runs(same)]
+    runs = [(a - 1, b) for a, b in true_runs(repeated)]
     return [(a, b) for a, b in runs if b - a >= STUCK_SAMPLES and flight.time[b - 1] - flight.time[a] >= STUCK]
 
 
-def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask, float]:
+def _slow_repeats(flight: Flight, values: Array, repeated: Mask, step: float) -> tuple[Mask, float]:
     """(N,) repeats of a slow sensor, and its rate [Hz]; none and 0 where it is as fast as the samples, or only coarse.
     step: its quantum."""
-    none = np.zeros(values.size, bool)
-    starts = np.flatnonzero(~same & np.isfinite(values))
+    no_samples = np.zeros(values.size, bool)
+    starts = np.flatnonzero(~repeated & np.isfinite(values))
     if starts.size <= SLOW_RUNS:
-        return none, 0.0
+        return no_samples, 0.0
     length = np.diff(starts)
     jump = np.abs(np.diff(values[starts]))  # into the next value
     big = jump >= BIG * step
@@ -129,11 +132,11 @@ def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask,
     complete = big[:-1] & big[1:] & (length[1:] * flight.sample_interval <= LONGEST_HOLD)
     holds = length[1:][complete]
     if holds.size < SLOW_RUNS or float(np.mean(holds >= 2)) < SLOW_SHARE:
-        return none, 0.0
+        return no_samples, 0.0
     typical = float(np.median(holds))
     if float(np.mean(np.abs(holds - typical) <= 1.0)) < EVEN or float(np.mean(holds > 2.0 * typical + 1.0)) > LATE:
-        return none, 0.0
-    return same.copy(), float(1.0 / (holds.mean() * flight.sample_interval))
+        return no_samples, 0.0
+    return repeated.copy(), float(1.0 / (holds.mean() * flight.sample_interval))
 
 
 class _StuckEvidence:
@@ -193,7 +196,7 @@ class _StuckEvidence:
         error = np.where(self.still, np.nan, self.values - self.prediction)
         stretches = [error[k : k + length] for k in range(0, error.size - length, max(1, length // 2))]
         errors = [float(np.ptp(stretch)) for stretch in stretches if np.isfinite(stretch).all()]
-        return float(np.median(errors)) if len(errors) >= 3 else np.inf
+        return float(np.median(errors)) if len(errors) >= FEWEST_ERRORS else np.inf
 
 
 # ------------------------------------------------------------------------------------- a channel predicted from the others
@@ -213,7 +216,7 @@ def predicted_channel(flight: Flight, column: str, trusted: Mask) -> Array | Non
     predictors = [_standardised(flight[c]) for c in (*SENSED, *CONTROLS) if c != column and flight.measured(c)]
     X = np.column_stack([np.ones(len(flight)), *(c for c in predictors if c is not None)])
     rows = trusted & np.isfinite(flight[column]) & np.isfinite(X).all(axis=1)
-    if rows.sum() < 4 * X.shape[1]:
+    if rows.sum() < ROWS_PER_PREDICTOR * X.shape[1]:
         return None
     beta = np.linalg.lstsq(X[rows], flight[column][rows], rcond=1e-9)[0]
     return np.asarray(X @ beta)
@@ -276,9 +279,8 @@ ROWS_IN_A_ROW = 20  # consecutive rows that must be equal
 ROWS_MOVING = 0.5  # of them must differ from the row before: all aircraft at rest, and simulated trims, are alike
 SHARED = 0.25  # of the shorter flight: flights simulated without noise may have the same beginning
 FEWEST_COLUMNS = 3  # that all flights have measured
-TENTH_OF_STEP = (
-    0.1  # five digits of a channel are a thousandth of its noise or less: one window of five has a row that flips
-)
+TENTH_OF_STEP = 0.1
+"""Rounding to five digits is a thousandth of a channel's noise or less: it flips a row in one window of five."""
 
 
 def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:

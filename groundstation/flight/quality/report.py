@@ -44,11 +44,17 @@ LARGEST_MISSING = 0.1  # of the time span, beyond which gaps make the check fail
 LARGEST_EXTRAPOLATED = 0.01  # of the samples, beyond which an extrapolated calibration is warned of
 SINGLE_MISSING, LARGEST_JITTER = 0.02, 0.1  # of the samples, and of the sample interval, that are warned of
 SPIKE_SIGMAS = 10  # of a channel's noise, from both neighbours
+SPIKE_STEPS = 6  # times the 0.95 quantile of the steps, too: edges of manoeuvres are no spikes
+SKEW_SIGMAS = 3  # of a delay that is warned of
+SHORTEST_CLIP = 3  # samples in a row at the end of a range
+FEWEST_VALUES = 10  # of a column that is judged
+LARGEST_DROPOUT = 1 / 3  # of a column without a value, beyond which the check fails
+LARGEST_STATED = 1e12  # number of a provenance that is used: no count or noise is as large
 NOISE_RATIO = 4  # of measured over sensor noise, from which vibration or a bad contact is likely
 
 
 def quality_report(flight: Flight, contradicted: Sequence[Contradiction] | None = None) -> tuple[Finding, ...]:
-    """All checks of a flight, in a fixed order. contradicted: result of `contradictions`, where it is at hand."""
+    """All checks of a flight, in a fixed order. contradicted: result of `contradictions`, if known."""
     checks: tuple[Callable[[Flight], Finding], ...] = (
         *(time_order, time_gaps, sample_interval, dropouts, stale_samples, clipping, spikes, plausible_values),
         *(calibrated_range, time_skew, noise_level, excitation),
@@ -57,9 +63,9 @@ def quality_report(flight: Flight, contradicted: Sequence[Contradiction] | None 
     return (*(check(flight) for check in checks), *contradiction_findings(contradicted))
 
 
-def _finding(check: str, sentences: Sequence[str], good: str, severity: Severity = "warn") -> Finding:
-    """The finding of a check: its sentences with a severity, or `good` with severity "ok" where there are none."""
-    return Finding(check, "; ".join(sentences), severity) if sentences else Finding(check, good, "ok")
+def _finding(check: str, sentences: Sequence[str], summary: str, severity: Severity = "warn") -> Finding:
+    """The finding of a check: its sentences with a severity, or `summary` with severity "ok" where there are none."""
+    return Finding(check, "; ".join(sentences), severity) if sentences else Finding(check, summary, "ok")
 
 
 # -------------------------------------------------------------------------------------------------------- time base
@@ -94,7 +100,7 @@ def sample_interval(flight: Flight) -> Finding:
     interval = flight.sample_interval
     steps = steps[steps <= GAP_FACTOR * interval]
     missing = int(np.sum(np.round(steps / interval) - 1))
-    regular = steps[steps < 1.5 * interval]
+    regular = steps[steps < 1.5 * interval]  # without missing samples between
     jitter = float(np.std(regular)) / interval if regular.size else 0.0
     sentences = []
     if missing > SINGLE_MISSING * len(flight):
@@ -126,7 +132,7 @@ def dropouts(flight: Flight) -> Finding:
         if holes.any():
             extent = f"{int(holes.sum())} samples ({holes.mean():.1%}), up to {longest_run(holes)} in a row"
             sentences.append(f"{name} has no value in {extent}")
-        if name in MOVING and float(missing.mean()) > 1 / 3:
+        if name in MOVING and float(missing.mean()) > LARGEST_DROPOUT:
             severity = "fail"
             sentences.append(f"{name} has no value in {missing.mean():.0%} of the flight")
     summary = "every measured column has a value in every row"
@@ -144,7 +150,7 @@ def stale_samples(flight: Flight) -> Finding:
     severity: Severity = "warn"
     for name, values in _measured(flight):
         finite = values[np.isfinite(values)]
-        if name not in MOVING or finite.size < 10:
+        if name not in MOVING or finite.size < FEWEST_VALUES:
             continue
         if np.ptp(finite) == 0:
             severity = "fail"
@@ -180,14 +186,14 @@ def clipping(flight: Flight) -> Finding:
     sentences = [f"{c}: {n} samples at the end of the sensor's range" for c, n in clipped.items()]
     for name, values in _measured(flight):
         finite = values[np.isfinite(values)]
-        if name not in (*MOVING, *CONTROLS) or finite.size < 20 or np.ptp(finite) == 0:
+        if name not in (*MOVING, *CONTROLS) or finite.size < 2 * FEWEST_VALUES or np.ptp(finite) == 0:
             continue
         inner = finite[(finite > finite.min()) & (finite < finite.max())]
         # a coarse or resting channel repeats values everywhere, a clipped one at the end of its range only
         typical = longest_run(np.diff(inner) == 0) + 1
         for extreme, side in ((finite.max(), "largest"), (finite.min(), "smallest")):
             at_end = finite == extreme
-            if longest_run(at_end) >= max(3, 2 * typical + 1) and _cut_off(flight, name, at_end):
+            if longest_run(at_end) >= max(SHORTEST_CLIP, 2 * typical + 1) and _cut_off(flight, name, at_end):
                 count = int(at_end.sum())
                 sentences.append(
                     f"{name} stays at its {side} value {extreme:.4g} for {count} samples: clipped or at a stop"
@@ -229,7 +235,7 @@ def _spikes(values: Array) -> NDArray[np.int64]:
     if not level:
         return np.zeros(0, np.int64)
     rise, fall = values[1:-1] - values[:-2], values[1:-1] - values[2:]
-    scale = max(SPIKE_SIGMAS * level, 6 * float(np.nanpercentile(np.abs(np.diff(values)), 95)))
+    scale = max(SPIKE_SIGMAS * level, SPIKE_STEPS * float(np.nanpercentile(np.abs(np.diff(values)), 95)))
     wild = (rise * fall > 0) & (np.minimum(np.abs(rise), np.abs(fall)) > scale)
     return np.asarray(np.flatnonzero(wild) + 1)
 
@@ -270,7 +276,7 @@ def time_skew(flight: Flight) -> Finding:
     sentences = []
     attitudes, surfaces = attitude_skew(flight), control_skew(flight)
     for skew in attitudes:
-        if abs(skew.delay) > max(ATTITUDE_LATE, 3 * skew.std):
+        if abs(skew.delay) > max(ATTITUDE_LATE, SKEW_SIGMAS * skew.std):
             sentences.append(
                 f"{skew.late} {'lags' if skew.delay > 0 else 'leads'} {skew.early} by {abs(skew.delay) * 1e3:.0f} ms "
                 f"(+-{skew.std * 1e3:.0f}); correct its delay in the calibration file"
@@ -334,7 +340,7 @@ def excitation(flight: Flight) -> Finding:
             )
     for first, second in combinations(controls, 2):
         rows = np.isfinite(flight[first]) & np.isfinite(flight[second])
-        if rows.sum() > 10 and np.std(flight[first][rows]) > 0 and np.std(flight[second][rows]) > 0:
+        if rows.sum() > FEWEST_VALUES and np.std(flight[first][rows]) > 0 and np.std(flight[second][rows]) > 0:
             rho = float(np.corrcoef(flight[first][rows], flight[second][rows])[0, 1])
             if abs(rho) > MOST_CORRELATION:
                 sentences.append(
@@ -352,9 +358,10 @@ def _measured(flight: Flight) -> Iterator[tuple[str, Array]]:
 
 
 def _counts(flight: Flight, key: str) -> dict[str, float]:
-    """Numbers by instrument or column under a key of the provenance's detail, as the calibration states them."""
+    """Positive numbers by instrument or column under a key of the provenance's detail, as the calibration states them."""
     counts = flight.provenance.detail.get(key, {})
-    return dict(counts) if isinstance(counts, dict) else {}
+    entries = counts.items() if isinstance(counts, dict) else ()
+    return {n: v for n, v in entries if isinstance(v, int | float) and 0 < v < LARGEST_STATED}
 
 
 def _unit(name: str) -> str:

@@ -75,13 +75,13 @@ def _corrected_integral(t: Array, rate: Array) -> Array:
     return integral(t, rate) - np.concatenate([[0.0], correction])
 
 
-def _delay(parts: list[tuple[Array, Array, Array, Array]], least: float) -> tuple[float, float] | None:
+def _delay(parts: list[tuple[Array, Array, Array, Array]], least_rate: float) -> tuple[float, float] | None:
     """Delay of a measured angle behind the integrated one and its std [s], by Gauss-Newton; None without enough motion.
 
     A parabola in each window stands for initial value and gyro bias. parts: time, angle, integrated angle and rate of each
-    window; least: rms rate [rad/s] that counts as motion.
+    window. least_rate: rms rate [rad/s] that counts as motion.
     """
-    parts = [part for part in parts if float(np.std(part[3])) > least]
+    parts = [part for part in parts if float(np.std(part[3])) > least_rate]
     if not parts:
         return None
     delay = 0.0
@@ -145,9 +145,9 @@ def _correlation_delay(parts: list[tuple[Array, Array, Array]]) -> tuple[float, 
     lowest = int(np.argmin(cost))
     if lowest in (0, lags.size - 1) or curvature <= 0:
         return None
-    before, least, after = cost[lowest - 1 : lowest + 2]  # the minimum of the parabola through them
-    bend = before - 2 * least + after
+    before, smallest, after = cost[lowest - 1 : lowest + 2]  # the minimum of the parabola through them
+    bend = before - 2 * smallest + after
     fraction = 0.5 * (before - after) / bend if bend > 0 else 0.0
-    sigma2 = least / max(samples - 1, 1)
+    sigma2 = smallest / max(samples - 1, 1)
     rounding = interval / np.sqrt(12.0)  # an edge lies anywhere between two samples
     return float(lags[lowest] + fraction * (lags[1] - lags[0])), float(np.hypot(np.sqrt(sigma2 / curvature), rounding))

@@ -11,7 +11,7 @@ import pytest
 from daq.contract.recordings.reading import read_recording
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, frames_of
 from daq.utilities.rotating_log import RotatingLog
-from groundstation.live.watches import FREE, LEFT, FreeSpace
+from groundstation.live.watches import FREE_MB, MINUTES_LEFT, FreeSpace
 from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.storage.lasting_log import LastingLog
 from groundstation.receiver.tlog import TlogWriter, read_tlog
@@ -127,7 +127,7 @@ def test_minutes_left_follow_from_the_pace_of_the_last_minute() -> None:
     for second in range(31):
         space.update(float(second), 1_200_000_000 - second * 1_000_000)
     assert space.minutes == pytest.approx(1_170 / 60)
-    assert space.values == {FREE: pytest.approx(1170.0), LEFT: pytest.approx(19.5)}
+    assert space.values == {FREE_MB: pytest.approx(1170.0), MINUTES_LEFT: pytest.approx(19.5)}
     assert space.words == "1170 MB free, 20 min at the present rate"
     for second in range(31, 120):
         space.update(float(second), 1_170_000_000)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from groundstation.export.foxglove import quaternion_flu_to_enu
+from groundstation.export.foxglove import quaternion_flu_to_enu, write_foxglove
 from groundstation.export.run import ExportError, export_file
 from groundstation.export.tracks import utc_offset
 from groundstation.flight import Flight, FlightError, read_flight, write_flight
@@ -132,7 +132,23 @@ class TestTracks:
             export_file(RECORDINGS / "foreign" / "ordinary_0.csv", tmp_path / "x.gpx")
 
 
+def test_a_recording_of_rerun_is_not_exported_to_itself(tmp_path: Path) -> None:
+    (tmp_path / "a.rrd").write_bytes(b"RRF2")
+    with pytest.raises(ExportError, match="already"):
+        export_file(tmp_path / "a.rrd", tmp_path / "b.rrd")
+    assert not (tmp_path / "b.rrd").exists()
+
+
 class TestFoxglove:
+    @pytest.mark.parametrize(
+        "events", [7, [1], [{"time": "now", "text": "x"}], [{"time": 1e300, "text": "x"}], [{"time": 1.0}]]
+    )
+    def test_malformed_events_of_a_flight_are_left_out(self, flight: Flight, tmp_path: Path, events: object) -> None:
+        detail = {**flight.provenance.detail, "events": events}
+        short = replace(flight.part(slice(0, 20)), provenance=replace(flight.provenance, detail=detail))
+        write_foxglove(short, tmp_path / "flight.mcap")
+        assert len(read_flight(tmp_path / "flight.mcap")) == 20
+
     def test_stock_decoder_finds_map_pose_events_and_scalars_in_utc(self, exported: Path, flight: Flight) -> None:
         from mcap.reader import make_reader
         from mcap_protobuf.decoder import DecoderFactory

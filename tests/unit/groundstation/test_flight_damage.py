@@ -5,7 +5,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from groundstation.flight import Flight, FlightError, read_flight, write_flight
+from groundstation.flight import Flight, FlightError, Provenance, read_flight, write_flight
+from groundstation.flight.flight import BACK, CHANNELS, HELD, INTERVAL
+from groundstation.flight.quality import quality_report
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -1.0, 0.0, 10**400, "0.04", None])
+def test_numbers_of_a_provenance_that_cannot_be_are_not_used(number: object) -> None:
+    stated = {"from": "servo", "kind": "measured", HELD: True, INTERVAL: number, BACK: number}
+    counts = {key: {"p": number} for key in ("clipped", "extrapolated", "sensor_noise")}
+    provenance = Provenance(detail={CHANNELS: {"delta_a": stated}, **counts})
+    time = np.arange(200) * 0.05
+    columns = {"delta_a": 0.1 * np.sin(time), "p": np.random.default_rng(1).standard_normal(200)}
+    flight = Flight.build("x", time, columns, provenance=provenance)
+    assert flight.held("delta_a") is None
+    assert flight.dated_back("delta_a") == 0.0
+    texts = [f.text for f in quality_report(flight)]
+    assert not any("end of the sensor's range" in text or "outside the calibrated range" in text for text in texts)
 
 
 def test_damaged_flight_files_never_give_other_values(tmp_path: Path, rng: np.random.Generator) -> None:

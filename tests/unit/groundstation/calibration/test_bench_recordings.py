@@ -68,6 +68,18 @@ def test_fitted_files_replace_the_nominal_ones(benches: Path) -> None:
     assert all(fit.text.startswith(fit.instrument.instrument) for fit in fits)
 
 
+def test_a_pitot_curve_over_pascal_is_fitted_over_pascal(benches: Path) -> None:
+    plan = load_plan(benches / "bench_tunnel" / "plan.toml")
+    over_pascal = load_calibration("autopilot").texts["pitot.toml"]
+    base = load_calibration("cdfp").with_texts({"pitot.toml": over_pascal})
+    fits = {f.instrument.instrument: f.instrument for f in fit_bench(benches / "bench_tunnel" / "onboard", plan, base)}
+    curve = fits["pitot"].curve
+    assert curve is not None
+    assert curve.input_unit == "Pa"
+    assert curve.coefficients[1] == pytest.approx(1.0, abs=0.05)  # a curve over counts has 1.05 Pa a count, about 8191
+    assert abs(curve.centre) < 2000.0
+
+
 def test_plan_that_does_not_match_the_recording_says_so(benches: Path) -> None:
     raw = benches / "bench_tunnel" / "onboard"
     text = (benches / "bench_tunnel" / "plan.toml").read_text()

@@ -70,7 +70,7 @@ def test_facts_are_checked() -> None:
     with pytest.raises(CalibrationError, match=r"imu\.gyro_delay_s"):
         RecordedFacts({"imu.gyro_delay_s": "long"}).lag("gyro")
     assert RecordedFacts({}).lag("gyro") == RecordedFacts({}).delay("pitot", "pitot") == 0.0
-    assert RecordedFacts({"analog_a.beta_vane_after_s": "-0.000858"}).after("beta_vane") == -0.001
+    assert RecordedFacts({"analog_a.beta_vane_after_s": "-0.000858"}).offset_in_group("beta_vane") == -0.001
 
 
 def test_files_are_immutable() -> None:

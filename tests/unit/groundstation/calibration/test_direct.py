@@ -46,7 +46,7 @@ def test_every_column_of_the_table_is_made_by_a_rule_or_of_one_channel(
 
 
 def test_a_channel_without_a_file_is_its_column_at_data_sheet_scale(nominal: CalibrationSet) -> None:
-    assert direct(nominal).as_it_is
+    assert direct(nominal).uncalibrated
     assert direct(nominal).reading == "ozone"
 
 
@@ -76,7 +76,7 @@ def test_a_channel_that_is_not_its_column_says_what_is_missing(
     nominal: CalibrationSet, channel: Channel, column: FlightColumn, says: str
 ) -> None:
     found = direct(nominal, channel, column)
-    assert not found.as_it_is
+    assert not found.uncalibrated
     assert says in found.why_not
 
 

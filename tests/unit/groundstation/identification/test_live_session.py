@@ -28,7 +28,7 @@ from groundstation.identification.alignment import NEIGHBOURS, ScanAlignment
 from groundstation.identification.session import LiveIdentification, LiveState
 from groundstation.identification.wanted import TimeToBound, wanted_bounds
 from groundstation.identification.watching import LiveWatch, conditions_at
-from groundstation.identification.words import lines, short_line
+from groundstation.identification.words import short_line, state_lines
 from sideslip.live_aircraft import airframe_of_file, live_aircraft
 
 EIGHT = ("CY_beta", "CY_dr", "Cl_beta", "Cl_p", "Cl_da", "Cn_beta", "Cn_r", "Cn_dr")
@@ -121,7 +121,7 @@ def test_both_planes_are_identified_where_asked_for(recording: tuple[list[Scan],
         known, there = final.estimates.derivatives[name], over_file.parameters[name]
         assert known.estimate == pytest.approx(there.estimate, rel=1e-5, abs=1e-9)
         assert known.std == pytest.approx(there.std_coloured, rel=1e-5)
-    shown = "\n".join(lines(final))
+    shown = "\n".join(state_lines(final))
     assert all(word in shown for word in ("CL_alpha", "Cm_q", "Cn_dr", "elevator has not moved yet"))
     assert short_line(states[-1])
     assert set(live.history.to_json()) == {"time", *aircraft.derivatives}
@@ -207,7 +207,7 @@ def test_a_mass_that_a_sensor_of_ones_own_measures_is_taken(
     fed(live, alignment, iter(scans))
     final = live.finish()
     assert final is not None
-    assert words in "\n".join(lines(final))
+    assert words in "\n".join(state_lines(final))
     expected = share if words == "as measured" else 1.0
     for name, ratio in (("CY_beta", expected), ("CY_dr", expected), ("Cl_p", 1.0)):
         without = in_order.final.estimates.derivatives[name].estimate
@@ -226,7 +226,7 @@ def test_a_centre_of_gravity_that_a_sensor_of_ones_own_measures_is_taken(
     fed(live, alignment, iter(scans))
     final = live.finish()
     assert final is not None
-    assert words in "\n".join(lines(final))
+    assert words in "\n".join(state_lines(final))
     without, now = (s.estimates.derivatives for s in (in_order.final, final))
     arm = ahead / live.aircraft.airframe.span if ahead < 1.0 else 0.0
     for name, side in (("Cn_beta", "CY_beta"), ("Cn_dr", "CY_dr")):
@@ -270,7 +270,7 @@ def test_numbers_that_cannot_be_end_identification_and_nothing_else(
 
 def test_words_name_what_rests_and_what_helps(in_order: InOrder) -> None:
     states = in_order.states
-    early, late = "\n".join(lines(states[0])), "\n".join(lines(states[-1]))
+    early, late = "\n".join(state_lines(states[0])), "\n".join(state_lines(states[-1]))
     assert "rudder has not moved yet" in early
     assert "Cl_p" in late
     assert "wind tunnel" in late

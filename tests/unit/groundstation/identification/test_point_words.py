@@ -11,7 +11,7 @@ from daq.identification.next_manoeuvre import ManoeuvreAdvice
 from daq.identification.point_quality import FlownPoint
 from daq.identification.regression import LiveAircraft
 from groundstation.identification.session import LiveState
-from groundstation.identification.words import LINE, lines, markdown, point_decision, point_line
+from groundstation.identification.words import LINE, markdown, point_decision, point_line, state_lines
 
 DEG = math.pi / 180.0
 ADVICE = ManoeuvreAdvice("aileron 3-2-1-1", "Cl_p", 2.4, 1.1, 1.0, {"aileron": 6 * DEG}, 2.8)
@@ -56,7 +56,7 @@ def test_what_to_do_with_a_point(seen: LiveState, words: str) -> None:
 
 def test_the_card_says_what_was_flown_and_gained_and_what_comes_next() -> None:
     seen = state({"Cl_p": 12.0})
-    for text in ("\n".join(lines(seen)), markdown(seen)):
+    for text in ("\n".join(state_lines(seen)), markdown(seen)):
         assert "test point flown: aileron 5.0 deg for 3.0 s at 16.0 m/s, gusts 0.2 deg" in text
         assert "test point has narrowed Cl_p 2.0 times" in text
         assert "next: aileron 3-2-1-1, 6.0 deg for 2.8 s, then hands off to 8 s (bound of Cl_p from 2.4 to 1.1" in text

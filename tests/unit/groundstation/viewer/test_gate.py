@@ -59,6 +59,12 @@ def page(view: tuple[LiveView, int]) -> Iterator[int]:
         made.close()
 
 
+def test_requests_for_other_data_are_answered_with_an_error(page: int) -> None:
+    assert asked(page, "/elsewhere", "POST")[0] == 404
+    answer = spoken(page, f"POST {READ} HTTP/1.1\r\nHost: localhost\r\n".encode() + b"Content-Length: \xb2\r\n")
+    assert answer.startswith(b"HTTP/1.0 413")
+
+
 STRANGE = [
     "evil.example",
     "evil.example:9876",
