@@ -43,7 +43,7 @@ from estimation.gap.search.free_base import (
     with_free_derivatives,
 )
 from estimation.gap.search.rounds import run_rounds
-from estimation.gap.search.state import AS_USUAL, LOOK, Options, Setting
+from estimation.gap.search.state import AS_USUAL, Options, ProgressCallback, Setting
 from estimation.gap.significance.kinematic_check import kinematic_check
 from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
@@ -57,7 +57,7 @@ def run_gap(
     holdout: Sequence[Flight] = (),
     effects: Sequence[Effect] | None = None,
     options: Options = AS_USUAL,
-    tell: LOOK = lambda what, share: None,
+    tell: ProgressCallback = lambda what, share: None,
 ) -> GapResult:
     """Find, name and add what `model` lacks on the training flights.
 
@@ -137,7 +137,7 @@ def _setting(
     stamped: Mapping[str, float],
     commanded: Mapping[str, float],
     options: Options,
-    tell: LOOK,
+    tell: ProgressCallback,
 ) -> Setting:
     """The base model with what every fit carries along and all candidates dormant, and what is wrong with the inputs. wide: how
     uncertain the level of a signal is that was found from the motion; stamped: attitude -> interval of its own times;

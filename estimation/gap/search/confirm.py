@@ -1,9 +1,8 @@
-"""Full fits of the leading hypotheses and what they weigh against each other.
+"""Full fits of hypotheses, and their log evidence.
 
-A screen is linear; a delay of 60 ms or a backlash is not. Each leading hypothesis is fitted together with all base
-parameters on the training flights. Weights follow from the evidence (Laplace approximation): gain in log-likelihood,
-divided by the inflation found on the nulls, the price of an estimate far from its usual size, and the width of the prior
-against the bound.
+The screen is linear; a delay of 60 ms or a backlash is not. Each leading hypothesis is therefore fitted together with all base
+parameters to the training flights. Its log evidence (Laplace approximation) is the gain in log-likelihood over inflation, less a
+price for an estimate far from its usual size and for a prior that is wide against the bound of the estimate.
 """
 
 from collections.abc import Collection, Mapping
@@ -21,29 +20,35 @@ from estimation.gap.significance.screen import Hypothesis, equivalent_z, one_sid
 from estimation.models.base import Model
 from estimation.models.expressions import names_in, products_in
 
-FIRST_STEPS = 5  # from every start; the better end goes on
-STEPS = 30  # in all, along a narrow valley (a slow servo against roll damping): twelve end where rounding had led them
-ENOUGH = 0.02  # of the log-likelihood: rivals are weighed by whole units of it
-NEAREST, FARTHEST = 0.3, 3.0  # usual sizes from no effect, between which a fit starts: at none a play has no slope
-SHORTER = (0.3, 0.03)  # of the first start, where the motion runs away from it
-WEIGHED = 4.0  # times less or more than stated: no mass and no moment of inertia is so wrong
-AT_LIMIT = 1e-6  # of a parameter's range: an estimate so near its end was stopped there
-AT_NOTHING = 1e-3  # usual sizes: so near to none it has shrunk to nothing, and the words say so
-ABOVE = 1.0  # of the log-likelihood: a fit that ends so far above the base, which it holds, is lost
-AFAR = 4.0  # usual sizes: where a lag begins that the base may have taken for slow motion of the aircraft
-FOLLOWS = 1.5  # of the cost of the base: derivatives with a wrong lag of that size cost twice to forty times as much
-LOOK_STEPS = (
-    2  # after which a fit from there is given up unless it is near that cost: the right lag is after one or two
+FIRST_STEPS = 5  # from every start; then only the best goes on
+STEPS = 30  # in all: along a narrow valley (a slow servo against roll damping) twelve ended where rounding had led them
+ENOUGH = 0.02  # of the log-likelihood: rivals differ by whole units of it
+NEAREST, FARTHEST = 0.3, 3.0  # usual sizes from no effect, between which a fit starts: a play of zero has no slope
+SHORTER = (0.3, 0.03)  # shares of the first start, tried where the motion runs away from it
+WEIGHED = 4.0  # factor from the stated value: no stated mass or moment of inertia is so wrong
+AT_LIMIT = 1e-6  # of a parameter's range: an estimate so near to its end was stopped there
+AT_NOTHING = 1e-3  # usual sizes: an estimate so near to no effect has shrunk to nothing
+ABOVE = 1.0  # of the log-likelihood: a fit that ends so far above the base, which it contains, is in a wrong minimum
+AFAR = 4.0  # usual sizes: start of a lag that the base may have taken for slow motion of the aircraft
+FOLLOWS = 1.5  # times the cost of the base: derivatives fitted with a wrong lag of that size cost twice to forty times as much
+PROBE_STEPS = (
+    2  # then a fit from that start is given up unless near that cost; with the right lag it is after one or two
 )
 NEARLY = 2.0  # times that cost
-STRAYED = 0.5  # of what the model states: a derivative farther from it, and by three bounds, may hold such a lag
+STRAYED = (
+    0.5  # of the stated value: a derivative that is farther from it, and by three bounds, may stand for such a lag
+)
 
 
 @dataclass(frozen=True)
 class FittedHypothesis:
-    """One fitted hypothesis. gain: twice the log-likelihood gained over the base fit with the same whitening.
-    evidence: log evidence relative to the base. why_not: reason for rejection, or empty. noise: of these flights with the
-    hypothesis in the model, where it was estimated."""
+    """One fitted hypothesis.
+
+    gain: twice the log-likelihood gained over the base fit with the same whiteners. score: the deflated gain as |z| of a single
+    unknown. evidence: log evidence relative to the base. estimates: unknown -> (value, bound). size: largest distance from no
+    effect, in usual sizes. why_not: reason for rejection, or empty. noise: of these flights with the hypothesis in the model,
+    where it was estimated.
+    """
 
     hypothesis: Hypothesis
     fit: ModelFit
@@ -51,7 +56,7 @@ class FittedHypothesis:
     score: float
     evidence: float
     estimates: Mapping[str, tuple[float, float]]
-    size: float  # largest distance from no effect, in usual sizes
+    size: float
     why_not: str = ""
     noise: NoiseModel | None = None
 
@@ -64,39 +69,43 @@ def fit_hypothesis(
     beyond: float = np.inf,
     afar: ModelFit | None = None,
 ) -> tuple[LikelihoodProblem, ModelFit]:
-    """Fit base and hypothesis together from `guess`; (problem, fit).
+    """Fit base and hypothesis together: (problem with the hypothesis in its model, best fit).
 
-    Delays, lags and plays are also started at their usual size, and the better end is kept: far from no effect the base
-    parameters sit elsewhere, and a small step does not find the way. An end at nothing is not believed while another start
-    is still on its way to something. Where the motion runs away from every start, or the best end is worse than the base,
-    the fit begins nearer to no effect: with the base where it was without it, a guess that is right can be unstable, or
-    another valley lies between. beyond: a cost that must be in reach, or the fit ends early.
-    afar: one more start (`begun_afar`).
+    guess: start values of the unknowns. beyond: the fit ends early where this cost is out of its reach. afar: one more start,
+    from `begun_afar`.
+
+    Delays, lags and plays start also at their usual size: far from no effect the base parameters have other values, which small
+    steps from `guess` may not find. A fit that shrinks to no effect is not accepted while another start still goes elsewhere.
+    Where the motion runs away from every start, or the best end is worse than the base, the fit starts again nearer to no
+    effect: with the base parameters as they were without the hypothesis, the right size can be unstable, or in another valley.
     """
     starts = [_inside(hypothesis, problem, guess)]
     if hypothesis.form.nonlinear:
         typical = {p.name: p.null_value(problem.model) + p.typical for p in hypothesis.form.parameters}
         starts.append(_inside(hypothesis, problem, typical))
-    trials = [_begun(problem, base_fit, hypothesis, start, beyond) for start in starts]
+    trials = [_first_steps(problem, base_fit, hypothesis, start, beyond) for start in starts]
     if afar is not None:
         trial = replace(problem, model=afar.model)
         trials.append((trial, fit(trial, afar.values, afar.locals, FIRST_STEPS, enough=ENOUGH, beyond=beyond)))
     for share in SHORTER if all(trial_fit.diverged for _, trial_fit in trials) else ():
-        trials.append(_begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond))
+        trials.append(
+            _first_steps(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond)
+        )
         if not trials[-1][1].diverged:
             break
     ordered = sorted(trials, key=_cost)
     ends: list[tuple[LikelihoodProblem, ModelFit]] = []
     for trial, first_fit in ordered:
-        if ends and (first_fit.diverged or _nothing(hypothesis, problem, first_fit)):
+        if ends and (first_fit.diverged or _shrank_to_nothing(hypothesis, problem, first_fit)):
             continue
-        ends.append((trial, _carried_on(trial, first_fit, beyond)))
-        if not _nothing(hypothesis, problem, ends[-1][1]):
+        ends.append((trial, _finished(trial, first_fit, beyond)))
+        if not _shrank_to_nothing(hypothesis, problem, ends[-1][1]):
             break
     lowest = min(ends, key=_cost)
-    for share in SHORTER if _lost(hypothesis, problem, base_fit, lowest[1]) else ():
-        trial, first_fit = _begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond)
-        lowest = min(lowest, (trial, _carried_on(trial, first_fit, beyond)), key=_cost)
+    for share in SHORTER if _in_wrong_minimum(hypothesis, problem, base_fit, lowest[1]) else ():
+        nearer = _nearer(hypothesis, problem, starts[0], share)
+        trial, first_fit = _first_steps(problem, base_fit, hypothesis, nearer, beyond)
+        lowest = min(lowest, (trial, _finished(trial, first_fit, beyond)), key=_cost)
         if _cost(lowest) < base_fit.cost:
             break
     return lowest
@@ -106,31 +115,33 @@ def _cost(pair: tuple[LikelihoodProblem, ModelFit]) -> float:
     return pair[1].cost if not pair[1].diverged else np.inf
 
 
-def _lost(hypothesis: Hypothesis, problem: LikelihoodProblem, base_fit: ModelFit, found: ModelFit) -> bool:
-    """Whether a fit came to rest above the base that it holds, not at a limit: another valley lies between."""
+def _in_wrong_minimum(hypothesis: Hypothesis, problem: LikelihoodProblem, base_fit: ModelFit, found: ModelFit) -> bool:
+    """Whether a fit converged to a higher cost than that of the base, which its model contains, and not at a limit."""
     within_limits = all(p.lower < found.values[p.name] < p.upper for p in hypothesis.form.parameters)
     is_worse = found.cost > base_fit.cost + ABOVE
-    return found.converged and is_worse and within_limits and not _nothing(hypothesis, problem, found)
+    return found.converged and is_worse and within_limits and not _shrank_to_nothing(hypothesis, problem, found)
 
 
-def _carried_on(trial: LikelihoodProblem, begun: ModelFit, beyond: float) -> ModelFit:
-    if begun.converged or begun.diverged or begun.abandoned:
-        return begun
-    return fit(trial, begun.values, begun.locals, iterations=STEPS - FIRST_STEPS, enough=ENOUGH, beyond=beyond)
+def _finished(trial: LikelihoodProblem, first_fit: ModelFit, beyond: float) -> ModelFit:
+    """The fit continued from its first steps, unless these have ended it."""
+    if first_fit.converged or first_fit.diverged or first_fit.abandoned:
+        return first_fit
+    remaining = STEPS - FIRST_STEPS
+    return fit(trial, first_fit.values, first_fit.locals, iterations=remaining, enough=ENOUGH, beyond=beyond)
 
 
-def _nothing(hypothesis: Hypothesis, problem: LikelihoodProblem, found: ModelFit) -> bool:
-    """Whether a fit ended where the hypothesis does nothing."""
+def _shrank_to_nothing(hypothesis: Hypothesis, problem: LikelihoodProblem, found: ModelFit) -> bool:
+    """Whether a fit ended where the hypothesis has no effect."""
     return all(
         abs(found.values[p.name] - p.null_value(problem.model)) < AT_NOTHING * p.typical
         for p in hypothesis.form.parameters
     )
 
 
-def _begun(
+def _first_steps(
     problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hypothesis, start: Mapping[str, float], beyond: float
 ) -> tuple[LikelihoodProblem, ModelFit]:
-    """The first steps of base and hypothesis together from a start."""
+    """The first steps of a fit of base and hypothesis together from `start`."""
     model = awakened(problem.model, hypothesis.form, start)
     trial = replace(problem, model=model)
     locals_ = [carried_local(local, base_fit.model, model) for local in base_fit.locals]
@@ -139,11 +150,11 @@ def _begun(
 
 
 def begun_afar(problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hypothesis) -> ModelFit | None:
-    """The model's derivatives fitted afresh with a control that is late by some usual sizes; None where that is no way to follow
-    these flights, or the base is where it was expected.
+    """A fit of the model's derivatives from their first values, with a control that is late by some usual sizes.
 
-    A servo and a roll, one behind the other, look the same when they change places: about a base that took the slow one for the
-    aircraft's no step leads to the other order.
+    A lag of a servo and the roll mode, in series, look the same when they exchange their time constants. From a base that took
+    the servo's for that of the roll mode, no step leads to the other order. None where the fit does not follow these flights, or
+    where the derivatives of the base are near what the model states.
     """
     slowed = {t.input for t in hypothesis.form.transforms if t.kind in ("delay", "lag")}
     if not (slowed and strayed(problem, base_fit, slowed)):
@@ -154,43 +165,50 @@ def begun_afar(problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hypot
     locals_ = [carried_local(local, base_fit.model, trial.model) for local in base_fit.locals]
     held, limit = [n for n in trial.free if n in start or trial.nuisance(n)], FOLLOWS * base_fit.cost
     values, found = {**first_values(trial), **start}, None
-    for steps, most in ((LOOK_STEPS, NEARLY * limit), (FIRST_STEPS - LOOK_STEPS, limit)):
+    for steps, cost_limit in ((PROBE_STEPS, NEARLY * limit), (FIRST_STEPS - PROBE_STEPS, limit)):
         found = fit(trial, values, locals_, iterations=steps, enough=ROUGH, held=held, beyond=limit)
-        if found.diverged or found.cost > most:
+        if found.diverged or found.cost > cost_limit:
             return None
         values, locals_ = dict(found.values), list(found.locals)
     return found
 
 
 def strayed(problem: LikelihoodProblem, base_fit: ModelFit, controls: Collection[str]) -> bool:
-    """Whether some derivative of the fitted base by what moves, in a coefficient that one of the controls changes, is far from
-    what the model states: it may hold that the control is late. How far a control moves the aircraft says nothing of when."""
+    """Whether a derivative of the fitted base that may stand for a late control is far from what the model states.
+
+    Such are the derivatives by the motion in the coefficients that one of `controls` changes. True also where the model states
+    none of them.
+    """
     starts, std, bounds = problem.model.starts(), base_fit.std(), problem.criteria.certain
-    stated = {n for n in problem.parameters if not problem.nuisance(n) and starts[n] != 0.0}
-    asked = {n: starts[n] for n in stated & beside_controls(problem.base, controls)}
-    return not asked or any(
-        abs(base_fit.values[n] - value) > STRAYED * abs(value) + bounds * std[n] for n, value in asked.items()
+    non_zero = {n for n in problem.parameters if not problem.nuisance(n) and starts[n] != 0.0}
+    stated = {n: starts[n] for n in non_zero & beside_controls(problem.base, controls)}
+    return not stated or any(
+        abs(base_fit.values[n] - value) > STRAYED * abs(value) + bounds * std[n] for n, value in stated.items()
     )
 
 
 def beside_controls(model: Model, controls: Collection[str]) -> set[str]:
-    """Names in the lines of a model that hold one of some controls, but for what multiplies any control there."""
-    every = {s.name for s in model.inputs if s.control}
+    """Names in the lines of a model that contain one of `controls`, without the factors of any control.
+
+    A control's effectiveness says nothing about when the control moves.
+    """
+    all_controls = {s.name for s in model.inputs if s.control}
     lines = [text for text in model.definitions.values() if names_in(text) & set(controls)]
-    effectiveness = {name for text in lines for product in products_in(text) if product & every for name in product}
+    products = [product for text in lines for product in products_in(text)]
+    effectiveness = {name for product in products if product & all_controls for name in product}
     return {name for text in lines for name in names_in(text)} - effectiveness
 
 
 def _nearer(
     hypothesis: Hypothesis, problem: LikelihoodProblem, start: Mapping[str, float], share: float
 ) -> dict[str, float]:
-    """A start moved to a share of its distance from no effect."""
+    """Start values at a share of their distance from no effect."""
     none = {p.name: p.null_value(problem.model) for p in hypothesis.form.parameters}
     return {n: none[n] + share * (value - none[n]) for n, value in start.items()}
 
 
 def _inside(hypothesis: Hypothesis, problem: LikelihoodProblem, guess: Mapping[str, float]) -> dict[str, float]:
-    """Start values inside the physical range and not exactly at no effect, where one-sided effects have no slope."""
+    """`guess` moved inside the physical range, and away from no effect, where one-sided effects have no slope."""
     start = {}
     for p in hypothesis.form.parameters:
         none = p.null_value(problem.model)
@@ -211,14 +229,14 @@ def assess(
 ) -> FittedHypothesis:
     """Gain, score, evidence and admissibility of a fitted hypothesis.
 
-    inflation: by which rivals' gains are divided alike for the evidence; own: the hypothesis' own, for its score.
+    inflation: for the evidence and the bounds, shared by rivals; own: for the score (default: the same).
     """
     criteria = problem.criteria
     gain = 2.0 * (base_fit.cost - found.cost) if not found.diverged else 0.0
     relief = freed_by(problem, base_fit, found) if not found.diverged else 0.0
     std = found.std() if not found.diverged else {}
     evidence = 0.5 * deflated(gain, relief, inflation)
-    evidence -= float(np.log(len(hypothesis.effect.forms)))  # forms share their effect's prior
+    evidence -= float(np.log(len(hypothesis.effect.forms)))  # the forms of an effect share its prior probability
     estimates: dict[str, tuple[float, float]] = {}
     why_not, size = "the fit diverges" if found.diverged else "", 0.0
     for p in hypothesis.form.parameters:
@@ -228,30 +246,33 @@ def assess(
         size = max(size, abs(value - none) / p.typical)
         evidence -= price(value - none, bound, criteria.prior_width * p.typical, criteria.prior_tail)
         why_not = why_not or impossible(p, value, none)
-    extra_starts = len(hypothesis.form.states) * begun_anew(problem)
-    evidence -= 0.5 * extra_starts  # what as many unknowns gain of noise
-    unknowns = len(hypothesis.form.parameters) + extra_starts
+    extra_initial_states = len(hypothesis.form.states) * extra_records(problem)
+    evidence -= 0.5 * extra_initial_states  # what so many unknowns gain from noise alone, on average
+    unknowns = len(hypothesis.form.parameters) + extra_initial_states
     score = equivalent_z(deflated(gain, relief, inflation if own is None else own), unknowns)
     return FittedHypothesis(hypothesis, found, gain, score, evidence, estimates, size, why_not)
 
 
-def begun_anew(problem: LikelihoodProblem) -> int:
-    """Stretches that a state begins in beyond one for each flight: where a link breaks twenty times, what a lag or a flow of its
-    own begins with is free twenty times, and pays for much that is no such effect."""
+def extra_records(problem: LikelihoodProblem) -> int:
+    """Number of records beyond one for each flight.
+
+    Each record frees the initial value of a hypothesis' own state once more. A flight broken into twenty records by a bad link
+    gives a lag twenty such unknowns, which explain much that is no lag.
+    """
     return len(problem.records) - len({r.flight for r in problem.records})
 
 
 def deflated(gain: float, freed: float, inflation: float) -> float:
-    """A gain over its inflation on the nulls. That is of residuals: the part that comes from priors is not scattered by them."""
+    """A gain over inflation. freed: the part of it that comes from priors; inflation, found on residuals, leaves it as it is."""
     return (gain - freed) / inflation + freed
 
 
 def price(distance: float, bound: float, width: float, tail: float) -> float:
-    """What an estimate costs in log evidence (Laplace): its distance from no effect in widths of the prior, and the width of
-    the prior against the bound.
+    """What an estimate costs in log evidence (Laplace): for its distance from no effect, in widths of the prior, and for the
+    ratio of this width to the bound; 0 where the bound is infinite.
 
-    The prior is Student's t with `tail` degrees of freedom: the usual size of an effect is known from some aircraft, and another
-    kind of aircraft may have ten times as much of it. A Gaussian one made that cost more than any flight could tell.
+    The prior is Student's t with `tail` degrees of freedom. The usual size of an effect is known from some aircraft, and another
+    kind may have ten times as much; with a Gaussian prior that cost more than any flight can gain.
     """
     if not np.isfinite(bound):
         return 0.0
@@ -260,8 +281,10 @@ def price(distance: float, bound: float, width: float, tail: float) -> float:
 
 
 def impossible(p: EffectParameter, value: float, none: float) -> str:
-    """Why an estimate is none, or nothing: it ended at a limit of what is physically possible. The least lag that can be flown is
-    not one: a shorter one than that leaves nearly the same."""
+    """Why an estimate is rejected that ended at a limit of what is physically possible; empty for any other.
+
+    The lower limit of a lag that begins above no effect is no reason: a shorter lag would leave nearly the same residuals.
+    """
     lower, upper = p.lower, p.upper
     if isinstance(p.none, str) and 0.0 < lower < none:  # a mass or inertia that the model states
         lower, upper = max(lower, none / WEIGHED), min(upper, none * WEIGHED)

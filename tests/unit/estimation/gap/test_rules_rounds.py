@@ -478,7 +478,7 @@ def test_the_noise_is_that_of_the_hypothesis_with_which_flights_are_likeliest(
     monkeypatch: pytest.MonkeyPatch, gains: tuple[float, ...], surprise: float, noise: str | None
 ) -> None:
     surprises = {"base": 1000.0, "a": 930.0, "b": surprise, "c": 999.0}
-    monkeypatch.setattr(sharper, "_surprise", lambda base, fit: (surprises[fit], f"noise of {fit}"))
+    monkeypatch.setattr(sharper, "_deviance", lambda base, fit: (surprises[fit], f"noise of {fit}"))
     monkeypatch.setattr(sharper, "with_noise", lambda base, noise: noise)
     round_ = stub(baseline=stub(criteria=AS_SET, fit="base"))
     choice = stub(candidates=[stub(gain=g, fit=f) for g, f in zip(gains, "abc", strict=True)])
