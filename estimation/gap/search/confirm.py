@@ -72,7 +72,7 @@ def fit_hypothesis(
     """Fit base and hypothesis together: (problem with the hypothesis in its model, best fit).
 
     guess: start values of the unknowns. beyond: the fit ends early where this cost is out of its reach. afar: one more start,
-    from `begun_afar`.
+    from `fit_from_afar`.
 
     Delays, lags and plays start also at their usual size: far from no effect the base parameters have other values, which small
     steps from `guess` may not find. A fit that shrinks to no effect is not accepted while another start still goes elsewhere.
@@ -149,7 +149,7 @@ def _first_steps(
     return trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH, beyond=beyond)
 
 
-def begun_afar(problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hypothesis) -> ModelFit | None:
+def fit_from_afar(problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hypothesis) -> ModelFit | None:
     """A fit of the model's derivatives from their first values, with a control that is late by some usual sizes.
 
     A lag of a servo and the roll mode, in series, look the same when they exchange their time constants. From a base that took

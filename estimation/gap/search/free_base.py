@@ -132,16 +132,16 @@ def with_free_derivatives(model: Model, names: Sequence[str]) -> Model:
     return free
 
 
-def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: Baseline, bent: bool = False) -> str:
-    """A sentence on the freed derivatives that moved by more than their bounds allow. bent: whether errors in the times of
+def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: Baseline, biased: bool = False) -> str:
+    """A sentence on the freed derivatives that moved by more than their bounds allow. biased: whether errors in the times of
     commands may be the reason."""
     std, values = baseline.fit.std(), baseline.fit.values
     moved = far_off(names, before, baseline.fit, baseline.criteria)
     words = ", ".join(f"{n} from {before[n]:.4g} to {values[n]:.4g} +- {std[n]:.2g}" for n in moved)
-    off = "look off, as times of commands bend them" if bent else "are off"
+    off = "look off, as errors in the times of commands bias them" if biased else "are off"
     return f"Several derivatives of the base {off}, so that all {len(names)} were refitted first: {words or 'none moved far'}."
 
 
 def others_freed_in_words(names: Sequence[str]) -> str:
     """A sentence on the derivatives that were free while the search tested the one that stands out."""
-    return f"The {len(names)} other derivatives of the base were free beside it, as times of commands bend them."
+    return f"The {len(names)} other derivatives of the base were free beside it, as errors in the times of commands bias them."

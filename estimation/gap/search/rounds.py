@@ -189,7 +189,7 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
         if len(findings) == setting.options.most:
             break
         setting.tell(f"round {len(rounds)}: full fits", setting.options.progress(len(rounds)))
-        choice = choose(round_, setting.prepared)
+        choice = choose(round_)
         deeper_base = _better_base(setting, round_, choice) if restarts < DEEPER else None
         if deeper_base is not None:
             baseline, restarts = deeper_base, restarts + 1

@@ -7,11 +7,10 @@ import numpy as np
 
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.fit.baseline import whiteners_for
 from estimation.gap.fit.channel_noise import sample_interval, time_bound
 from estimation.gap.fit.fitting import fit
-from estimation.gap.records.flight_records import FlightRecord, FlightRecords
-from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, begun_afar, fit_hypothesis
+from estimation.gap.records.flight_records import FlightRecord
+from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, fit_from_afar, fit_hypothesis
 from estimation.gap.search.promise import HOPELESS, leading, promise
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import Hypothesis, linear_guess
@@ -44,14 +43,14 @@ class Choice:
         return replace(self, candidates=remaining, weights=_weights(remaining))
 
     def beside_rest(self, misfit: float) -> Mapping[str, float]:
-        """Weights where a nameless remainder is left. misfit: its energy over that of noise alone; evidence is divided by it.
+        """Weights where a nameless remainder is left. misfit: its gain over what is significant; evidence is divided by it.
 
         What is still missing from the model biases the gains of the rivals, so that their evidence counts less.
         """
         return _weights(self.candidates, misfit) if misfit > 1.0 and self.candidates else self.weights
 
 
-def choose(round_: Round, prepared: FlightRecords) -> Choice:
+def choose(round_: Round) -> Choice:
     """Fit the leading hypotheses in full and weigh them."""
     if not round_.screen.hypotheses:
         return Choice((), {}, ())
@@ -60,7 +59,7 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
     admissible = sorted((c for c in judged if not c.why_not), key=lambda c: -c.evidence)
     rejected += [Rejected(c.hypothesis.label, c.why_not) for c in judged if c.why_not]
     close = worth_comparing(admissible, round_.threshold, criteria)
-    ranked = _compared_again(round_, prepared, close, inflation) if close else tuple(admissible)
+    ranked = _compared_again(round_, close, inflation) if close else tuple(admissible)
     return Choice(held_first(ranked, criteria), _weights(ranked), tuple(rejected))
 
 
@@ -74,7 +73,7 @@ def judged_hypotheses(
     judged: list[FittedHypothesis] = []
     rejected: list[Rejected] = []
     cost_limit = within_reach(base_fit.cost, round_.threshold**2)
-    afar = {h: begun_afar(problem, base_fit, hypothesis) for h, hypothesis in enumerate(screen.hypotheses)}
+    afar = {h: fit_from_afar(problem, base_fit, hypothesis) for h, hypothesis in enumerate(screen.hypotheses)}
     further = [*(h for h in afar if afar[h] is not None), *noise_candidates(round_)]
     for h in leading(screen, promise(round_), round_.threshold, criteria, further):
         hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, h)
@@ -210,24 +209,12 @@ def later_than_sampled(time: float, std: float, interval: float, criteria: Crite
 
 
 def _compared_again(
-    round_: Round,
-    prepared: FlightRecords,
-    candidates: Sequence[FittedHypothesis],
-    inflation: Mapping[tuple[str, str], float],
+    round_: Round, candidates: Sequence[FittedHypothesis], inflation: Mapping[tuple[str, str], float]
 ) -> tuple[FittedHypothesis, ...]:
     """The candidates (best first) refitted with the noise estimated from the best one's residuals: lower than that of the base,
     and the same for all. Scores and gains stay those of the first fits; admissible ones only, best evidence first."""
     leader, problem = candidates[0], round_.baseline.problem
-    noise, whiteners = whiteners_for(
-        leader.fit.model,
-        prepared,
-        problem.records,
-        {**leader.fit.model.starts(), **leader.fit.values},
-        None,
-        leader.fit.residuals,
-        round_.baseline.scatter,
-        round_.baseline.noise,
-    )
+    noise, whiteners = round_.baseline.noise_about(leader.fit)
     sharper = replace(problem, whiteners=whiteners)
     base_fit = fit(sharper, round_.baseline.fit.values, round_.baseline.fit.locals, iterations=AGAIN)
     compared, cost_limit = [], np.inf

@@ -7,16 +7,13 @@ noise and the score was divided by 5.6. With the effect in the model the estimat
 the determinant of the noise covariance is a part of it.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
-from estimation.gap.fit.baseline import Baseline, whiteners_for
+from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import ModelFit
 from estimation.gap.fit.spectra import NoiseModel
-from estimation.gap.fit.whitener import Whitener
 from estimation.gap.search.select import NOISE_CANDIDATES, Choice
 from estimation.gap.significance.calibration import Round
 
@@ -46,23 +43,14 @@ def holds_an_effect(likelier: float, criteria: Criteria) -> bool:
 def _deviance(base: Baseline, found: ModelFit) -> tuple[float, NoiseModel]:
     """Minus twice the log-likelihood (Whittle, up to a constant) of the training flights about a fitted model, with the noise
     estimated from its own residuals; and that noise."""
-    noise, whiteners = _noise_and_whiteners(base, found, None, found.residuals)
+    noise, whiteners = base.noise_about(found)
     pairs = list(zip(whiteners, found.residuals, strict=True))
     return sum(w.log_determinant + w.energy(r) for w, r in pairs), noise
 
 
 def with_noise(base: Baseline, noise: NoiseModel) -> Baseline | None:
     """A base fitted again with another noise; None where its motion runs away."""
-    _, whiteners = _noise_and_whiteners(base, base.fit, noise, ())
+    _, whiteners = base.noise_about(base.fit, noise)
     problem = replace(base.problem, whiteners=whiteners)
     fitted = fit(problem, base.fit.values, base.fit.locals)
     return None if fitted.diverged else replace(base, problem=problem, fit=fitted, noise=noise)
-
-
-def _noise_and_whiteners(
-    base: Baseline, found: ModelFit, noise: NoiseModel | None, residuals: Sequence[Array]
-) -> tuple[NoiseModel, tuple[Whitener, ...]]:
-    """Noise and whiteners of a fitted model on the training flights: `noise` as given, or estimated from `residuals`."""
-    values: Mapping[str, float] = {**found.model.starts(), **found.values}
-    records = base.problem.records
-    return whiteners_for(found.model, base.prepared, records, values, noise, residuals, base.scatter, base.noise)
