@@ -77,8 +77,8 @@ def judged_hypotheses(
     further = [*(h for h in afar if afar[h] is not None), *noise_candidates(round_)]
     for h in leading(screen, promise(round_), round_.threshold, criteria, further):
         hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, h)
-        if carried := by_derivatives(hypothesis):
-            rejected.append(Rejected(hypothesis.label, carried))
+        if reason := by_derivatives(hypothesis):
+            rejected.append(Rejected(hypothesis.label, reason))
             continue
         _, model_fit = fit_hypothesis(problem, base_fit, hypothesis, guess, cost_limit, afar[h])
         key = hypothesis.key
@@ -112,11 +112,11 @@ def within_reach(cost: float, gain: float) -> float:
 
 
 def worth_comparing(
-    sound: Sequence[FittedHypothesis], threshold: float, criteria: Criteria
+    candidates: Sequence[FittedHypothesis], threshold: float, criteria: Criteria
 ) -> Sequence[FittedHypothesis]:
-    """The best of the candidates (best evidence first), to be compared again with the leader's noise; none where no candidate is
+    """The first of the candidates (best evidence first), to be compared again with the leader's noise; none where no candidate is
     significant."""
-    return sound[: criteria.compared] if any(c.score >= threshold for c in sound) else ()
+    return candidates[: criteria.compared] if any(c.score >= threshold for c in candidates) else ()
 
 
 def shared_inflation(round_: Round) -> dict[tuple[str, str], float]:
@@ -132,9 +132,7 @@ def shared_inflation(round_: Round) -> dict[tuple[str, str], float]:
     common = float(round_.inflation[order[0]])
     shared: dict[tuple[str, str], float] = {}
     with_common: list[int] = []  # linear hypotheses so far that take the common inflation
-    groups: list[
-        tuple[list[bool], float]
-    ] = []  # other signatures: which hypotheses have it, inflation of the best of them
+    groups: list[tuple[list[bool], float]] = []  # of every other signature: who has it, inflation of the best
     for h in order:
         inflation, hypothesis = float(round_.inflation[h]), screen.hypotheses[h]
         shared[hypothesis.key] = common
@@ -195,10 +193,10 @@ def material(
         return replace(candidate, why_not=f"fits {candidate.size:.0%} of its usual size: too small to matter")
     delays = [t.parameters[0] for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")]
     if delays and not any(later_than_sampled(*candidate.estimates[n], interval, criteria) for n in delays):
-        return replace(candidate, why_not="is within what sampling leaves open of any time")
+        return replace(candidate, why_not="is late by no more than the sample times are uncertain")
     for play in (t for t in candidate.hypothesis.form.transforms if t.kind == "backlash"):
         if abs(candidate.estimates[play.parameters[0]][0]) < criteria.play_in_noise * noise.get(play.input, 0.0):
-            return replace(candidate, why_not=f"is no wider than the noise of {play.input}, which it takes off")
+            return replace(candidate, why_not=f"is no wider than the noise of {play.input}, which a play removes")
     return candidate
 
 
