@@ -109,12 +109,14 @@ class Baseline:
         """`on_holdout` with the noise of this baseline; cached, for it is needed often."""
         return self.on_holdout(self.noise)
 
-    def noise_about(self, found: ModelFit, noise: NoiseModel | None = None) -> tuple[NoiseModel, tuple[Whitener, ...]]:
+    def noise_about(
+        self, model_fit: ModelFit, noise: NoiseModel | None = None
+    ) -> tuple[NoiseModel, tuple[Whitener, ...]]:
         """Noise about another fit to the training flights, and the whiteners of these flights with it. noise: used as it is; by
-        default the noise is estimated from the residuals of `found`."""
-        values, records = {**found.model.starts(), **found.values}, self.problem.records
-        residuals, scatter = found.residuals, self.scatter
-        return whiteners_for(found.model, self.prepared, records, values, noise, residuals, scatter, self.noise)
+        default the noise is estimated from the residuals of `model_fit`."""
+        values, records = {**model_fit.model.starts(), **model_fit.values}, self.problem.records
+        residuals, scatter = model_fit.residuals, self.scatter
+        return whiteners_for(model_fit.model, self.prepared, records, values, noise, residuals, scatter, self.noise)
 
     def on_holdout(self, noise: NoiseModel) -> tuple[LikelihoodProblem, ModelFit] | None:
         """The fitted model on the held-out flights with `noise`: parameters frozen, initial states and biases fitted.
@@ -283,9 +285,9 @@ def _calmer_fit(baseline: Baseline) -> ModelFit | None:
     return alternative if close and growth(baseline.problem, alternative) < CALMER * growing else None
 
 
-def growth(problem: LikelihoodProblem, found: ModelFit) -> float:
+def growth(problem: LikelihoodProblem, model_fit: ModelFit) -> float:
     """Largest real part [1/s] of the eigenvalues of the motion linearised about any record; negative where all modes decay."""
-    motions = (linear_motion(problem.model, problem.simulator, s, found.values) for s in problem.coarse)
+    motions = (linear_motion(problem.model, problem.simulator, s, model_fit.values) for s in problem.coarse)
     return max(float(np.linalg.eigvals(motion.A).real.max()) for motion in motions)
 
 
@@ -298,10 +300,10 @@ def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | Non
     """
     problem = replace(baseline.problem, model=model)
     fits = (_fit_in_stages(problem, None, turn=1, known=baseline.fit.values), fit_from(problem, baseline.fit))
-    finite = [found for found in fits if not found.diverged]
+    finite = [f for f in fits if not f.diverged]
     if not finite:
         return None
-    return replace(baseline, problem=problem, fit=min(finite, key=lambda found: found.cost), clean=clean)
+    return replace(baseline, problem=problem, fit=min(finite, key=lambda f: f.cost), clean=clean)
 
 
 def fit_from(problem: LikelihoodProblem, other: ModelFit, enough: float = ENOUGH, beyond: float = np.inf) -> ModelFit:
@@ -345,9 +347,9 @@ def _fit_in_stages(
     return first if first.diverged or turn == 0 else fit(problem, first.values, first.locals)
 
 
-def _runaway_flights(problem: LikelihoodProblem, found: ModelFit, prepared: FlightRecords) -> str:
+def _runaway_flights(problem: LikelihoodProblem, model_fit: ModelFit, prepared: FlightRecords) -> str:
     """Name of the first flight on which the motion runs away; of all training flights where it stays finite."""
-    for i, local in enumerate(found.locals):
-        if problem.residual(i, found.values, local) is None:
+    for i, local in enumerate(model_fit.locals):
+        if problem.residual(i, model_fit.values, local) is None:
             return prepared.names[problem.records[i].flight]
     return ", ".join(prepared.names[i] for i in prepared.training)

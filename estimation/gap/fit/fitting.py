@@ -188,7 +188,7 @@ def fit(
     names = problem.free[:n]
     values = {**problem.starts(), **(start or {})}
     view = ProblemUnknowns(problem, values, n, [i for i, name in enumerate(names) if name in held], np.zeros((n, n)))
-    begin = view.packed(locals_ if locals_ is not None else problem.starting_locals())
+    start_unknowns = view.packed(locals_ if locals_ is not None else problem.starting_locals())
     options = LoopOptions(
         iterations,
         enough,
@@ -200,7 +200,7 @@ def fit(
         beyond=beyond,
         flat=0.0,
     )  # whitened residuals are nearly linear near the optimum: halving suffices, damping and combined steps gain nothing
-    outcome = minimise(view, begin, options)
+    outcome = minimise(view, start_unknowns, options)
     point = outcome.point
     shared_values, local_values = view.unpacked(outcome.unknowns)
     converged = outcome.status is Status.CONVERGED and not view.runaway

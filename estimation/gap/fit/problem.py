@@ -154,7 +154,7 @@ class LikelihoodProblem:
         return {f"curvature_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control}
 
     @cached_property
-    def asked(self) -> frozenset[str]:
+    def used_names(self) -> frozenset[str]:
         """Names that the equations use while the dormant terms are zero."""
         dormant = (p for p in self.model.parameters if p.role is ParameterRole.DORMANT and p.fixed)
         return asked_for(self.model, {p.name for p in dormant if p.start == 0.0})
@@ -174,7 +174,7 @@ class LikelihoodProblem:
         return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1, hold="linear")
 
     @cached_property
-    def alone(self) -> Simulator:
+    def parameterless_simulator(self) -> Simulator:
         """The simulator without derivatives by any parameter."""
         return Simulator.build(self.model, (), substeps=1, hold="linear")
 
@@ -203,9 +203,9 @@ class LikelihoodProblem:
         motion = self.simulator.run_by_middles(self.driven(grid, values), shared, local.x0)
         return motion.y if motion.finite else None
 
-    def fitted_outputs(self, index: int, found: ModelFit) -> Array:
+    def fitted_outputs(self, index: int, model_fit: ModelFit) -> Array:
         """(N, ny) outputs of a fitted model on one record, also where none was measured; all zero where its motion runs away."""
-        modelled = self.modelled(index, found.values, found.locals[index])
+        modelled = self.modelled(index, model_fit.values, model_fit.locals[index])
         return np.zeros_like(self.coarse[index].z) if modelled is None else modelled
 
     def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
@@ -213,7 +213,7 @@ class LikelihoodProblem:
 
         None where the motion or a sensitivity runs away."""
         grid, shared = self.grids[index], {**values, **local.parameters}
-        active = [j for j, i in enumerate(self.curvatures.values()) if self.model.input_names[i] in self.asked]
+        active = [j for j, i in enumerate(self.curvatures.values()) if self.model.input_names[i] in self.used_names]
         paths = np.zeros((*grid.rounding.shape, len(active)))
         for k, j in enumerate(active):
             column = list(self.curvatures.values())[j]
@@ -236,7 +236,7 @@ class LikelihoodProblem:
         None where the motion does not stay finite."""
         fine = np.empty((2 * len(du) - 1, *du.shape[1:]))
         fine[::2], fine[1::2] = du, 0.5 * (du[1:] + du[:-1])
-        motion = self.alone.run_by_middles(
+        motion = self.parameterless_simulator.run_by_middles(
             self.driven(self.grids[index], values),
             {**values, **local.parameters},
             local.x0,
@@ -289,8 +289,8 @@ def prior_cost(problem: LikelihoodProblem, names: Sequence[str], values: Mapping
     return 0.5 * float(np.sum(distance[weight > 0] ** 2 / weight[weight > 0]))
 
 
-def freed_by(problem: LikelihoodProblem, base_fit: ModelFit, found: ModelFit) -> float:
+def freed_by(problem: LikelihoodProblem, base_fit: ModelFit, model_fit: ModelFit) -> float:
     """The part of a fit's gain over `base_fit` (twice a log-likelihood) that comes from the priors of nuisance parameters: with
     an effect in the model, surfaces need not be shifted in time as far."""
     names = [n for n in problem.free if problem.nuisance(n)]
-    return 2.0 * (prior_cost(problem, names, base_fit.values) - prior_cost(problem, names, found.values))
+    return 2.0 * (prior_cost(problem, names, base_fit.values) - prior_cost(problem, names, model_fit.values))

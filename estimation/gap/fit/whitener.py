@@ -34,7 +34,7 @@ class Slack:
     def _lower(self) -> Array:
         """(m, m) lower triangular L with L L' = I + E'E.
 
-        Large and nearly equal columns, as a growing motion makes them, lose the I by rounding; then eigenvalues are kept above 1.
+        Of large and nearly equal columns, as of a growing motion, rounding loses the I; then eigenvalues below 1 are set to 1.
         """
         try:
             return np.asarray(np.linalg.cholesky(self._information))

@@ -15,7 +15,7 @@ from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.problem import prior_cost
-from estimation.gap.search.confirm import FittedHypothesis
+from estimation.gap.search.confirm import FittedHypothesis, values_without_effect
 from estimation.gap.search.select import Choice, individual_inflation
 from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
@@ -66,23 +66,24 @@ def confirmed(
         return None, f"explains only {candidate.gain / nameless:.0%} of what a nameless term does"
     strong = is_strong(candidate.score, round_.threshold, criteria)
     timing = by_timing(round_, candidate)
-    cross, number = None, round_.screen.hypotheses.index(candidate.hypothesis)
-    if not candidate.hypothesis.form.nonlinear:
-        cross = round_.screen.cross_gain(number)
-    if not repeats_on_flights(cross, strong, timing, flight_gains(round_, candidate)):
+    index = round_.screen.hypotheses.index(candidate.hypothesis)
+    cross_gain = None if candidate.hypothesis.form.nonlinear else round_.screen.cross_gain(index)
+    if not repeats_on_flights(cross_gain, strong, timing, flight_gains(round_, candidate)):
         return None, "does not hold on the training flights it was not fitted to"
     child = setting.child(round_.baseline, candidate)
     estimates = estimates_of(round_, candidate, child)
-    if not size_is_known(estimates, values_without_effect(candidate, round_.baseline), criteria):
+    null_values = values_without_effect(candidate.hypothesis.form, round_.baseline.problem.model)
+    if not size_is_known(estimates, null_values, criteria):
         words = ", ".join(f"{n} = {value:.3g} +- {bound:.2g}" for n, (value, bound) in estimates.items())
         return None, f"{words} cannot be told from no effect"
     holdout_gain = held_gain(round_.baseline, child)
     held_support = None if holdout_gain is None else holdout_gain / own_inflation(candidate)
-    lower_score = min(candidate.score, float(round_.standardised()[number]))
+    lower_score = min(candidate.score, float(round_.standardised()[index]))
     margin = math.inf if strong or timing else gain_above_threshold(lower_score, round_.threshold)
     if not holds_on_holdout(held_support, margin, criteria):
         return None, "does not hold on the held-out flights"
-    supported = held_support is not None and held_support > (0.0 if strong else ndtri(criteria.null_level) ** 2)
+    chance = 0.0 if strong else ndtri(criteria.null_level) ** 2
+    supported = held_support is not None and held_support > chance
     holdout_gaps = None if timing else held_out_gaps(round_.baseline, child)
     if not closes_held_out(holdout_gaps, criteria.null_energy if supported else 1.0):
         return None, "closes nothing of the gap on the held-out flights"
@@ -92,7 +93,7 @@ def confirmed(
 def estimates_of(round_: Round, candidate: FittedHypothesis, child: Baseline) -> dict[str, tuple[float, float]]:
     """Unknown of a candidate -> (value, bound) in the model that has it; bounds include the inflation found on the nulls.
 
-    Of a control that is late it is the inflation of the full fit: that of a small step says nothing about a long delay.
+    For a late control it is the inflation shared with rivals: its own is that of a small step, which a long delay is not.
     """
     inflation_of = individual_inflation if candidate.hypothesis.form.slows_control else inflation_by_hypothesis
     widening = float(np.sqrt(inflation_of(round_).get(candidate.hypothesis.key, 1.0)))
@@ -101,17 +102,14 @@ def estimates_of(round_: Round, candidate: FittedHypothesis, child: Baseline) ->
     return {n: (float(values[n]), widening * float(std[n])) for n in names}
 
 
-def values_without_effect(candidate: FittedHypothesis, baseline: Baseline) -> dict[str, float]:
-    """Unknown of a candidate -> its value where there is no effect."""
-    return {p.name: p.null_value(baseline.problem.model) for p in candidate.hypothesis.form.parameters}
+def size_is_known(
+    estimates: Mapping[str, tuple[float, float]], null_values: Mapping[str, float], criteria: Criteria
+) -> bool:
+    """Whether some unknown differs from its value without effect by more than `certain` bounds.
 
-
-def size_is_known(estimates: Mapping[str, tuple[float, float]], none: Mapping[str, float], criteria: Criteria) -> bool:
-    """Whether some unknown differs from its value without effect, `none`, by more than `certain` bounds.
-
-    A significant effect does, unless it has states of its own, whose initial values gain too.
+    One of a significant effect does, unless the effect has states of its own, whose initial values gain too.
     """
-    return any(abs(value - none[n]) > criteria.certain * bound for n, (value, bound) in estimates.items())
+    return any(abs(value - null_values[n]) > criteria.certain * bound for n, (value, bound) in estimates.items())
 
 
 def explains(gain: float, nameless: float, criteria: Criteria) -> bool:

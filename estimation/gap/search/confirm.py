@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.gap.effects.base import EffectParameter
+from estimation.gap.effects.base import EffectParameter, Form
 from estimation.gap.fit.baseline import ROUGH, first_values
 from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, freed_by
@@ -28,16 +28,13 @@ SHORTER = (0.3, 0.03)  # shares of the first start, tried where the motion runs 
 WEIGHED = 4.0  # factor from the stated value: no stated mass or moment of inertia is so wrong
 AT_LIMIT = 1e-6  # of a parameter's range: an estimate so near to its end was stopped there
 AT_NOTHING = 1e-3  # usual sizes: an estimate so near to no effect has shrunk to nothing
+SMALLEST_BOUND = 1e-12  # in place of a bound of zero, so that one can divide by it
 ABOVE = 1.0  # of the log-likelihood: a fit that ends so far above the base, which it contains, is in a wrong minimum
 AFAR = 4.0  # usual sizes: start of a lag that the base may have taken for slow motion of the aircraft
 FOLLOWS = 1.5  # times the cost of the base: derivatives fitted with a wrong lag of that size cost twice to forty times as much
-PROBE_STEPS = (
-    2  # then a fit from that start is given up unless near that cost; with the right lag it is after one or two
-)
+PROBE_STEPS = 2  # then a fit from that start is given up if not near that cost; the right lag needs one or two
 NEARLY = 2.0  # times that cost
-STRAYED = (
-    0.5  # of the stated value: a derivative that is farther from it, and by three bounds, may stand for such a lag
-)
+STRAYED = 0.5  # of the stated value: a derivative farther from it, and by three bounds, may stand for such a lag
 
 
 @dataclass(frozen=True)
@@ -88,9 +85,8 @@ def fit_hypothesis(
         trial = replace(problem, model=afar.model)
         trials.append((trial, fit(trial, afar.values, afar.locals, FIRST_STEPS, enough=ENOUGH, beyond=beyond)))
     for share in SHORTER if all(trial_fit.diverged for _, trial_fit in trials) else ():
-        trials.append(
-            _first_steps(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond)
-        )
+        nearer = _nearer(hypothesis, problem, starts[0], share)
+        trials.append(_first_steps(problem, base_fit, hypothesis, nearer, beyond))
         if not trials[-1][1].diverged:
             break
     ordered = sorted(trials, key=_cost)
@@ -115,11 +111,13 @@ def _cost(pair: tuple[LikelihoodProblem, ModelFit]) -> float:
     return pair[1].cost if not pair[1].diverged else np.inf
 
 
-def _in_wrong_minimum(hypothesis: Hypothesis, problem: LikelihoodProblem, base_fit: ModelFit, found: ModelFit) -> bool:
+def _in_wrong_minimum(
+    hypothesis: Hypothesis, problem: LikelihoodProblem, base_fit: ModelFit, trial_fit: ModelFit
+) -> bool:
     """Whether a fit converged to a higher cost than that of the base, which its model contains, and not at a limit."""
-    within_limits = all(p.lower < found.values[p.name] < p.upper for p in hypothesis.form.parameters)
-    is_worse = found.cost > base_fit.cost + ABOVE
-    return found.converged and is_worse and within_limits and not _shrank_to_nothing(hypothesis, problem, found)
+    within_limits = all(p.lower < trial_fit.values[p.name] < p.upper for p in hypothesis.form.parameters)
+    is_worse = trial_fit.cost > base_fit.cost + ABOVE
+    return trial_fit.converged and is_worse and within_limits and not _shrank_to_nothing(hypothesis, problem, trial_fit)
 
 
 def _finished(trial: LikelihoodProblem, first_fit: ModelFit, beyond: float) -> ModelFit:
@@ -130,10 +128,10 @@ def _finished(trial: LikelihoodProblem, first_fit: ModelFit, beyond: float) -> M
     return fit(trial, first_fit.values, first_fit.locals, iterations=remaining, enough=ENOUGH, beyond=beyond)
 
 
-def _shrank_to_nothing(hypothesis: Hypothesis, problem: LikelihoodProblem, found: ModelFit) -> bool:
+def _shrank_to_nothing(hypothesis: Hypothesis, problem: LikelihoodProblem, trial_fit: ModelFit) -> bool:
     """Whether a fit ended where the hypothesis has no effect."""
     return all(
-        abs(found.values[p.name] - p.null_value(problem.model)) < AT_NOTHING * p.typical
+        abs(trial_fit.values[p.name] - p.null_value(problem.model)) < AT_NOTHING * p.typical
         for p in hypothesis.form.parameters
     )
 
@@ -152,25 +150,25 @@ def _first_steps(
 def fit_from_afar(problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hypothesis) -> ModelFit | None:
     """A fit of the model's derivatives from their first values, with a control that is late by some usual sizes.
 
-    A lag of a servo and the roll mode, in series, look the same when they exchange their time constants. From a base that took
-    the servo's for that of the roll mode, no step leads to the other order. None where the fit does not follow these flights, or
+    A servo's lag and the roll mode, in series, give the same response when they exchange their time constants. From a base that
+    took the servo's for the roll mode's, no step leads to the other order. None where the fit does not follow these flights, or
     where the derivatives of the base are near what the model states.
     """
     slowed = {t.input for t in hypothesis.form.transforms if t.kind in ("delay", "lag")}
     if not (slowed and strayed(problem, base_fit, slowed)):
         return None
-    none = {p.name: p.null_value(problem.model) for p in hypothesis.form.parameters}
-    start = {p.name: min(none[p.name] + AFAR * p.typical, p.upper) for p in hypothesis.form.parameters}
+    null_values = values_without_effect(hypothesis.form, problem.model)
+    start = {p.name: min(null_values[p.name] + AFAR * p.typical, p.upper) for p in hypothesis.form.parameters}
     trial = replace(problem, model=awakened(problem.model, hypothesis.form, start))
     locals_ = [carried_local(local, base_fit.model, trial.model) for local in base_fit.locals]
     held, limit = [n for n in trial.free if n in start or trial.nuisance(n)], FOLLOWS * base_fit.cost
-    values, found = {**first_values(trial), **start}, None
+    values, trial_fit = {**first_values(trial), **start}, None
     for steps, cost_limit in ((PROBE_STEPS, NEARLY * limit), (FIRST_STEPS - PROBE_STEPS, limit)):
-        found = fit(trial, values, locals_, iterations=steps, enough=ROUGH, held=held, beyond=limit)
-        if found.diverged or found.cost > cost_limit:
+        trial_fit = fit(trial, values, locals_, iterations=steps, enough=ROUGH, held=held, beyond=limit)
+        if trial_fit.diverged or trial_fit.cost > cost_limit:
             return None
-        values, locals_ = dict(found.values), list(found.locals)
-    return found
+        values, locals_ = dict(trial_fit.values), list(trial_fit.locals)
+    return trial_fit
 
 
 def strayed(problem: LikelihoodProblem, base_fit: ModelFit, controls: Collection[str]) -> bool:
@@ -203,19 +201,24 @@ def _nearer(
     hypothesis: Hypothesis, problem: LikelihoodProblem, start: Mapping[str, float], share: float
 ) -> dict[str, float]:
     """Start values at a share of their distance from no effect."""
-    none = {p.name: p.null_value(problem.model) for p in hypothesis.form.parameters}
-    return {n: none[n] + share * (value - none[n]) for n, value in start.items()}
+    null_values = values_without_effect(hypothesis.form, problem.model)
+    return {n: null_values[n] + share * (value - null_values[n]) for n, value in start.items()}
+
+
+def values_without_effect(form: Form, model: Model) -> dict[str, float]:
+    """Unknown of a form -> its value in `model` where there is no effect."""
+    return {p.name: p.null_value(model) for p in form.parameters}
 
 
 def _inside(hypothesis: Hypothesis, problem: LikelihoodProblem, guess: Mapping[str, float]) -> dict[str, float]:
     """`guess` moved inside the physical range, and away from no effect, where one-sided effects have no slope."""
     start = {}
     for p in hypothesis.form.parameters:
-        none = p.null_value(problem.model)
-        value = guess.get(p.name, none)
-        minimum = none + NEAREST * p.typical if one_sided(p, none, problem.criteria) else -np.inf
+        null = p.null_value(problem.model)
+        value = guess.get(p.name, null)
+        minimum = null + NEAREST * p.typical if one_sided(p, null, problem.criteria) else -np.inf
         width = FARTHEST * p.typical
-        start[p.name] = float(np.clip(max(value, minimum), max(p.lower, none - width), min(p.upper, none + width)))
+        start[p.name] = float(np.clip(max(value, minimum), max(p.lower, null - width), min(p.upper, null + width)))
     return start
 
 
@@ -223,34 +226,35 @@ def assess(
     problem: LikelihoodProblem,
     base_fit: ModelFit,
     hypothesis: Hypothesis,
-    found: ModelFit,
+    trial_fit: ModelFit,
     inflation: float,
-    own: float | None = None,
+    score_inflation: float | None = None,
 ) -> FittedHypothesis:
     """Gain, score, evidence and admissibility of a fitted hypothesis.
 
-    inflation: for the evidence and the bounds, shared by rivals; own: for the score (default: the same).
+    inflation: for the evidence and the bounds, shared by rivals; score_inflation: for the score (default: the same).
     """
     criteria = problem.criteria
-    gain = 2.0 * (base_fit.cost - found.cost) if not found.diverged else 0.0
-    relief = freed_by(problem, base_fit, found) if not found.diverged else 0.0
-    std = found.std() if not found.diverged else {}
-    evidence = 0.5 * deflated(gain, relief, inflation)
+    gain = 2.0 * (base_fit.cost - trial_fit.cost) if not trial_fit.diverged else 0.0
+    prior_gain = freed_by(problem, base_fit, trial_fit) if not trial_fit.diverged else 0.0
+    std = trial_fit.std() if not trial_fit.diverged else {}
+    evidence = 0.5 * deflated(gain, prior_gain, inflation)
     evidence -= float(np.log(len(hypothesis.effect.forms)))  # the forms of an effect share its prior probability
     estimates: dict[str, tuple[float, float]] = {}
-    why_not, size = "the fit diverges" if found.diverged else "", 0.0
+    why_not, size = "the fit diverges" if trial_fit.diverged else "", 0.0
     for p in hypothesis.form.parameters:
-        none = p.null_value(problem.model)
-        value, bound = float(found.values[p.name]), float(std.get(p.name, np.inf)) * np.sqrt(inflation)
+        null = p.null_value(problem.model)
+        value, bound = float(trial_fit.values[p.name]), float(std.get(p.name, np.inf)) * np.sqrt(inflation)
         estimates[p.name] = (value, bound)
-        size = max(size, abs(value - none) / p.typical)
-        evidence -= price(value - none, bound, criteria.prior_width * p.typical, criteria.prior_tail)
-        why_not = why_not or impossible(p, value, none)
+        size = max(size, abs(value - null) / p.typical)
+        evidence -= price(value - null, bound, criteria.prior_width * p.typical, criteria.prior_tail)
+        why_not = why_not or impossible(p, value, null)
     extra_initial_states = len(hypothesis.form.states) * extra_records(problem)
     evidence -= 0.5 * extra_initial_states  # what so many unknowns gain from noise alone, on average
     unknowns = len(hypothesis.form.parameters) + extra_initial_states
-    score = equivalent_z(deflated(gain, relief, inflation if own is None else own), unknowns)
-    return FittedHypothesis(hypothesis, found, gain, score, evidence, estimates, size, why_not)
+    deflated_gain = deflated(gain, prior_gain, inflation if score_inflation is None else score_inflation)
+    score = equivalent_z(deflated_gain, unknowns)
+    return FittedHypothesis(hypothesis, trial_fit, gain, score, evidence, estimates, size, why_not)
 
 
 def extra_records(problem: LikelihoodProblem) -> int:
@@ -262,9 +266,9 @@ def extra_records(problem: LikelihoodProblem) -> int:
     return len(problem.records) - len({r.flight for r in problem.records})
 
 
-def deflated(gain: float, freed: float, inflation: float) -> float:
-    """A gain over inflation. freed: the part of it that comes from priors; inflation, found on residuals, leaves it as it is."""
-    return (gain - freed) / inflation + freed
+def deflated(gain: float, prior_gain: float, inflation: float) -> float:
+    """A gain over inflation. prior_gain: the part that comes from priors; inflation, found on residuals, leaves it as it is."""
+    return (gain - prior_gain) / inflation + prior_gain
 
 
 def price(distance: float, bound: float, width: float, tail: float) -> float:
@@ -277,20 +281,21 @@ def price(distance: float, bound: float, width: float, tail: float) -> float:
     if not np.isfinite(bound):
         return 0.0
     distance_price = 0.5 * (tail + 1.0) * np.log1p((distance / width) ** 2 / tail)
-    return float(distance_price + max(np.log(width / max(bound, 1e-12)), 0.0))
+    return float(distance_price + max(np.log(width / max(bound, SMALLEST_BOUND)), 0.0))
 
 
-def impossible(p: EffectParameter, value: float, none: float) -> str:
+def impossible(p: EffectParameter, value: float, null: float) -> str:
     """Why an estimate is rejected that ended at a limit of what is physically possible; empty for any other.
 
-    The lower limit of a lag that begins above no effect is no reason: a shorter lag would leave nearly the same residuals.
+    null: value without effect. Where the range begins above it (the shortest lag that can be simulated), the lower limit is no
+    reason: a shorter lag would leave nearly the same residuals.
     """
     lower, upper = p.lower, p.upper
-    if isinstance(p.none, str) and 0.0 < lower < none:  # a mass or inertia that the model states
-        lower, upper = max(lower, none / WEIGHED), min(upper, none * WEIGHED)
+    if isinstance(p.none, str) and 0.0 < lower < null:  # a mass or inertia that the model states
+        lower, upper = max(lower, null / WEIGHED), min(upper, null * WEIGHED)
     edge = AT_LIMIT * (upper - lower)
-    if (lower + edge < value or none < lower) and value < upper - edge:
+    if (lower + edge < value or null < lower) and value < upper - edge:
         return ""
-    if abs(value - none) < AT_NOTHING * p.typical:
+    if abs(value - null) < AT_NOTHING * p.typical:
         return f"{p.name} shrinks to nothing"
     return f"{p.name} = {value:.3g} {p.unit} is outside what is physically possible ({lower:g} to {upper:g})"

@@ -32,18 +32,18 @@ def derivatives_off(setting: Setting, baseline: Baseline) -> tuple[str, ...]:
     """
     held = [e for e in setting.effects if e.group is Group.DERIVATIVE and any(f.frees for f in e.forms)]
     hypotheses = hypotheses_for(baseline.clean, held, setting.prepared.available)
-    problem, found, off = baseline.problem, baseline.fit, list[str]()
-    while not many([*off, *factors_off(found, baseline.criteria)] if off else (), baseline.criteria):
+    problem, model_fit, off = baseline.problem, baseline.fit, list[str]()
+    while not many([*off, *factors_off(model_fit, baseline.criteria)] if off else (), baseline.criteria):
         untried = [h for h in hypotheses if h.form.frees[0] not in off]
-        if found.diverged or not untried:
+        if model_fit.diverged or not untried:
             return ()
-        name = largest(build_screen(Tangent(problem, found), untried), baseline.criteria)
+        name = largest(build_screen(Tangent(problem, model_fit), untried), baseline.criteria)
         if name is None:
             return ()
         off.append(name)
         if not many(off, baseline.criteria):
             problem = replace(problem, model=problem.model.freed(name))
-            found = fit_from(problem, found)
+            model_fit = fit_from(problem, model_fit)
     return tuple(h.form.frees[0] for h in hypotheses)
 
 
@@ -52,20 +52,20 @@ def many(off: Sequence[str], criteria: Criteria) -> bool:
     return len(off) >= criteria.many_derivatives
 
 
-def factors_off(found: ModelFit, criteria: Criteria) -> list[str]:
+def factors_off(model_fit: ModelFit, criteria: Criteria) -> list[str]:
     """Factors on a simulation's coefficients that differ from 1 by more than their bounds allow.
 
     A wrong mass or air density, which is no error of a derivative, moves all factors.
     """
-    factors = [n for n in found.values if n.startswith(FACTOR)]
-    return far_off(factors, dict.fromkeys(factors, 1.0), found, criteria)
+    factors = [n for n in model_fit.values if n.startswith(FACTOR)]
+    return far_off(factors, dict.fromkeys(factors, 1.0), model_fit, criteria)
 
 
-def far_off(names: Sequence[str], before: Mapping[str, float], found: ModelFit, criteria: Criteria) -> list[str]:
+def far_off(names: Sequence[str], before: Mapping[str, float], model_fit: ModelFit, criteria: Criteria) -> list[str]:
     """The parameters that a fit with all of them free moved by more than their bounds allow. Freed one by one, more would look
     off: a wrong derivative biases its neighbours."""
-    std = found.std()
-    return [n for n in names if n in std and abs(found.values[n] - before[n]) > criteria.certain * std[n]]
+    std = model_fit.std()
+    return [n for n in names if n in std and abs(model_fit.values[n] - before[n]) > criteria.certain * std[n]]
 
 
 def outstanding(setting: Setting, baseline: Baseline, names: Sequence[str]) -> str | None:
@@ -74,29 +74,29 @@ def outstanding(setting: Setting, baseline: Baseline, names: Sequence[str]) -> s
     Surfaces that are known only by commands logged at intervals have errors in time, which bias every derivative by some per
     cent. Then many look off beside the one that is wrong.
     """
-    problem, held = baseline.problem, baseline.fit
+    problem, held_fit = baseline.problem, baseline.fit
     hypotheses = [
         h
         for h in hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
         if h.effect.group is Group.DERIVATIVE and h.form.frees and h.form.frees[0] in names
     ]
-    first = largest(build_screen(Tangent(problem, held), hypotheses), baseline.criteria) if hypotheses else None
-    if first is None:
+    name = largest(build_screen(Tangent(problem, held_fit), hypotheses), baseline.criteria) if hypotheses else None
+    if name is None:
         return None
-    alone = fit_from(replace(problem, model=problem.model.freed(first)), held)
-    every = fit_from(replace(problem, model=with_free_derivatives(problem.model, names)), held)
-    if alone.diverged or every.diverged:
+    single_fit = fit_from(replace(problem, model=problem.model.freed(name)), held_fit)
+    joint_fit = fit_from(replace(problem, model=with_free_derivatives(problem.model, names)), held_fit)
+    if single_fit.diverged or joint_fit.diverged:
         return None
-    before, costs = problem.model.starts()[first], (held.cost, alone.cost, every.cost)
-    return first if stands_out(before, alone.values[first], costs, baseline.criteria) else None
+    before, costs = problem.model.starts()[name], (held_fit.cost, single_fit.cost, joint_fit.cost)
+    return name if stands_out(before, single_fit.values[name], costs, baseline.criteria) else None
 
 
 def stands_out(before: float, after: float, costs: tuple[float, float, float], criteria: Criteria) -> bool:
     """Whether one derivative moved far, and freeing it gains most of what freeing all does. costs: of the fits with all held,
     with it free, with all free."""
-    held, alone, every = costs
+    held_cost, single_cost, joint_cost = costs
     wrong = abs(after - before) > criteria.wrong_number * abs(before)
-    return wrong and held - alone >= criteria.closed_share * (held - every) > 0.0
+    return wrong and held_cost - single_cost >= criteria.closed_share * (held_cost - joint_cost) > 0.0
 
 
 def largest(screen: Screen, criteria: Criteria) -> str | None:

@@ -47,9 +47,9 @@ def backward_check(
     """
     last = findings[-1]
     for finding in findings[:-1]:
-        rest = [f for f in findings if f is not finding]
+        others = [f for f in findings if f is not finding]
         old = finding.candidate
-        reduced = afresh_with(setting, rest, last.child)
+        reduced = afresh_with(setting, others, last.child)
         if reduced is None:
             continue
         gain = 2.0 * (reduced.fit.cost - last.child.fit.cost)
@@ -58,7 +58,7 @@ def backward_check(
             refitted = fit_baseline(
                 reduced.model, reduced.clean, setting.prepared, setting.scatter, reduced.fit, reduced.noise
             )
-            updated = [replace(f, child=refitted) if f is last else f for f in rest]
+            updated = [replace(f, child=refitted) if f is last else f for f in others]
             return updated, [Rejected(old.hypothesis.label, reason)]
         rival = _rival(setting, reduced, finding, last.round_, gain)
         if rival is not None:
@@ -67,7 +67,7 @@ def backward_check(
             lead = 0.5 * (candidate.gain / own_inflation(candidate) - gain / own_inflation(old))
             choice = Choice.of((candidate, replace(old, evidence=candidate.evidence - lead)))
             exchanged = AcceptedEffect(last.round_, choice, candidate, reduced, child)
-            return [*rest, exchanged], [Rejected(old.hypothesis.label, reason)]
+            return [*others, exchanged], [Rejected(old.hypothesis.label, reason)]
     return None
 
 
@@ -132,13 +132,13 @@ def questioners(gains: Array, criteria: Criteria) -> list[int]:
 
 
 def better_rivals(
-    found: Sequence[FittedHypothesis], gain: float, threshold: float, criteria: Criteria
+    candidates: Sequence[FittedHypothesis], gain: float, threshold: float, criteria: Criteria
 ) -> list[FittedHypothesis]:
     """The significant candidates that gain clearly more than an accepted effect's `gain`, the best first.
 
     All gains are over inflation: a hypothesis of inflation 100 would by chance gain more than any other.
     """
-    significant = [(c.gain / own_inflation(c), c) for c in found if not c.why_not and c.score >= threshold]
+    significant = [(c.gain / own_inflation(c), c) for c in candidates if not c.why_not and c.score >= threshold]
     ahead = [(gained, c) for gained, c in significant if gained > gain + criteria.certain**2]
     return [c for _, c in sorted(ahead, key=lambda pair: -pair[0])]
 

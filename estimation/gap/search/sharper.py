@@ -40,11 +40,11 @@ def holds_an_effect(likelier: float, criteria: Criteria) -> bool:
     return likelier > criteria.noise_held
 
 
-def _deviance(base: Baseline, found: ModelFit) -> tuple[float, NoiseModel]:
+def _deviance(base: Baseline, model_fit: ModelFit) -> tuple[float, NoiseModel]:
     """Minus twice the log-likelihood (Whittle, up to a constant) of the training flights about a fitted model, with the noise
     estimated from its own residuals; and that noise."""
-    noise, whiteners = base.noise_about(found)
-    pairs = list(zip(whiteners, found.residuals, strict=True))
+    noise, whiteners = base.noise_about(model_fit)
+    pairs = list(zip(whiteners, model_fit.residuals, strict=True))
     return sum(w.log_determinant + w.energy(r) for w, r in pairs), noise
 
 
