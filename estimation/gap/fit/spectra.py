@@ -195,7 +195,7 @@ def shapes_of(
     for j, name in enumerate(linear.controls):
         response = np.asarray(by_rates @ linear.B[:, j] + linear.D[:, j], complex)
         parts[NoisePart(NoiseSource.CONTROL, name)] = response
-        # also where it is zero: the noise of one flight's control may be too coarse to be removed, that of another's not
+        # also where there is no error: all records need the same parts, and only on some could the noise be removed
         error = control_errors.get(name, np.zeros(s.size))
         parts[NoisePart(NoiseSource.PREPARED, name)] = response * np.sqrt(error)[:, None]
     for i, name in enumerate(model.output_names):

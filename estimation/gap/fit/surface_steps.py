@@ -136,9 +136,8 @@ def _response(linear: Linear, control: int, count: int) -> Array:
     """(count, ny) outputs at the samples after an interval in whose middle the control was 1 off a straight line; zero from where
     the motion runs away."""
     h = linear.dt
-    x = (
-        expm(linear.A * (0.5 * h)) @ linear.B[:, control] * (0.5 * h)
-    )  # a triangle of width h as an impulse at its middle
+    # the triangle of width h acts as an impulse at its middle, half an interval before the first sample
+    x = expm(linear.A * (0.5 * h)) @ linear.B[:, control] * (0.5 * h)
     states, advance = x[:, None], expm(linear.A * h)
     with np.errstate(over="ignore", invalid="ignore"):
         while states.shape[1] < count:  # every turn doubles the samples that are known
@@ -209,7 +208,7 @@ def slow_errors(
 ) -> SlowErrors:
     """The slow errors of all controls in a record. control_errors: control -> (frequencies,) variance per sample of its error.
 
-    None (no cosines, and below 0 Hz) where no control has an error, or the motion runs away.
+    Without cosines, so that the spectrum stands for all errors, where no control has one or the motion runs away.
     """
     count, step = len(segment), float(np.median(np.diff(segment.time)))
     names = [n for n in simulator.model.input_names if n in control_errors]
