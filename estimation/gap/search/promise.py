@@ -21,9 +21,7 @@ from estimation.gap.significance.screen import Hypothesis, Projected, Screen, gr
 SIZES = (0.3, 1.0, 3.0)
 """Multiples of the usual size: from what the screen takes for a small step to the farthest from which a fit starts."""
 BEYOND = 4.0  # times the last size, up to which its change is extrapolated linearly
-HOPELESS = (
-    0.5  # of the gain that a name needs: a hypothesis that promises less is not fitted, a fit that does is given up
-)
+HOPELESS = 0.5  # of the gain that a name needs: below this promise a hypothesis is not fitted, a fit given up
 
 
 def leading(
