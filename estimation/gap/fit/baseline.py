@@ -54,9 +54,7 @@ STEP_TURNS = 2  # of stationary noise and freedom of the surfaces in turn
 GROWS = 0.15  # 1/s: motion that doubles in less than five seconds, with which no pilot flies a whole record
 CALMER = 0.5  # times the growth: so much slower another fit has to grow to be preferred
 AS_GOOD = 3.0  # of the log-likelihood: which of two fits so close is better is chance
-ALIKE = (
-    0.005  # of the cost: differences that a change in the third digit of the noise makes where the base lacks something
-)
+ALIKE = 0.005  # of the cost: what a change of the noise in the third digit makes where the base lacks an effect
 
 
 def first_values(problem: LikelihoodProblem, known: Mapping[str, float] = MappingProxyType({})) -> dict[str, float]:

@@ -184,7 +184,7 @@ def test_another_fit_is_taken_where_it_is_as_good_and_calmer(
     made: Any = SimpleNamespace(problem=SimpleNamespace(starts=dict), fit=own)
     monkeypatch.setattr(baselines, "growth", lambda problem, found: growing if found is own else other)
     monkeypatch.setattr(baselines, "fit", lambda problem, start: again)
-    assert (baselines._calmer(made) is again) is taken
+    assert (baselines._calmer_fit(made) is again) is taken
 
 
 @pytest.mark.parametrize(
