@@ -4,7 +4,7 @@ from estimation.errors import EstimationError
 
 
 class GapError(EstimationError):
-    """The gap workflow cannot be run on what was given."""
+    """The gap workflow cannot run on these flights and this model."""
 
 
 class EffectError(EstimationError):

@@ -1,15 +1,15 @@
-"""Named streams of random numbers: one seed of the run, one stream for every purpose, the same in any process."""
+"""Named streams of random numbers: from the seed of a run one stream for every purpose, the same in any process."""
 
 from enum import IntEnum
 
 import numpy as np
 
-ROUND = 1000  # between the seeds of successive rounds, more than any of them draws apart by
-KINEMATIC = 31  # apart from the seed of the run: nulls of the kinematic check
+ROUND = 1000  # added to the seed for every round: more than any offset used within a round
+KINEMATIC = 31  # added to the seed of the run for the nulls of the kinematic check
 
 
 class Stream(IntEnum):
-    """What is drawn; the values are large primes, so that no two streams meet."""
+    """What is drawn. The values are distinct large primes, so that no two streams start alike."""
 
     NULLS = 7919
     INPUT_ERRORS = 104729
@@ -20,5 +20,5 @@ class Stream(IntEnum):
     CLOSED_LOOP = 141650939
 
     def generator(self, seed: int, *which: int) -> np.random.Generator:
-        """The generator of draw `which` (record, number) of this stream."""
+        """The generator of one draw of this stream. which: indices of the draw, such as record and number."""
         return np.random.default_rng([seed, int(self), *which])

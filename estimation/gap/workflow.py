@@ -1,7 +1,8 @@
 """The gap workflow: from flights and a base model to a verdict, effects with sets and weights, and a better model.
 
-Rounds of: baseline fit, nulls flown through the whole chain, score-test screen, full fits of the leading hypotheses,
-held-out check, one effect added; until nothing is significant. Then the earlier effects are questioned again.
+A round fits the base to the training flights, simulates nulls (the same flights without any effect), screens all hypotheses by
+score test against them, fits the leading ones in full, checks them on the held-out flights, and adds one effect. Rounds go on
+until nothing is significant. `estimation.gap.search` defines these words.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,7 +44,7 @@ from estimation.gap.search.free_base import (
     with_free_derivatives,
 )
 from estimation.gap.search.rounds import run_rounds
-from estimation.gap.search.state import AS_USUAL, LOOK, Options, Setting
+from estimation.gap.search.state import AS_USUAL, Options, ProgressCallback, Setting
 from estimation.gap.significance.kinematic_check import kinematic_check
 from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
@@ -57,9 +58,12 @@ def run_gap(
     holdout: Sequence[Flight] = (),
     effects: Sequence[Effect] | None = None,
     options: Options = AS_USUAL,
-    tell: LOOK = lambda what, share: None,
+    tell: ProgressCallback = lambda what, share: None,
 ) -> GapResult:
     """Find, name and add what `model` lacks on the training flights.
+
+    holdout: flights that confirm effects and are in no fit. effects: candidates, by default the whole catalogue. tell: called
+    with what is being done and the share of the run that is done.
 
     Raises MissingColumnError, DataError or GapError (one sentence each) where the flights cannot be used.
     """
@@ -70,48 +74,51 @@ def run_gap(
         [part for f in group for part in flown_apart(f, options.criteria)] for group in (training, holdout)
     )
     flights = [*training, *holdout]
-    full_model, (model, comparison_notes) = model, compared(model, flights)
+    full_model = model
+    model, comparison_notes = compared(full_model, flights)  # only in outputs that every flight measured
     tell("preparing the flights", 0.0)
     controls = [s.source for s in model.inputs if s.control and not s.computed]
     outputs = [s.source for s in model.outputs]
     sensed = [*outputs, *(s.source for s in model.inputs if not s.computed)]
     training, holdout = ([without_stuck(f, sensed) for f in group] for group in (training, holdout))
-    gridded = (
+    on_grid = (
         [with_attitudes_between(with_lost_rows(f), options.criteria) for f in group] for group in (training, holdout)
     )
-    read = (at_own_rates(group, controls, outputs, options.criteria) for group in gridded)
+    resampled = (at_own_rates(group, controls, outputs, options.criteria) for group in on_grid)
     training_flights, holdout_flights = (
-        [without_unseen_moves(f, controls, outputs, options.criteria) for f in group] for group in read
+        [without_unseen_moves(f, controls, outputs, options.criteria) for f in group] for group in resampled
     )
     fault_notes = sample_notes(flights, [*outputs, *(s.source for s in model.inputs)], options.criteria)
     stale = stale_channels(training_flights, outputs, options.criteria)
 
-    def begun(base: Model) -> tuple[Setting, Baseline]:
+    def set_up(base: Model) -> tuple[Setting, Baseline]:
         candidates = tuple(effects) if effects is not None else catalogue(model=base)
         candidates += missing_derivatives(base, {e.name for e in candidates})
         prepared = prepare_flights(base, candidates, training_flights, holdout_flights, options.criteria)
         prepared = replace(prepared, notes=(*comparison_notes, *prepared.notes, *fault_notes), stale=stale)
-        stamped, commanded = stamped_attitudes(base, flights), rare_commands(base, training_flights)
-        setting = _setting(prepared, candidates, levels(base, flights), stamped, commanded, options, tell)
+        attitude_intervals, commanded = stamped_attitudes(base, flights), rare_commands(base, training_flights)
+        setting = _setting(prepared, candidates, levels(base, flights), attitude_intervals, commanded, options, tell)
         tell("fitting the baseline", 0.05)
         return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
 
     doubts, moved = [*broken_in_words(flights, full_model), *doubts_of(flights, model)], ""
     try:
         try:
-            setting, baseline = begun(model)
+            setting, baseline = set_up(model)
         except GapError as error:
-            model = _estimated(model, training_flights, error)
-            setting, baseline = begun(model)
+            model = _with_estimated_starts(model, training_flights, error)
+            setting, baseline = set_up(model)
         if off := derivatives_off(setting, baseline):
             # the one that stands out is for the search, which has to confirm it
-            asked = outstanding(setting, baseline, off) if setting.commanded else None
-            freely = tuple(n for n in off if n != asked)
-            freed = begun(with_free_derivatives(model, freely))
-            if asked or many(far_off(freely, model.starts(), freed[1].fit, options.criteria), options.criteria):
+            outlier = outstanding(setting, baseline, off) if setting.commanded else None
+            others = tuple(n for n in off if n != outlier)
+            freed = set_up(with_free_derivatives(model, others))
+            if outlier or many(far_off(others, model.starts(), freed[1].fit, options.criteria), options.criteria):
                 setting, baseline = freed
-                bent = bool(setting.commanded)
-                moved = others_freed_in_words(freely) if asked else moved_in_words(off, model.starts(), baseline, bent)
+                if outlier:
+                    moved = others_freed_in_words(others)
+                else:
+                    moved = moved_in_words(off, model.starts(), baseline, biased=bool(setting.commanded))
         doubts += turned_signs(baseline)
         search = run_rounds(setting, baseline)
     except GapError as error:
@@ -122,10 +129,10 @@ def run_gap(
     tell("measuring what is closed", 0.95)
     answer = concluded(setting, search, check)
     unmoved = unmoved_in_words(flights, model)
-    further = (moved, late_commands(training_flights, baseline), not_compared(full_model, model))
-    # a control whose channel is dead may be the unknown itself: then it is the first to look at
-    unknown = answer.verdict is GapVerdict.UNKNOWN
-    sentences = (unmoved, answer.text, *further) if unknown else (answer.text, *further, unmoved)
+    remarks = (moved, late_commands(training_flights, baseline), not_compared(full_model, model))
+    # a control whose channel is dead may be the unknown effect itself, so that it stands first
+    is_unknown = answer.verdict is GapVerdict.UNKNOWN
+    sentences = (unmoved, answer.text, *remarks) if is_unknown else (answer.text, *remarks, unmoved)
     answer = replace(answer, text=" ".join(t for t in sentences if t))
     return _with_doubts(answer, doubts)
 
@@ -133,26 +140,28 @@ def run_gap(
 def _setting(
     prepared: FlightRecords,
     effects: tuple[Effect, ...],
-    wide: Mapping[str, float],
-    stamped: Mapping[str, float],
+    level_std: Mapping[str, float],
+    attitude_intervals: Mapping[str, float],
     commanded: Mapping[str, float],
     options: Options,
-    tell: LOOK,
+    tell: ProgressCallback,
 ) -> Setting:
-    """The base model with what every fit carries along and all candidates dormant, and what is wrong with the inputs. wide: how
-    uncertain the level of a signal is that was found from the motion; stamped: attitude -> interval of its own times;
-    commanded: as `Setting` has it."""
+    """What all rounds share: the base with nuisance parameters and all candidates dormant, and the errors of the inputs.
+
+    level_std: signal reconstructed from the motion -> standard deviation of its level; attitude_intervals: attitude logged at
+    times of its own -> interval [s]; commanded: as in `Setting`.
+    """
     base, records = prepared.base, prepared.of(prepared.training)
     following = only_following(records, base, options.criteria)
-    effects, unasked = without_hardware_of(effects, following)
-    control_notes = [f"{prepared.names[k]}: {words_on(n)}" for n in following for k in prepared.training if unasked]
+    effects, excluded = without_hardware_of(effects, following)
+    control_notes = [f"{prepared.names[k]}: {words_on(n)}" for n in following for k in prepared.training if excluded]
     white = channel_noise(records)
     scatter = bank_error(records, base.output_names, white, options.criteria)
     scatter = pitch_error(records, base.output_names, scatter, options.criteria)
     filtered = filtered_attitudes(records, base.output_names, white, options.criteria)
     noise = dict(zip(base.output_names, scatter, strict=True))
-    levelled, interval = with_levels(base, wide), sample_interval(records)
-    clean = with_nuisance(levelled, noise, interval, options.criteria, filtered, stamped)
+    levelled, interval = with_levels(base, level_std), sample_interval(records)
+    clean = with_nuisance(levelled, noise, interval, options.criteria, filtered, attitude_intervals)
     working = with_dormant(clean, effects, prepared.available, force_states(base))
     streams = (Stream.INPUT_ERRORS.generator(options.seed, i) for i in range(len(prepared.records)))
     errors = tuple(input_errors(r, clean, rng) for r, rng in zip(prepared.records, streams, strict=True))
@@ -160,22 +169,26 @@ def _setting(
         prepared, records=with_errors(prepared.records, clean, errors), notes=(*prepared.notes, *control_notes)
     )
     return Setting(
-        base, clean, working, prepared, effects, following, unasked, commanded, errors, scatter, options, tell
+        base, clean, working, prepared, effects, following, excluded, commanded, errors, scatter, options, tell
     )
 
 
-def _estimated(model: Model, flights: Sequence[Flight], runs_away: GapError) -> Model:
-    """A base that runs away from its own starts, begun where maximum likelihood ends: with a state that nobody measured there is
-    no regression to begin with. Raises the error itself where these flights cannot be estimated either."""
+def _with_estimated_starts(model: Model, flights: Sequence[Flight], runs_away: GapError) -> Model:
+    """A base that runs away from its start values, with those of an output-error fit instead.
+
+    `fit_baseline` tries a regression by itself, but has none where a state is not measured. Raises `runs_away` where these
+    flights cannot be estimated either.
+    """
     try:
-        found = output_error(model, flights)
+        estimate = output_error(model, flights)
     except EstimationError:
         raise runs_away from None
-    return model.with_starts({n: found.fitted_model.starts()[n] for n in model.free_names})
+    starts = estimate.fitted_model.starts()
+    return model.with_starts({n: starts[n] for n in model.free_names})
 
 
 def _with_doubts(result: GapResult, doubts: Sequence[str]) -> GapResult:
-    """The answer, told to be of flights that are to be looked at first."""
+    """The answer, beginning with the first doubt about the flights; all doubts are among the notes."""
     if not doubts:
         return result
     suffix = f" (and {len(doubts) - 1} more, in the notes)" if len(doubts) > 1 else ""

@@ -103,8 +103,8 @@ def _decided(setting: Setting, search: SearchState) -> _Conclusion:
     misfit = misfit_of(search.omnibus)
     steps = [step_of(setting, f, floor, misfit) for f in search.findings]
     gap = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
-    cannot = [*undetectable(first), *setting.untold]
-    facts = facts_of(search, steps, floor.covers(gap), cannot, len(setting.untold))
+    cannot = [*undetectable(first), *setting.excluded_effects]
+    facts = facts_of(search, steps, floor.covers(gap), cannot, len(setting.excluded_effects))
     facts = only_steered(facts) if setting.steered else facts
     decision = decide(facts, setting.options.criteria, bool(setting.commanded))
     standing = search.findings[: decision.kept]

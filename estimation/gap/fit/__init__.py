@@ -1,1 +1,1 @@
-"""How likely the records are: residuals whitened with the noise of these very flights, and the joint fit."""
+"""The likelihood of the records: noise estimated from the flights themselves, residuals whitened with it, and the joint fit."""

@@ -1,8 +1,8 @@
-"""One model's fit to the training flights with the noise of its residuals.
+"""A model fitted to the training flights, with the noise estimated from its residuals.
 
-It begins at what the model states, or at a regression of the measured motion where that is nearer: an aircraft that was never
-written down has no beliefs, or those of its shape alone. From there the motion runs away, or the search ends in a valley that is
-not the one of these flights.
+The fit starts at the model's own values, or at a regression of the measured motion where that costs less. An aircraft without
+known derivatives states none, or only those estimated from its shape; from there the motion may run away, or the fit may end in
+another minimum.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -47,27 +47,27 @@ from estimation.models.base import Model
 from estimation.models.dependence import force_states
 from estimation.prepare.flight_data import FlightData
 
-PASSES = 3  # of noise and parameters in turn: the third changes neither by more than the nulls know them
-SPARE_PASSES = 3  # more of them where the fit has not come to rest
-ROUGH = 0.5  # of the log-likelihood: what a fit may leave before its noise is known
-STEP_TURNS = 2  # of stationary noise and freedom of the surfaces
-GROWS = 0.15  # 1/s: doubles in less than five seconds, which no pilot flies through a record
-CALMER = 0.5  # times the growth
+PASSES = 3  # of noise and parameters in turn; a third changes both by less than their scatter on the nulls
+SPARE_PASSES = 3  # more of them where the fit has not converged
+ROUGH = 0.5  # of the log-likelihood: accuracy of a fit whose noise is not yet known
+STEP_TURNS = 2  # of stationary noise and freedom of the surfaces in turn
+GROWS = 0.15  # 1/s: motion that doubles in less than five seconds, with which no pilot flies a whole record
+CALMER = 0.5  # times the growth: so much slower another fit has to grow to be preferred
 AS_GOOD = 3.0  # of the log-likelihood: which of two fits so close is better is chance
-ALIKE = 0.005  # of the cost: so far two fits of a base that lacks something move with the third digit of the noise
+ALIKE = 0.005  # of the cost: what a change of the noise in the third digit makes where the base lacks an effect
 
 
 def first_values(problem: LikelihoodProblem, known: Mapping[str, float] = MappingProxyType({})) -> dict[str, float]:
-    """Shared values at which the first fit begins, the nearest of three: none (the model's own starts), a regression, and what
-    another model of these flights has of the same derivatives (`known`)."""
+    """Shared values at which the first fit starts: of a regression, of `known` and of the model itself (an empty dict) those of
+    the lowest cost. known: values of another model fitted to these flights."""
     carried_over = {n: known[n] for n in problem.parameters if n in known and not problem.nuisance(n)}
     candidates = [values for values in (by_regression(problem), carried_over) if values]
     return min([{}, *candidates], key=lambda values: cost_at(problem, values)) if candidates else {}
 
 
 def by_regression(problem: LikelihoodProblem) -> dict[str, float]:
-    """Derivatives of the model by equation error over the records, what is only nuisance at rest; none where a state is not
-    measured, as those that an effect brings with it."""
+    """Derivatives of the model by equation error over all records, nuisance parameters at their starts; empty where a state is
+    not measured, or where an effect has added states."""
     if len(problem.model.states) != len(problem.base.states):
         return {}
     unknowns = tuple(n for n in problem.parameters if not problem.nuisance(n))
@@ -84,8 +84,8 @@ def by_regression(problem: LikelihoodProblem) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Baseline:
-    """A fitted model with the noise of its residuals. scatter: (ny,) standard deviations of the channels' white noise.
-    clean: the model as a person reads it, without what is dormant in it. prepared: all flights, held-out ones among them."""
+    """A model fitted to the training flights, with the noise of its residuals. scatter: (ny,) standard deviations of the outputs'
+    white noise. clean: the model without its dormant effects. prepared: all flights, also the held-out ones."""
 
     problem: LikelihoodProblem
     fit: ModelFit
@@ -104,11 +104,20 @@ class Baseline:
 
     @cached_property
     def held_out(self) -> tuple[LikelihoodProblem, ModelFit] | None:
-        """`on_holdout` with its own noise, which is asked for again and again."""
+        """`on_holdout` with the noise of this baseline; cached, for it is needed often."""
         return self.on_holdout(self.noise)
 
+    def noise_about(
+        self, model_fit: ModelFit, noise: NoiseModel | None = None
+    ) -> tuple[NoiseModel, tuple[Whitener, ...]]:
+        """Noise about another fit to the training flights, and the whiteners of these flights with it. noise: used as it is; by
+        default the noise is estimated from the residuals of `model_fit`."""
+        values, records = {**model_fit.model.starts(), **model_fit.values}, self.problem.records
+        residuals, scatter = model_fit.residuals, self.scatter
+        return whiteners_for(model_fit.model, self.prepared, records, values, noise, residuals, scatter, self.noise)
+
     def on_holdout(self, noise: NoiseModel) -> tuple[LikelihoodProblem, ModelFit] | None:
-        """The fitted model on the held-out flights, weighed by `noise`: parameters frozen, initial states and biases fitted.
+        """The fitted model on the held-out flights with `noise`: parameters frozen, initial states and biases fitted.
 
         None where there is no held-out flight.
         """
@@ -122,34 +131,34 @@ class Baseline:
 
 
 def whiteners_for(
-    problem_model: Model,
+    model: Model,
     prepared: FlightRecords,
     records: Sequence[FlightRecord],
     values: Mapping[str, float],
     noise: NoiseModel | None,
     residuals: Sequence[Array],
     scatter: Array,
-    begin: NoiseModel | None = None,
+    earlier: NoiseModel | None = None,
 ) -> tuple[NoiseModel, tuple[Whitener, ...]]:
-    """Noise model from `residuals` (or `noise` where given) and the whitener of every record. begin: an earlier estimate."""
+    """`noise`, or where None the noise estimated from `residuals`; and with it the whitener of every record.
+
+    values: of the model's parameters, about which its motion is linearised. earlier: a noise model to start the estimate from.
+    """
     base, criteria = prepared.base, prepared.criteria
-    simulator = Simulator.build(problem_model, (), substeps=1, hold="linear")
-    segments = [r.segment(problem_model, base) for r in records]
-    linear = [linear_motion(problem_model, simulator, s, values) for s in segments]
+    simulator = Simulator.build(model, (), substeps=1, hold="linear")
+    segments = [r.segment(model, base) for r in records]
+    motions = [linear_motion(model, simulator, s, values) for s in segments]
     shapes = [
         as_seen(
-            replace(
-                shapes_of(problem_model, m, len(s), criteria, force_states(base), r.error_spectra), louder=r.louder
-            ),
+            replace(shapes_of(model, m, len(s), criteria, force_states(base), r.error_spectra), louder=r.louder),
             np.isfinite(s.z),
         )
-        for m, s, r in zip(linear, segments, records, strict=True)
+        for m, s, r in zip(motions, segments, records, strict=True)
     ]
-    steps = [find_surface_steps(problem_model, m, s, criteria) for m, s in zip(linear, segments, strict=True)]
+    steps = [find_surface_steps(model, m, s, criteria) for m, s in zip(motions, segments, strict=True)]
     if noise is None:
-        noise = estimated_noise(
-            residuals, shapes, steps, *noise_parts(records, base.output_names, scatter, criteria), begin
-        )
+        parts = noise_parts(records, base.output_names, scatter, criteria)
+        noise = estimated_noise(residuals, shapes, steps, *parts, earlier)
     slow = [slow_errors(simulator, values, s, r.error_spectra) for r, s in zip(records, segments, strict=True)]
     return noise, tuple(
         loosened(whitener(noise, without_slow(s, w.below)), e, noise.freedom, w.response)
@@ -164,10 +173,14 @@ def estimated_noise(
     white: Array,
     without: Collection[NoisePart],
     known: Mapping[NoisePart, float],
-    begin: NoiseModel | None,
+    earlier: NoiseModel | None,
 ) -> NoiseModel:
-    """Stationary noise and the freedom of the surfaces in turn: each from what the other leaves of the residuals."""
-    noise = begin if begin is not None and begin.freedom else None
+    """Stationary noise and freedom of the surfaces (`surface_steps`), estimated in turn, each from the residuals less the other.
+
+    white: (ny,) first standard deviations of the outputs' white noise. without: parts that these flights do not have. known:
+    first strengths of some parts. earlier: a noise model to go on from.
+    """
+    noise = earlier if earlier is not None and earlier.freedom else None
     freedom = dict(noise.freedom) if noise is not None else {}
     unexplained = list(residuals)
     for turn in range(STEP_TURNS + 1):
@@ -190,29 +203,26 @@ def estimated_noise(
 def noise_parts(
     records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria
 ) -> tuple[Array, tuple[NoisePart, ...], dict[NoisePart, float]]:
-    """(ny,) white noise of the outputs to begin with, the parts these flights do not have, first guesses of some they have.
+    """(ny,) first standard deviations of the outputs' white noise, the parts these flights do not have, and first strengths of
+    some that they have.
 
-    An attitude that is measured afresh in every sample does not wander; one that is a filter's shares most of its gyro's
-    noise. It keeps its slow error as white noise too: a filter is smoother than it is right, and what it makes of the motion
-    between two samples is not known to a hundredth of a degree.
+    An attitude that is measured independently in every sample has no wandering error. One that comes from a filter has, and most
+    of its gyro's noise. It keeps its slow error as white noise too: such an angle is smoother than it is accurate, and how the
+    filter follows the motion between two samples is not known to a hundredth of a degree.
     """
-    white = channel_noise(records)
-    wandering = filtered_attitudes(records, outputs, white, criteria)
+    filtered = filtered_attitudes(records, outputs, channel_noise(records), criteria)
     step = float(np.median(np.diff(records[0].time)))
-    floor = scatter.copy()
-    for n in wandering:
-        if RATE_OF[n] in outputs:
-            floor[outputs.index(RATE_OF[n])] *= criteria.least_scatter
+    white = scatter.copy()
     strengths: dict[NoisePart, float] = {}
-    for n in wandering:
-        strengths[NoisePart(NoiseSource.WANDERING, n)] = scatter[outputs.index(n)] ** 2 / (
-            step * criteria.filter_memory
-        )
+    for n in filtered:
+        variance = scatter[outputs.index(n)] ** 2
+        strengths[NoisePart(NoiseSource.WANDERING, n)] = variance / (step * criteria.filter_memory)
         if RATE_OF[n] in outputs:
-            shared = 1.0 - criteria.least_scatter**2
-            strengths[NoisePart(NoiseSource.GYRO, n)] = shared * scatter[outputs.index(RATE_OF[n])] ** 2
-    filters = (NoiseSource.WANDERING, NoiseSource.GYRO)
-    return floor, tuple(NoisePart(f, n) for n in RATE_OF if n not in wandering for f in filters), strengths
+            rate, shared = outputs.index(RATE_OF[n]), 1.0 - criteria.least_scatter**2
+            strengths[NoisePart(NoiseSource.GYRO, n)] = shared * scatter[rate] ** 2
+            white[rate] *= criteria.least_scatter
+    of_filters = (NoiseSource.WANDERING, NoiseSource.GYRO)
+    return white, tuple(NoisePart(s, n) for n in RATE_OF if n not in filtered for s in of_filters), strengths
 
 
 def fit_baseline(
@@ -220,49 +230,51 @@ def fit_baseline(
     clean: Model,
     prepared: FlightRecords,
     scatter: Array,
-    begun: ModelFit | None = None,
+    earlier_fit: ModelFit | None = None,
     noise: NoiseModel | None = None,
-    known: bool = False,
+    noise_is_current: bool = False,
 ) -> Baseline:
     """Fit `model` to the training flights, noise and parameters in turn.
 
-    begun: a fit of this model with `noise`, from which to go on. known: this noise was estimated with this model, so that one
-    pass is done. Raises GapError when the motion diverges at the start and no start helps.
+    clean: `model` without its dormant effects. scatter: (ny,) standard deviations of the outputs' white noise. earlier_fit: a fit
+    of this model with `noise`, from which to go on. noise_is_current: `noise` was estimated with this model, so that one pass
+    fewer is needed. Raises GapError where the motion runs away.
     """
     records = prepared.of(prepared.training)
-    level, model_fit, problem = noise or NoiseModel(scatter**2, {}), begun, None
-    for turn in range(0 if begun is None else 1 + known, PASSES + 1 + SPARE_PASSES):
+    noise, model_fit, problem = noise or NoiseModel(scatter**2, {}), earlier_fit, None
+    for turn in range(0 if earlier_fit is None else 1 + noise_is_current, PASSES + 1 + SPARE_PASSES):
         if turn > PASSES and model_fit is not None and model_fit.converged:
             break
         if model_fit is None:
-            _, whiteners = whiteners_for(model, prepared, records, model.starts(), level, (), scatter)
+            _, whiteners = whiteners_for(model, prepared, records, model.starts(), noise, (), scatter)
         else:
-            current = {**model.starts(), **model_fit.values}
-            level, whiteners = whiteners_for(
-                model, prepared, records, current, None, model_fit.residuals, scatter, level
+            values = {**model.starts(), **model_fit.values}
+            noise, whiteners = whiteners_for(
+                model, prepared, records, values, None, model_fit.residuals, scatter, noise
             )
         problem = LikelihoodProblem(model, prepared.base, records, whiteners, prepared.criteria)
-        model_fit = _careful(problem, model_fit, afar=turn if begun is None else PASSES)
+        model_fit = _fit_in_stages(problem, model_fit, turn if earlier_fit is None else PASSES)
         if model_fit.diverged:
+            where = _runaway_flights(problem, model_fit, prepared)
             raise GapError(
-                f"model {model.name} runs away on {_culprit(problem, model_fit, prepared)}: the baseline itself is wrong for "
-                "these flights; check the aircraft file and the signs of the controls, or cut the flights into shorter segments"
+                f"model {model.name} runs away on {where}: the baseline itself is wrong for these flights; check the aircraft "
+                "file and the signs of the controls, or cut the flights into shorter segments"
             )
     assert problem is not None
     assert model_fit is not None
-    baseline = Baseline(problem, model_fit, level, scatter, clean, prepared)
-    calmer = _calmer(baseline) if begun is None else None
+    baseline = Baseline(problem, model_fit, noise, scatter, clean, prepared)
+    calmer = _calmer_fit(baseline) if earlier_fit is None else None
     if calmer is None:
         return baseline
     try:
-        return fit_baseline(model, clean, prepared, scatter, calmer, level)
-    except GapError:  # it was as good with the noise of the first only
+        return fit_baseline(model, clean, prepared, scatter, calmer, noise)
+    except GapError:  # the calmer fit was as good only with the noise of the first
         return baseline
 
 
-def _calmer(baseline: Baseline) -> ModelFit | None:
-    """Another fit as good as one whose motion grows, with calmer motion, begun at what the model states; None where there is
-    none. What is missing can bend the base either way, and the nulls of an aircraft that runs away show nothing."""
+def _calmer_fit(baseline: Baseline) -> ModelFit | None:
+    """A fit as good as one whose motion grows, but with slower growth, started at the model's own values; None where there is
+    none. A missing effect can bias the base either way, and nulls that run away calibrate nothing."""
     growing = growth(baseline.problem, baseline.fit)
     if growing < GROWS:
         return None
@@ -271,36 +283,39 @@ def _calmer(baseline: Baseline) -> ModelFit | None:
     return alternative if close and growth(baseline.problem, alternative) < CALMER * growing else None
 
 
-def growth(problem: LikelihoodProblem, found: ModelFit) -> float:
-    """Rate [1/s] of the fastest growing small motion about any record; negative where all die away."""
-    motions = (linear_motion(problem.model, problem.simulator, s, found.values) for s in problem.coarse)
+def growth(problem: LikelihoodProblem, model_fit: ModelFit) -> float:
+    """Largest real part [1/s] of the eigenvalues of the motion linearised about any record; negative where all modes decay."""
+    motions = (linear_motion(problem.model, problem.simulator, s, model_fit.values) for s in problem.coarse)
     return max(float(np.linalg.eigvals(motion.A).real.max()) for motion in motions)
 
 
 def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | None:
-    """Another model of the same flights, fitted afresh with the noise and the whiteners of a baseline, so that the two can be
-    compared; None where its motion runs away. Begun from afar and where the baseline is: what a fit that rests in a poorer
-    valley lacks would be counted for whatever the other model has not."""
+    """Another model fitted to the same flights with the whiteners of a baseline, so that their costs can be compared; None where
+    its motion runs away.
+
+    The better of two fits, one from first values and one from the values of the baseline: a fit in a poorer minimum would make
+    the effects that `model` lacks look better than they are.
+    """
     problem = replace(baseline.problem, model=model)
-    ends = (_careful(problem, None, afar=1, known=baseline.fit.values), fit_from(problem, baseline.fit))
-    finite = [found for found in ends if not found.diverged]
+    fits = (_fit_in_stages(problem, None, turn=1, known=baseline.fit.values), fit_from(problem, baseline.fit))
+    finite = [f for f in fits if not f.diverged]
     if not finite:
         return None
-    return replace(baseline, problem=problem, fit=min(finite, key=lambda found: found.cost), clean=clean)
+    return replace(baseline, problem=problem, fit=min(finite, key=lambda f: f.cost), clean=clean)
 
 
 def fit_from(problem: LikelihoodProblem, other: ModelFit, enough: float = ENOUGH, beyond: float = np.inf) -> ModelFit:
-    """A problem's fit begun where another model of the same flights ended, with all that both have."""
+    """A fit started at the values of another model's fit to the same flights, as far as both have the same unknowns."""
     values = {n: other.values[n] for n in problem.free if n in other.values}
     locals_ = [carried_local(local, other.model, problem.model) for local in other.locals]
     return fit(problem, values, locals_, enough=enough, beyond=beyond)
 
 
 def deeper_fit(baseline: Baseline, other: ModelFit) -> ModelFit | None:
-    """A better fit of a baseline's own model, begun where another model of the same flights ended; None where there is none.
+    """A better fit of a baseline's own model, started at the fit of another model (`other`); None where there is none.
 
-    A gain over a fit that rests in a poorer valley is not the other model's. A base whose motion grows was left for one as good
-    (`_calmer`), and is not taken back for less than it was left for.
+    Part of the gain of `other` is then not due to its effect but to a better minimum. A fit whose motion grows, such as
+    `_calmer_fit` replaces, counts only if it is better by more than `_calmer_fit` was allowed to lose.
     """
     cost = baseline.fit.cost
     model_fit = fit_from(baseline.problem, other, ROUGH, cost - AS_GOOD)
@@ -311,20 +326,28 @@ def deeper_fit(baseline: Baseline, other: ModelFit) -> ModelFit | None:
     return None if was_avoided and model_fit.cost > cost - ALIKE * cost else model_fit
 
 
-def _careful(
-    problem: LikelihoodProblem, begun: ModelFit | None, afar: int, known: Mapping[str, float] = MappingProxyType({})
+def _fit_in_stages(
+    problem: LikelihoodProblem,
+    earlier_fit: ModelFit | None,
+    turn: int,
+    known: Mapping[str, float] = MappingProxyType({}),
 ) -> ModelFit:
-    """A fit from afar (pass 0: white noise; pass 1: its own noise for the first time) without, then with what is only
-    nuisance: far from the optimum a displacement in time is bent to serve for everything else, and does not come back."""
-    values, local_values = (first_values(problem, known), None) if begun is None else (begun.values, begun.locals)
-    if afar > 1:
-        return fit(problem, values, local_values)
-    first = fit(problem, values, local_values, enough=ROUGH, held=[n for n in problem.free if problem.nuisance(n)])
-    return first if first.diverged or afar == 0 else fit(problem, first.values, first.locals)
+    """The fit of one turn of noise and parameters. Turn 0 (white noise) holds the nuisance parameters, turn 1 (first estimated
+    noise) frees them after a first fit, later turns fit all at once.
+
+    Far from the optimum a timing offset would take on errors of the derivatives, and stay there. known: as in `first_values`.
+    """
+    values = first_values(problem, known) if earlier_fit is None else earlier_fit.values
+    locals_ = None if earlier_fit is None else earlier_fit.locals
+    if turn > 1:
+        return fit(problem, values, locals_)
+    first = fit(problem, values, locals_, enough=ROUGH, held=[n for n in problem.free if problem.nuisance(n)])
+    return first if first.diverged or turn == 0 else fit(problem, first.values, first.locals)
 
 
-def _culprit(problem: LikelihoodProblem, found: ModelFit, prepared: FlightRecords) -> str:
-    for i, local in enumerate(found.locals):
-        if problem.residual(i, found.values, local) is None:
+def _runaway_flights(problem: LikelihoodProblem, model_fit: ModelFit, prepared: FlightRecords) -> str:
+    """Name of the first flight on which the motion runs away; of all training flights where it stays finite."""
+    for i, local in enumerate(model_fit.locals):
+        if problem.residual(i, model_fit.values, local) is None:
             return prepared.names[problem.records[i].flight]
     return ", ".join(prepared.names[i] for i in prepared.training)

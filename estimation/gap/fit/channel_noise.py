@@ -1,4 +1,4 @@
-"""How noisy every channel is, and which attitudes are the output of a filter: before anything is fitted."""
+"""The noise of every channel, and the attitudes that are the output of a filter: found before any fit."""
 
 import math
 from collections.abc import Sequence
@@ -14,8 +14,9 @@ from estimation.signals.denoise import noise_level
 from groundstation.flight.arrays import integral
 from groundstation.flight.kinematics import attitude_rates
 
-KNOWN = 0.2  # of the steps from sample to sample, for what is seen of them to stand for the rest
-QUIETEST = 1e-4  # of the span of a channel: a coarsely rounded one shows no scatter at all
+KNOWN = 0.2  # share of the steps from sample to sample that must be measured to represent all of them
+QUIETEST = 1e-4  # of the range of a channel: the least noise, as a coarsely rounded channel shows no scatter at all
+SMALLEST_RANGE = 1e-9  # [unit of the channel] of one that never changes
 
 
 def channel_noise(records: Sequence[FlightRecord]) -> Array:
@@ -29,16 +30,16 @@ def channel_noise(records: Sequence[FlightRecord]) -> Array:
             if measured.size:
                 levels[k, i] = noise_level(record.z[:, i])
                 span[i] = max(span[i], float(np.ptp(measured)))
-    return np.maximum(np.median(levels, axis=0), QUIETEST * np.maximum(span, 1e-9))
+    return np.maximum(np.median(levels, axis=0), QUIETEST * np.maximum(span, SMALLEST_RANGE))
 
 
 def filtered_attitudes(
     records: Sequence[FlightRecord], outputs: Sequence[str], white: Array, criteria: Criteria
 ) -> tuple[str, ...]:
-    """Those attitudes among the outputs, of white noise `white` (ny,), that come from a filter which integrates the gyro.
+    """Those attitudes among the outputs that come from a filter which integrates the gyro. white: (ny,) noise of the outputs.
 
-    From sample to sample they are smoother than one step of the gyro's own noise, which no independent measurement can be; or
-    what parts them from the integrated rates is not white from sample to sample, as the noise of a measurement is.
+    From sample to sample they are smoother than the gyro's noise integrated over one step, as no independent measurement can be;
+    or their difference from the integrated rates is not white, as the noise of a measurement would be.
     """
     step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
     attitudes = []
@@ -53,7 +54,8 @@ def filtered_attitudes(
 
 
 def _white_share(records: Sequence[FlightRecord], outputs: Sequence[str], attitude: str) -> float:
-    """Median over the records of what of an attitude's steps against the gyros is white; 1 where the gyros are not known."""
+    """Median over the records of the share of an attitude's steps against the integrated gyros that is white noise; 1 where there
+    are no gyros."""
     shares = []
     for record in records:
         motion = [_measured(record, outputs, n) for n in ("p", "q", "r", "phi", "theta")]
@@ -64,11 +66,10 @@ def _white_share(records: Sequence[FlightRecord], outputs: Sequence[str], attitu
 
 
 def bank_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria) -> Array:
-    """`scatter` with the noise of the bank angle replaced by its slow error where the bank angle is a filter's.
+    """`scatter` (ny,) with the noise of the bank angle raised to its slow error where the bank angle comes from a filter.
 
-    An attitude filter integrates the gyro and corrects slowly: from sample to sample its angle is smoother than one
-    step of the gyro's own noise, which no independent measurement can be. What is wrong with it is then not seen in
-    that smoothness but in how it parts from the integrated rates (without a constant and a drift) over the record.
+    An attitude filter integrates the gyro and corrects slowly, so that its angle is smooth from sample to sample. Its error shows
+    only in its difference from the integrated rates over the record (`slow_error`).
     """
     if not {"p", "r"} <= set(outputs) or "phi" not in filtered_attitudes(records, outputs, scatter, criteria):
         return scatter
@@ -84,7 +85,7 @@ def bank_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter:
 
 
 def pitch_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria) -> Array:
-    """`scatter` with the noise of the pitch attitude replaced by its slow error where the attitude is a filter's: see
+    """`scatter` (ny,) with the noise of the pitch attitude raised to its slow error where it comes from a filter, as in
     `bank_error`."""
     if "q" not in outputs or "theta" not in filtered_attitudes(records, outputs, scatter, criteria):
         return scatter
@@ -98,30 +99,35 @@ def pitch_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter
 
 
 def slow_error(time: Array, angle: Array, rate: Array) -> float | None:
-    """rms of how far a measured angle (N,) parts from its integrated rate (N,), without a constant and a drift. What it does
-    between samples of which one is missing (NaN) is taken to be as wrong as the rest; None where most of it is missing."""
+    """Rms difference of a measured angle (N,) from its integrated rate (N,), without a constant and a drift.
+
+    Steps of which a sample is missing (NaN) are taken to be as wrong as the others; None where fewer than `KNOWN` are left.
+    """
     dt = np.diff(time)
     difference = np.diff(angle) - 0.5 * dt * (rate[1:] + rate[:-1])
     measured = np.isfinite(difference)
     if np.mean(measured) < KNOWN:
         return None
-    course = np.concatenate([[0.0], np.cumsum(np.where(measured, difference, 0.0))]) / np.mean(measured)
-    return float(np.std(course - np.polyval(np.polyfit(time, course, 1), time)))
+    error = np.concatenate([[0.0], np.cumsum(np.where(measured, difference, 0.0))]) / np.mean(measured)
+    return float(np.std(error - np.polyval(np.polyfit(time, error, 1), time)))
 
 
 def _widened(scatter: Array, column: int, errors: Sequence[float | None]) -> Array:
-    """`scatter` with the usual one of the errors that are known for a column, where that is more."""
+    """`scatter` with one column raised to the median of its errors; those that are None are left out."""
     known_errors = [e for e in errors if e is not None]
     wider = scatter.copy()
-    wider[column] = max(scatter[column], float(np.median(known_errors))) if known_errors else scatter[column]
+    if known_errors:
+        wider[column] = max(scatter[column], float(np.median(known_errors)))
     return wider
 
 
 def _measured(record: FlightRecord, outputs: Sequence[str], name: str) -> Array:
-    """(N,) an output or an input, zero where the flight has neither."""
+    """(N,) an output or an input; zero where the flight has neither, or the output was never measured."""
     zeros = np.zeros(len(record))
-    output = record.z[:, outputs.index(name)] if name in outputs else zeros
-    return record.inputs.get(name, zeros) if name not in outputs else output if np.isfinite(output).any() else zeros
+    if name not in outputs:
+        return record.inputs.get(name, zeros)
+    output = record.z[:, outputs.index(name)]
+    return output if np.isfinite(output).any() else zeros
 
 
 def sample_interval(records: Sequence[FlightRecord]) -> float:
@@ -130,5 +136,6 @@ def sample_interval(records: Sequence[FlightRecord]) -> float:
 
 
 def time_bound(std: float, interval: float, criteria: Criteria) -> float:
-    """Standard deviation [s] of a time that a fit knows to `std` [s], with what samples at `interval` [s] leave open of it."""
+    """Standard deviation [s] of a time of which a fit gives the bound `std` [s], with the uncertainty that samples at `interval`
+    [s] add."""
     return math.hypot(std, criteria.timing_share * interval)

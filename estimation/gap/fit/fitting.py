@@ -1,8 +1,8 @@
-"""The joint fit of one model to many records, residuals weighted by the whitener: generalised output error.
+"""The joint fit of one model to many records with whitened residuals: generalised output error.
 
-Shared parameters plus, per record, initial states (and local parameters such as instrument biases): the normal matrix
-has arrow structure and is reduced record by record (Schur complement), so cost is linear in the number of flights.
-The optimiser and the elimination are those of the estimators (`estimation.estimators`); here is what they are given.
+Unknowns are the shared parameters and, per record, initial states and local parameters such as instrument biases. The normal
+matrix has arrow structure and is reduced record by record (Schur complement), so that the work is linear in the number of
+flights. Optimiser and elimination are those of the estimators (`estimation.estimators`); this file states the problem for them.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -16,16 +16,16 @@ from estimation.estimators.gauss_newton import LoopOptions, SolverStep, Status, 
 from estimation.estimators.normal_equations import FlightBlocks, step_within
 from estimation.gap.fit.problem import LikelihoodProblem, Local, ModelFit, prior_cost, prior_terms
 
-ITERATIONS = 25  # a fit that takes more has not come to rest and is gone on with by the caller
+ITERATIONS = 25  # at most; a caller may go on with a fit that has not converged by then
 ENOUGH = 1e-3  # of the log-likelihood: steps below a twentieth of a standard deviation
-KEPT = 1.0  # of the log-likelihood: a step so short that was as good as its promise is the last
+LAST_GAIN = 1.0  # of the log-likelihood: a step that predicts less, and gains what it predicted, is the last
 FLAT = 1e-6  # of the cost: a smaller decrease is rounding of sums over 10^4 residuals and of the integration
 
 
 @dataclass(frozen=True)
 class WhitenedPoint:
-    """Values at which the whitened cost was computed; residuals: per record, none where the motion leaves the finite numbers;
-    products: per record, where the derivatives were worked out with it."""
+    """The whitened cost at some values. residuals: per record, empty where the motion runs away; products: per record, where the
+    derivatives were computed with it."""
 
     cost: float
     residuals: tuple[Array, ...] = ()
@@ -34,8 +34,8 @@ class WhitenedPoint:
 
 @dataclass(frozen=True)
 class LinearisedRecord:
-    """One record linearised. residual: (N, ny); gram: inner products of the white columns of shared unknowns, of its own and of
-    the residual."""
+    """One record linearised. residual: (N, ny); gram: inner products of the white columns [shared unknowns | its local unknowns |
+    residual]."""
 
     residual: Array
     gram: Array
@@ -43,10 +43,10 @@ class LinearisedRecord:
 
 @dataclass
 class ProblemUnknowns:
-    """The problem as the optimiser sees it: one vector of the first n shared unknowns, then every record's own.
+    """The problem as the optimiser sees it: one vector of the first n shared unknowns, then the local unknowns of every record.
 
-    values: everything shared, where it starts. held: indices of shared unknowns that stay. hessian: of the last step. begun:
-    whether a point has been evaluated.
+    values: start of everything shared. held: indices of shared unknowns that stay fixed. hessian: (n, n) at the last step.
+    runaway: whether a linearised motion ran away. evaluated: whether a point has been evaluated.
     """
 
     problem: LikelihoodProblem
@@ -55,19 +55,20 @@ class ProblemUnknowns:
     held: Sequence[int]
     hessian: Array
     runaway: bool = False
-    begun: bool = False
+    evaluated: bool = False
 
     @cached_property
     def limits(self) -> Array:
-        """(2, n) lower and upper of the shared unknowns."""
+        """(2, n) lower and upper limits of the shared unknowns."""
         return np.array([self.problem.limits(n) for n in self.problem.free[: self.n]]).reshape(-1, 2).T
 
     def packed(self, locals_: Sequence[Local]) -> Array:
+        """The vector of unknowns: shared ones at their start, then `locals_`."""
         local_rows = [[*(local.parameters[n] for n in self.problem.local_names), *local.x0] for local in locals_]
         return np.concatenate([[self.values[n] for n in self.problem.free[: self.n]], *local_rows])
 
     def unpacked(self, unknowns: Array) -> tuple[dict[str, float], tuple[Local, ...]]:
-        """Shared values by name, and every record's own."""
+        """Shared values by name, and the local unknowns of every record."""
         names, count = self.problem.local_names, len(self.problem.local_names)
         shared = zip(self.problem.free[: self.n], unknowns[: self.n].tolist(), strict=True)
         local_rows = unknowns[self.n :].reshape(len(self.problem.records), -1)
@@ -80,9 +81,9 @@ class ProblemUnknowns:
         return np.concatenate([np.clip(unknowns[: self.n], *self.limits), unknowns[self.n :]])
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> WhitenedPoint:
-        """Cost and residuals. Derivatives cost more and wait until a step is wanted, but for the first point, from which one is:
-        the same run of the motion gives both."""
-        first, self.begun = not self.begun, True
+        """Cost and residuals. Derivatives are left to `step`, since they cost more and not every point is stepped from; only at
+        the first point, which always is, one simulation gives both."""
+        first, self.evaluated = not self.evaluated, True
         values, locals_ = self.unpacked(unknowns)
         if first and derivatives:
             linearised = [linearised_in(self.problem, i, values, local, self.n) for i, local in enumerate(locals_)]
@@ -100,13 +101,14 @@ class ProblemUnknowns:
         return WhitenedPoint(self.cost(values, locals_, energies), tuple(residuals))
 
     def cost(self, values: Mapping[str, float], locals_: Sequence[Local], energies: Sequence[float]) -> float:
-        """Half the whitened sums of squares of the records, with the priors."""
+        """Half the whitened sums of squares (energies) of the records, plus the costs of the priors."""
         problem = self.problem
         local_cost = sum(prior_cost(problem, problem.local_names, local.parameters) for local in locals_)
         return prior_cost(problem, problem.free, values) + local_cost + 0.5 * sum(energies)
 
     def step(self, unknowns: Array, point: WhitenedPoint, damping: float) -> SolverStep:
-        """Gauss-Newton step; none, and `runaway` set, where a sensitivity leaves the finite numbers."""
+        """Gauss-Newton step within the limits, and the decrease it predicts; zero, and `runaway` set, where a sensitivity runs
+        away."""
         problem, n = self.problem, self.n
         values, locals_ = self.unpacked(unknowns)
         weight, distance = prior_terms(problem, problem.free[:n], values)
@@ -132,8 +134,8 @@ class ProblemUnknowns:
 
 
 def cost_at(problem: LikelihoodProblem, values: Mapping[str, float]) -> float:
-    """Whitened cost at shared `values` (the model's own where not given), every record from its measured initial state; infinite
-    where the motion runs away."""
+    """Whitened cost at shared `values` (by default the model's start values), every record from its measured initial state;
+    infinite where the motion runs away."""
     view = ProblemUnknowns(problem, {**problem.starts(), **values}, 0, (), np.zeros((0, 0)))
     return view.evaluate(view.packed(problem.starting_locals()), False).cost
 
@@ -141,7 +143,7 @@ def cost_at(problem: LikelihoodProblem, values: Mapping[str, float]) -> float:
 def linearised_in(
     problem: LikelihoodProblem, index: int, values: Mapping[str, float], local: Local, n: int
 ) -> LinearisedRecord | None:
-    """One record linearised in the first n shared unknowns and its own; None where the motion runs away."""
+    """One record linearised in the first n shared unknowns and its local ones; None where the motion runs away."""
     linear = problem.linearised(index, values, local)
     if linear is None:
         return None
@@ -151,7 +153,7 @@ def linearised_in(
 
 
 def record_blocks(problem: LikelihoodProblem, products: LinearisedRecord, local: Local, n: int) -> FlightBlocks:
-    """Information of one record about the first n shared unknowns and its own."""
+    """Information of one record about the first n shared unknowns and its local ones, with the priors of the latter."""
     gram = products.gram
     information, gradient, m = gram[:-1, :-1].copy(), gram[:-1, -1].copy(), len(gram) - 1
     weight, distance = local_prior(problem, local, m - n)
@@ -161,7 +163,7 @@ def record_blocks(problem: LikelihoodProblem, products: LinearisedRecord, local:
 
 
 def local_prior(problem: LikelihoodProblem, local: Local, count: int) -> tuple[Array, Array]:
-    """(weights, weighted distances) of the priors of a record's own `count` unknowns; initial states have none."""
+    """(weights, weighted distances) of the priors of a record's `count` local unknowns; zero for initial states."""
     w, d = prior_terms(problem, problem.local_names, local.parameters)
     return np.pad(w, (0, count - w.size)), np.pad(d, (0, count - d.size))
 
@@ -176,14 +178,17 @@ def fit(
     held: Collection[str] = (),
     beyond: float = np.inf,
 ) -> ModelFit:
-    """Minimise the whitened cost from `start`. frozen: hold the shared parameters and fit only what is local.
-    enough: of the cost; iterations end where a step promises less. held: shared parameters that stay where they are.
-    beyond: a fit whose steps promise nothing near this cost is left where it is."""
+    """Minimise the whitened cost from `start` (by default the model's values) and `locals_` (by default as measured).
+
+    frozen: hold all shared unknowns and fit only the local ones. enough: iterations end where a step predicts a smaller decrease
+    of the cost. held: shared unknowns that stay at `start`. beyond: the fit is abandoned where its steps predict that it will not
+    come below this cost.
+    """
     n = 0 if frozen else len(problem.free)
     names = problem.free[:n]
     values = {**problem.starts(), **(start or {})}
     view = ProblemUnknowns(problem, values, n, [i for i, name in enumerate(names) if name in held], np.zeros((n, n)))
-    begin = view.packed(locals_ if locals_ is not None else problem.starting_locals())
+    start_unknowns = view.packed(locals_ if locals_ is not None else problem.starting_locals())
     options = LoopOptions(
         iterations,
         enough,
@@ -191,11 +196,11 @@ def fit(
         near=0.0,
         relative=FLAT,
         gain=True,
-        kept=KEPT,
+        kept=LAST_GAIN,
         beyond=beyond,
         flat=0.0,
-    )  # whitened residuals are nearly linear near the optimum: halving does, damping and combined steps repay nothing
-    outcome = minimise(view, begin, options)
+    )  # whitened residuals are nearly linear near the optimum: halving suffices, damping and combined steps gain nothing
+    outcome = minimise(view, start_unknowns, options)
     point = outcome.point
     shared_values, local_values = view.unpacked(outcome.unknowns)
     converged = outcome.status is Status.CONVERGED and not view.runaway

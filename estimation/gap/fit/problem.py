@@ -1,7 +1,7 @@
-"""A model bound to records and their whiteners: what a fit asks of it.
+"""A model bound to records and their whiteners: residuals, sensitivities, priors and limits for a fit.
 
-Inputs between two samples go through the middle of every interval on a monotone cubic: surfaces driven by servos round their
-steps, and straight lines through the samples bias the control and damping derivatives by some 2 % at 20 Hz.
+Between two samples inputs follow a monotone cubic, of which the simulation uses the value half-way: servos round the steps of
+surfaces, and straight lines between samples bias the control and damping derivatives by some 2 % at 20 Hz.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,13 +25,13 @@ LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its
 
 @dataclass(frozen=True)
 class MidSampleGrid:
-    """A segment with mid-interval samples, and how far its inputs there lie from a straight line, (2N - 1, nu)."""
+    """A segment with samples half-way added. rounding: (2N - 1, nu) distance of its inputs there from a straight line."""
 
     segment: Segment
     rounding: Array
 
     def with_inputs(self, u: Array) -> "MidSampleGrid":
-        """The same with other inputs (N, nu) at the samples; only columns that differ are worked out."""
+        """The same with other inputs (N, nu) at the samples; only columns that differ are computed."""
         changed = np.flatnonzero((u != self.segment.u[::2]).any(axis=0))
         values, rounding = self.segment.u.copy(), self.rounding.copy()
         _fill(self.segment.time[::2], u, values, rounding, changed)
@@ -50,7 +50,7 @@ def fine_grid(segment: Segment) -> MidSampleGrid:
 
 
 def _fill(time: Array, u: Array, values: Array, rounding: Array, columns: np.ndarray) -> None:  # type: ignore[type-arg]
-    """Write columns of the inputs u (N, nu) and of their middles into values and rounding (2N - 1, nu)."""
+    """Write some columns of the inputs u (N, nu), with their values half-way, into `values` and `rounding` (2N - 1, nu)."""
     samples = u[:, columns]
     mid_values = middles(time, samples)
     values[::2, columns] = samples
@@ -59,8 +59,8 @@ def _fill(time: Array, u: Array, values: Array, rounding: Array, columns: np.nda
 
 
 def middles(time: Array, u: Array) -> Array:
-    """(N - 1, columns) values half-way between samples (N, columns) of the monotone cubic of Fritsch and Butland (1984), at the
-    ends with the three-point slopes of Moler (Numerical Computing with MATLAB, 2004, section 3.6)."""
+    """(N - 1, columns) values half-way between samples (N, columns), on the monotone cubic of Fritsch and Butland (1984) with the
+    three-point end slopes of Moler (Numerical Computing with MATLAB, 2004, section 3.6)."""
     step = np.diff(time)[:, None]
     if len(u) < 3:
         return np.asarray(0.5 * (u[1:] + u[:-1]))
@@ -73,23 +73,23 @@ def middles(time: Array, u: Array) -> Array:
 
 
 def _end_slope(h0: Array, h1: Array, m0: Array, m1: Array) -> Array:
-    """Slope at an end from the two chords next to it, kept to the side of the first and within three times of it."""
-    d = ((2.0 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
-    limited = np.where(np.sign(d) == np.sign(m0), d, 0.0)
+    """Slope at an end from the two chord slopes m next to it over steps h: of the sign of the first, at most three times it."""
+    slope = ((2.0 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
+    limited = np.where(np.sign(slope) == np.sign(m0), slope, 0.0)
     steepest = 3.0 * m0  # of a cubic that is monotone there (Fritsch and Carlson 1980)
-    return np.where((np.sign(m0) != np.sign(m1)) & (np.abs(d) > np.abs(steepest)), steepest, limited)
+    return np.where((np.sign(m0) != np.sign(m1)) & (np.abs(slope) > np.abs(steepest)), steepest, limited)
 
 
 @dataclass(frozen=True)
 class Local:
-    """Values of one record's own unknowns: initial states (nx,), then local parameters."""
+    """Values of the local unknowns of one record: initial states (nx,) and local parameters by name."""
 
     x0: Array
     parameters: Mapping[str, float]
 
 
 def carried_local(local: Local, old: Model, new: Model) -> Local:
-    """A record's own unknowns carried over to a model with more or fewer states."""
+    """A record's local unknowns for a model with more or fewer states than `old`."""
     return Local(starting_state(new, dict(zip(old.state_names, local.x0, strict=True))), local.parameters)
 
 
@@ -99,7 +99,8 @@ class ModelFit:
 
     values: shared parameters, held ones included. locals: per record. residuals: per record (N, ny), measured minus
     model, NaN where not measured. cost: half the whitened sum of squares with priors. hessian: (n, n) of the shared
-    free parameters, everything local eliminated. converged, diverged: how it ended; abandoned: its steps promised too little.
+    free parameters, everything local eliminated. converged, diverged: how the fit ended; abandoned: its steps predicted that it
+    would not reach the cost that it had to.
     """
 
     model: Model
@@ -123,8 +124,8 @@ class ModelFit:
 class LikelihoodProblem:
     """A model bound to records and their whiteners. base: the model the records were prepared for.
 
-    Shared unknowns are the model's free parameters and one `curvature_<control>` for each control: how a surface moved
-    between two samples, from a straight line (-1) over a monotone cubic (0) to rounder than that.
+    Shared unknowns are the model's free parameters and one `curvature_<control>` for each control: how its surface moves between
+    two samples, on a straight line (-1), a monotone cubic (0) or a rounder curve (above 0).
     """
 
     model: Model
@@ -135,12 +136,12 @@ class LikelihoodProblem:
 
     @cached_property
     def coarse(self) -> tuple[Segment, ...]:
-        """The records as this model needs them, at the samples."""
+        """The records with this model's inputs and states, at the samples."""
         return tuple(r.segment(self.model, self.base) for r in self.records)
 
     @cached_property
     def grids(self) -> tuple[MidSampleGrid, ...]:
-        """The same with one more instant in the middle of each interval."""
+        """The same with one more instant half-way in each interval."""
         return tuple(fine_grid(s) for s in self.coarse)
 
     @cached_property
@@ -153,8 +154,8 @@ class LikelihoodProblem:
         return {f"curvature_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control}
 
     @cached_property
-    def asked(self) -> frozenset[str]:
-        """Names that the equations ask for with the dormant terms at rest."""
+    def used_names(self) -> frozenset[str]:
+        """Names that the equations use while the dormant terms are zero."""
         dormant = (p for p in self.model.parameters if p.role is ParameterRole.DORMANT and p.fixed)
         return names_used(self.model, {p.name for p in dormant if p.start == 0.0})
 
@@ -173,8 +174,8 @@ class LikelihoodProblem:
         return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1, hold="linear")
 
     @cached_property
-    def alone(self) -> Simulator:
-        """The same without derivatives by any parameter."""
+    def parameterless_simulator(self) -> Simulator:
+        """The simulator without derivatives by any parameter."""
         return Simulator.build(self.model, (), substeps=1, hold="linear")
 
     def starts(self) -> dict[str, float]:
@@ -186,31 +187,33 @@ class LikelihoodProblem:
         return tuple(Local(s.x0, {n: starts[n] for n in self.local_names}) for s in self.coarse)
 
     def residual(self, index: int, values: Mapping[str, float], local: Local) -> Array | None:
-        """(N, ny) measured minus model of one record; None where the motion leaves the finite numbers."""
+        """(N, ny) measured minus model of one record; None where the motion does not stay finite."""
         modelled = self.modelled(index, values, local)
         return None if modelled is None else self.coarse[index].z - modelled
 
     def modelled(
         self, index: int, values: Mapping[str, float], local: Local, inputs: Array | None = None
     ) -> Array | None:
-        """(N, ny) outputs of the model on one record; None where the motion leaves the finite numbers.
+        """(N, ny) outputs of the model on one record; None where the motion does not stay finite.
 
-        inputs: (N, nu) other inputs than the record's own.
+        inputs: (N, nu) inputs in place of the measured ones.
         """
         grid = self.grids[index] if inputs is None else self.grids[index].with_inputs(inputs)
         shared = {**values, **local.parameters}
         motion = self.simulator.run_by_middles(self.driven(grid, values), shared, local.x0)
         return motion.y if motion.finite else None
 
-    def fitted_outputs(self, index: int, found: ModelFit) -> Array:
-        """(N, ny) outputs of a fitted model on one record, also where nothing was measured; zero where its motion runs away."""
-        modelled = self.modelled(index, found.values, found.locals[index])
+    def fitted_outputs(self, index: int, model_fit: ModelFit) -> Array:
+        """(N, ny) outputs of a fitted model on one record, also where none was measured; all zero where its motion runs away."""
+        modelled = self.modelled(index, model_fit.values, model_fit.locals[index])
         return np.zeros_like(self.coarse[index].z) if modelled is None else modelled
 
     def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
-        """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""
+        """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record.
+
+        None where the motion or a sensitivity runs away."""
         grid, shared = self.grids[index], {**values, **local.parameters}
-        active = [j for j, i in enumerate(self.curvatures.values()) if self.model.input_names[i] in self.asked]
+        active = [j for j, i in enumerate(self.curvatures.values()) if self.model.input_names[i] in self.used_names]
         paths = np.zeros((*grid.rounding.shape, len(active)))
         for k, j in enumerate(active):
             column = list(self.curvatures.values())[j]
@@ -228,12 +231,12 @@ class LikelihoodProblem:
         return residual, dy
 
     def disturbed(self, index: int, values: Mapping[str, float], local: Local, du: Array) -> Array | None:
-        """(N, ny, k) change of the outputs of one record by small changes (N, nu, k) of its inputs, straight between samples.
+        """(N, ny, k) changes of the outputs of one record by k small changes (N, nu, k) of its inputs, linear between samples.
 
-        None where the motion leaves the finite numbers."""
+        None where the motion does not stay finite."""
         fine = np.empty((2 * len(du) - 1, *du.shape[1:]))
         fine[::2], fine[1::2] = du, 0.5 * (du[1:] + du[:-1])
-        motion = self.alone.run_by_middles(
+        motion = self.parameterless_simulator.run_by_middles(
             self.driven(self.grids[index], values),
             {**values, **local.parameters},
             local.x0,
@@ -243,7 +246,7 @@ class LikelihoodProblem:
         return motion.dy[:, :, -du.shape[2] :] if motion.finite and motion.dy is not None else None
 
     def driven(self, grid: MidSampleGrid, values: Mapping[str, float]) -> Segment:
-        """A grid's inputs with the paths of the controls between samples as `values` say."""
+        """A grid's segment with the controls between samples moved by the curvatures in `values`."""
         u = grid.segment.u
         shifts = [(i, values[name]) for name, i in self.curvatures.items() if values.get(name, 0.0) != 0.0]
         if shifts:
@@ -253,14 +256,14 @@ class LikelihoodProblem:
         return replace(grid.segment, u=u)
 
     def prior(self, name: str) -> tuple[float, float] | None:
-        """(mean, standard deviation) of what is believed of an unknown, or None."""
+        """(mean, standard deviation) of an unknown's Gaussian prior, or None where it has none."""
         if name in self.curvatures:
             return 0.0, self.criteria.curvature_spread
         p = self.model.parameter(name)
         return None if p.prior_mean is None or p.prior_std is None else (p.prior_mean, p.prior_std)
 
     def nuisance(self, name: str) -> bool:
-        """Whether a shared unknown is only carried along: no effect may be named for it."""
+        """Whether a shared unknown is a nuisance parameter (timing, curvature ...), for which no effect may be named."""
         return name in self.curvatures or self.model.parameter(name).role is ParameterRole.NUISANCE
 
     def limits(self, name: str) -> tuple[float, float]:
@@ -271,7 +274,7 @@ class LikelihoodProblem:
 
 
 def prior_terms(problem: LikelihoodProblem, names: Sequence[str], values: Mapping[str, float]) -> tuple[Array, Array]:
-    """(weights (n,), weighted distances (n,)) of the Gaussian priors of the named parameters."""
+    """(weights (n,), weighted distances from the mean (n,)) of the priors of the named parameters; zero where one has none."""
     weight, distance = np.zeros(len(names)), np.zeros(len(names))
     for i, name in enumerate(names):
         prior = problem.prior(name)
@@ -286,7 +289,8 @@ def prior_cost(problem: LikelihoodProblem, names: Sequence[str], values: Mapping
     return 0.5 * float(np.sum(distance[weight > 0] ** 2 / weight[weight > 0]))
 
 
-def freed_by(problem: LikelihoodProblem, base_fit: ModelFit, found: ModelFit) -> float:
-    """What a fit gains (twice a log-likelihood) as what is only nuisance, surfaces moved in time, need not bend as far for it."""
+def freed_by(problem: LikelihoodProblem, base_fit: ModelFit, model_fit: ModelFit) -> float:
+    """The part of a fit's gain over `base_fit` (twice a log-likelihood) that comes from the priors of nuisance parameters: with
+    an effect in the model, surfaces need not be shifted in time as far."""
     names = [n for n in problem.free if problem.nuisance(n)]
-    return 2.0 * (prior_cost(problem, names, base_fit.values) - prior_cost(problem, names, found.values))
+    return 2.0 * (prior_cost(problem, names, base_fit.values) - prior_cost(problem, names, model_fit.values))

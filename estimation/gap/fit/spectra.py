@@ -1,17 +1,19 @@
-"""The noise of the residuals, estimated from the flights given.
+"""The spectral matrix S(f) of the residuals, estimated from these residuals.
 
-Output-error residuals are coloured: gusts and leftover jitter of the surfaces pass through the aircraft's own modes.
-Their spectral matrix is written as a sum of parts of known shape and unknown strength,
+Output-error residuals are coloured: gusts and the noise of the controls pass through the aircraft's own modes. Their spectral
+matrix is written as a sum of parts of known shape and unknown strength,
 
     S(f) = R + sum_j v_j g_j(f) g_j(f)^H,
 
-R diagonal (sensor noise), g_j the linearised response of all outputs to process noise on one force equation or to sample
-noise on one control. What taking the noise off a control leaves wrong has a known size and colour: its strength is not free,
-else process noise stands for it and the nulls, which have both, scatter twice too far. Where an attitude is itself the output
-of a filter, two more: gyro noise, which the rate shows and the attitude integrates, and the slow wandering of the attitude
-alone. All other strengths are estimated by maximum likelihood in the frequency domain (Whittle 1953); nothing is assumed of the
-sensors or the weather. The motion is linearised about steady flight: a lateral one about zero, a longitudinal one about a
-trimmed speed, angle and load.
+where R is diagonal (sensor noise), and g_j is the linearised response of all outputs to process noise on one force equation or to
+sample noise on one control. The error that remains on a control after its noise was removed has a known spectrum, so that its
+strength is fixed at 1; were it free, process noise would be estimated for it as well, and the nulls, which have both, would
+scatter twice too far. An attitude that is the output of a filter adds two parts: gyro noise, which the rate shows and the
+attitude integrates, and the slow wandering of the attitude alone.
+
+The free strengths are estimated by maximum likelihood in the frequency domain (Whittle 1953); nothing is assumed about the
+sensors or the weather. The motion is linearised about steady flight: lateral motion about zero, longitudinal motion about the
+trimmed speed, angles and load factor.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -34,23 +36,25 @@ STEADY = frozenset({"V", "alpha", "theta", "u", "w", "ax", "az"})
 """Quantities that have a value in straight and level flight; all others are zero there."""
 ITERATIONS = 60  # multiplicative steps: strengths of recorded flights settle to some 1 % in them
 FOLLOWING = 20  # steps from an earlier estimate
-LOWEST = 0.25  # of a record's own frequency, in place of none at all: it knows no lower than a part of its own
-BEGIN = 0.3  # of the measurement noise: where the strength of every part starts, from which the steps find their way
-SPAN = REFERENCE["b"]
-FLOOR = 1e-7  # smallest share of the total a part keeps, so that the spectral matrix stays regular
+LOWEST = 0.25  # of 1 / length of the record: in place of zero frequency, where an integrating response is infinite
+BEGIN = 0.3  # of the measurement noise: power with which every part starts
+SPAN = REFERENCE["b"]  # m, span for which `twist_memory` is stated
+FLOOR = 1e-7  # of the power of the measurement noise: the least that a part keeps, as a strength of zero could never grow again
+DIFFERENCE = 1e-4  # rad, rad/s, m/s, step of central differences: rounding 1e-12 of the motion, curvature as little
+SMALLEST_SCALE = 1e-9  # of an output that never leaves its steady value, so that one can divide by it
 
 
 def steady_state(model: Model, segment: Segment) -> Array:
-    """(nx,) state about which a record moves: the median of what was measured, zero for states that level flight has none of.
+    """(nx,) state about which a record moves: medians of the measured outputs, zero for states that are zero in level flight.
 
-    A state that no output shows (a lag of a vane or of the flow) rests where the signal that it starts from does.
+    A state that is no output (a lag of a vane or of the flow) takes the value of the signal from which it starts.
     """
     levels = {n: level for n, level in zip(model.output_names, steady_outputs(model, segment), strict=True) if level}
-    return np.array([_rest(s, levels, segment.x0[i]) for i, s in enumerate(model.states)])
+    return np.array([_steady_value(s, levels, segment.x0[i]) for i, s in enumerate(model.states)])
 
 
 def steady_outputs(model: Model, segment: Segment) -> Array:
-    """(ny,) values of the outputs about which a record moves."""
+    """(ny,) values of the outputs about which a record moves: medians, or zero for what is zero in level flight."""
     levels = np.zeros(len(model.outputs))
     for i, signal in enumerate(model.outputs):
         measured = segment.z[np.isfinite(segment.z[:, i]), i]
@@ -59,24 +63,23 @@ def steady_outputs(model: Model, segment: Segment) -> Array:
     return levels
 
 
-def _rest(state: Signal, known: dict[str, float], first: float) -> float:
+def _steady_value(state: Signal, levels: dict[str, float], first: float) -> float:
+    """The level of the output that shows a state; without one `first`, its first value, or zero."""
     for name in (state.name, state.column, state.start):
-        if isinstance(name, str) and name in known:
-            return known[name]
+        if isinstance(name, str) and name in levels:
+            return levels[name]
     return float(first) if state.name in STEADY else 0.0
 
 
 class NoiseSource(Enum):
     """Where noise enters."""
 
-    RATE = "rate of a state"  # white, or with a memory: the derivative of coloured noise, as gusts have it
-    TWIST = "rate of a state, fading"  # coloured itself, as what gusts across the span do to it
-    CONTROL = "control"  # of one sample
-    PREPARED = "control as prepared"  # what taking its noise off left wrong, of known strength
-    WANDERING = (
-        "error of an attitude filter"  # white noise on the rate of an error that is forgotten in `filter_memory`
-    )
-    GYRO = "gyro of an attitude filter"  # of one sample on the attitude's rate, integrated with the same forgetting
+    RATE = "rate of a state"  # white, or with a memory the derivative of first-order noise, as of gusts
+    TWIST = "rate of a state, fading"  # first-order noise, as of gusts that vary across the span
+    CONTROL = "control"  # white from sample to sample
+    PREPARED = "control as prepared"  # error left by removing a control's noise, of known strength
+    WANDERING = "error of an attitude filter"  # white noise on the rate of an error that decays within `filter_memory`
+    GYRO = "gyro of an attitude filter"  # white from sample to sample; the filter integrates it with the same decay
 
 
 ON_FORCES = (NoiseSource.RATE, NoiseSource.TWIST)
@@ -84,7 +87,7 @@ ON_FORCES = (NoiseSource.RATE, NoiseSource.TWIST)
 
 @dataclass(frozen=True, slots=True)
 class NoisePart:
-    """One way in which noise enters. of: the state, control or attitude; memory: correlation time [s], 0 where white."""
+    """One way in which noise enters. of: name of the state, control or attitude; memory: correlation time [s], 0 if white."""
 
     source: NoiseSource
     of: str
@@ -95,9 +98,8 @@ class NoisePart:
 class NoiseModel:
     """Strengths of all parts, shared by the flights.
 
-    measurement: (ny,) variances of the outputs' own noise. process: part -> variance intensity.
-    freedom: control -> how far it strays half-way
-    between two samples, in steps (see `surface_steps`).
+    measurement: (ny,) variances of the outputs' own noise, the diagonal of R. process: part -> strength v_j. freedom: control or
+    output -> standard deviation of its displacement between two samples, in steps (see `surface_steps`).
     """
 
     measurement: Array
@@ -107,8 +109,8 @@ class NoiseModel:
 
 @dataclass(frozen=True)
 class Shapes:
-    """Responses g_j of one record: part -> (frequencies, ny) complex, with the sample interval and count. louder: (ny,) variance
-    of the outputs' own noise over the usual one, or None."""
+    """Responses of one record. parts: part -> (frequencies, ny) response g_j; count: samples; step: sample interval [s]; louder:
+    (ny,) variance of the outputs' own noise on this record over the usual one, or None where usual."""
 
     parts: Mapping[NoisePart, Complex]
     count: int
@@ -118,8 +120,9 @@ class Shapes:
 
 @dataclass(frozen=True)
 class Linear:
-    """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u over `controls`, dt [s] between samples;
-    scale: (ny,) rms of the measured outputs about their steady values, infinite of one that is not measured."""
+    """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u, with u over `controls`.
+
+    dt: sample interval [s]; scale: (ny,) rms of the measured outputs about their steady values, infinite where not measured."""
 
     A: Array
     B: Array
@@ -136,33 +139,33 @@ def linear_motion(model: Model, simulator: Simulator, segment: Segment, values: 
     nx = len(model.states)
     u0 = segment.u.mean(axis=0)
     controls = [i for i, s in enumerate(model.inputs) if s.control]
-    step = 1e-4  # rad, rad/s, m/s: rounding 1e-12 of the motion, curvature as little
     points_x = steady_state(model, segment) + np.concatenate(
-        [np.zeros((1, nx)), step * np.eye(nx), -step * np.eye(nx), np.zeros((2 * len(controls), nx))]
+        [np.zeros((1, nx)), DIFFERENCE * np.eye(nx), -DIFFERENCE * np.eye(nx), np.zeros((2 * len(controls), nx))]
     )
     points_u = np.repeat(u0[None], points_x.shape[0], axis=0)
     for j, i in enumerate(controls):
-        points_u[1 + 2 * nx + 2 * j, i] += step
-        points_u[2 + 2 * nx + 2 * j, i] -= step
+        points_u[1 + 2 * nx + 2 * j, i] += DIFFERENCE
+        points_u[2 + 2 * nx + 2 * j, i] -= DIFFERENCE
     f, _, y, _ = simulator.kernel.evaluate(points_x, points_u, p)
-    first = 1 + 2 * nx
+    first = 1 + 2 * nx  # point of the first control
 
     def by_controls(values: Array) -> Array:
-        return np.asarray((values[first::2] - values[first + 1 :: 2]).T / (2 * step))
+        return np.asarray((values[first::2] - values[first + 1 :: 2]).T / (2 * DIFFERENCE))
 
     return Linear(
-        A=(f[1 : 1 + nx] - f[1 + nx : first]).T / (2 * step),
+        A=(f[1 : 1 + nx] - f[1 + nx : first]).T / (2 * DIFFERENCE),
         B=by_controls(f),
-        C=(y[1 : 1 + nx] - y[1 + nx : first]).T / (2 * step),
+        C=(y[1 : 1 + nx] - y[1 + nx : first]).T / (2 * DIFFERENCE),
         D=by_controls(y),
         controls=tuple(model.inputs[i].name for i in controls),
         dt=float(np.median(np.diff(segment.time))),
-        scale=np.maximum(rms_measured(segment.z - steady_outputs(model, segment)), 1e-9),
+        scale=np.maximum(rms_measured(segment.z - steady_outputs(model, segment)), SMALLEST_SCALE),
     )
 
 
 def rms_measured(values: Array) -> Array:
-    """(ny,) rms of each column of (N, ny) where it is finite; infinite of one that nowhere is: nothing stands out of that."""
+    """(ny,) rms over the finite values of each column of (N, ny); infinite for a column without any, so that nothing stands out
+    of it."""
     finite = np.isfinite(values)
     counts, squares = finite.sum(axis=0), np.sum(np.where(finite, values, 0.0) ** 2, axis=0)
     return np.sqrt(np.divide(squares, counts, out=np.full(counts.shape, np.inf), where=counts > 0))
@@ -174,30 +177,30 @@ def shapes_of(
     count: int,
     criteria: Criteria,
     states: Sequence[str] | None = None,
-    left: Mapping[str, Array] = MappingProxyType({}),
+    control_errors: Mapping[str, Array] = MappingProxyType({}),
 ) -> Shapes:
-    """Responses of a record of `count` samples to noise. states: where process noise may enter. left: control -> (frequencies,)
-    variance per sample of what its preparation left wrong."""
+    """Responses of a record of `count` samples to noise. states: where process noise may enter, by default `force_states`.
+    control_errors: control -> (frequencies,) variance per sample of the error that its preparation left."""
     nx, ny = len(model.states), len(model.outputs)
-    lasting, fading = criteria.gust_memory, twist_memory(model, criteria)
+    gust, twist = criteria.gust_memory, twist_memory(model, criteria)
     s = 2j * np.pi * np.fft.rfftfreq(count, linear.dt)
     s[0] = 2j * np.pi * LOWEST / (count * linear.dt)
-    resolvent = np.linalg.inv(s[:, None, None] * np.eye(nx) - linear.A)
-    reply = linear.C @ resolvent  # (frequencies, ny, nx)
+    by_rates = linear.C @ np.linalg.inv(s[:, None, None] * np.eye(nx) - linear.A)  # (frequencies, ny, nx)
     parts: dict[NoisePart, Complex] = {}
     for name in force_states(model) if states is None else states:
-        i = model.state_names.index(name)
-        parts[NoisePart(NoiseSource.RATE, name)] = reply[:, :, i]
-        parts[NoisePart(NoiseSource.RATE, name, lasting)] = reply[:, :, i] * (s / (s + 1 / lasting))[:, None]
-        parts[NoisePart(NoiseSource.TWIST, name, fading)] = reply[:, :, i] / (1 + s * fading)[:, None]
+        response = by_rates[:, :, model.state_names.index(name)]
+        parts[NoisePart(NoiseSource.RATE, name)] = response
+        parts[NoisePart(NoiseSource.RATE, name, gust)] = response * (s / (s + 1 / gust))[:, None]
+        parts[NoisePart(NoiseSource.TWIST, name, twist)] = response / (1 + s * twist)[:, None]
     for j, name in enumerate(linear.controls):
-        response = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)
+        response = np.asarray(by_rates @ linear.B[:, j] + linear.D[:, j], complex)
         parts[NoisePart(NoiseSource.CONTROL, name)] = response
-        # of every record, for one flight's control may be too coarse to have its noise taken off, and the next one's not
-        parts[NoisePart(NoiseSource.PREPARED, name)] = response * np.sqrt(left.get(name, np.zeros(s.size)))[:, None]
+        # also where there is no error: all records need the same parts, and only on some could the noise be removed
+        error = control_errors.get(name, np.zeros(s.size))
+        parts[NoisePart(NoiseSource.PREPARED, name)] = response * np.sqrt(error)[:, None]
     for i, name in enumerate(model.output_names):
         if name in RATE_OF:
-            delay = np.exp(-s * linear.dt)  # one sample ago: a filter adds up sampled rates by straight lines
+            delay = np.exp(-s * linear.dt)  # by one sample: the filter sums sampled rates by the trapezoidal rule
             summed = (linear.dt / (1.0 - np.exp(-linear.dt / criteria.filter_memory) * delay))[:, None] * np.eye(ny)[i]
             parts[NoisePart(NoiseSource.WANDERING, name)] = summed
             if RATE_OF[name] in model.output_names:
@@ -207,15 +210,21 @@ def shapes_of(
 
 
 def twist_memory(model: Model, criteria: Criteria) -> float:
-    """Correlation time [s] of gusts that differ from wing tip to wing tip. By Froude's law as the square root of the span, where
-    the model states it: sqrt(L b)/(2.6 V) of MIL-F-8785C with speeds and lengths of gusts that suit the size."""
+    """Correlation time [s] of gusts that differ from wing tip to wing tip.
+
+    sqrt(L b)/(2.6 V) of MIL-F-8785C. Where the model states its span b, the time goes with the square root of b (Froude's law:
+    speed and gust length that suit the size).
+    """
     span = model.constants.get("b", SPAN)
     return criteria.twist_memory * float(np.sqrt(span / SPAN)) if 0.0 < span < np.inf else criteria.twist_memory
 
 
 def as_seen(shapes: Shapes, measured: Array) -> Shapes:
-    """The shapes of a record of which some samples were not measured, and count as zero: of white noise a share of the power is
-    seen, of what has a course that share of its amplitude. measured: (N, ny)."""
+    """The shapes of a record in which samples that were not measured count as zero. measured: (N, ny).
+
+    Of an output measured in a share of the samples that share remains: of the power of white noise, and of the amplitude of the
+    responses, which are correlated from sample to sample.
+    """
     share = measured.mean(axis=0)
     if (share[share > 0.0] == 1.0).all():
         return shapes
@@ -227,9 +236,7 @@ def as_seen(shapes: Shapes, measured: Array) -> Shapes:
 def spectral_matrix(noise: NoiseModel, shapes: Shapes) -> Complex:
     """S(f), (frequencies, ny, ny); unit: output unit squared per sample."""
     ny = noise.measurement.size
-    S = np.zeros(
-        (next(iter(shapes.parts.values())).shape[0] if shapes.parts else shapes.count // 2 + 1, ny, ny), complex
-    )
+    S = np.zeros((shapes.count // 2 + 1, ny, ny), complex)
     S += np.diag(noise.measurement if shapes.louder is None else noise.measurement * shapes.louder)
     for name, strength in noise.process.items():
         g = shapes.parts[name]
@@ -238,7 +245,7 @@ def spectral_matrix(noise: NoiseModel, shapes: Shapes) -> Complex:
 
 
 def whitener(noise: NoiseModel, shapes: Shapes) -> Whitener:
-    """The operator S^(-1/2) of one record."""
+    """The operator S^(-1/2) of one record, without slack."""
     values, vectors = np.linalg.eigh(spectral_matrix(noise, shapes))
     root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().transpose(0, 2, 1)
     return Whitener(root, shapes.count)
@@ -259,48 +266,49 @@ def estimate_noise(
     floor: Array,
     without: Collection[NoisePart] = (),
     known: Mapping[NoisePart, float] = MappingProxyType({}),
-    begin: NoiseModel | None = None,
+    earlier: NoiseModel | None = None,
 ) -> NoiseModel:
     """Maximum-likelihood strengths of all parts from output residuals.
 
     residuals: per record (N, ny), NaN where not measured. start: (ny,) first guess of the measurement variances;
-    floor: (ny,) smallest ones allowed. without: parts that are none. known: first guesses of strengths. begin: an earlier
-    estimate to go on from. Multiplicative minorise-maximise steps (monotone in likelihood).
+    floor: (ny,) smallest ones allowed. without: parts to leave out. known: first guesses of some strengths. earlier: an estimate
+    to go on from. Multiplicative minorise-maximise steps (monotone in likelihood).
     """
     names = [n for n in shapes[0].parts if n not in without]
     ny = start.size
     spectra = [np.fft.rfft(np.nan_to_num(r), axis=0) / np.sqrt(r.shape[0]) for r in residuals]
     weights = [np.concatenate([[0.5], np.ones(s.shape[0] - 1)]) for s in spectra]
-    # each part begins with the strength at which it alone would double the measurement noise
+    # of each part at strength 1, over the measurement noise
     power = np.array(
         [np.mean([np.mean(np.sum(np.abs(sh.parts[n]) ** 2 / start, axis=1)) for sh in shapes]) / ny for n in names]
     )
     names, power = [n for n, p in zip(names, power, strict=True) if p > 0.0], power[power > 0.0]
-    R, v, turns = start.copy(), BEGIN / power, ITERATIONS
+    R, v, iterations = start.copy(), BEGIN / power, ITERATIONS
     v = np.array([known.get(n, x) for n, x in zip(names, v, strict=True)])
     free = np.array([n.source is not NoiseSource.PREPARED for n in names], dtype=bool)
     v[~free] = 1.0
-    if begin is not None and all(n in begin.process for n in names):
-        R, v, turns = begin.measurement.copy(), np.array([begin.process[n] for n in names]), FOLLOWING
+    if earlier is not None and all(n in earlier.process for n in names):
+        R, v, iterations = earlier.measurement.copy(), np.array([earlier.process[n] for n in names]), FOLLOWING
     blocks = [_stacked(sh, names, ny) for sh in shapes]
     columns = [np.concatenate([s[:, :, None], g], axis=2) for s, g in zip(spectra, blocks, strict=True)]
     adjoints = [np.ascontiguousarray(g.conj().transpose(0, 2, 1)) for g in blocks]
     diagonal = np.arange(ny)
-    for _ in range(turns):
-        up_R, down_R = np.zeros(ny), np.zeros(ny)
-        process_up, process_down = np.zeros(len(names)), np.zeros(len(names))
-        for shape, w, g, g_turned, block_columns in zip(shapes, weights, blocks, adjoints, columns, strict=True):
+    for _ in range(iterations):
+        # of every part, its power in the residuals (numerator) and the power that S predicts for it (denominator)
+        R_numerator, R_denominator = np.zeros(ny), np.zeros(ny)
+        v_numerator, v_denominator = np.zeros(len(names)), np.zeros(len(names))
+        for shape, w, g, g_adjoint, block_columns in zip(shapes, weights, blocks, adjoints, columns, strict=True):
             level = 1.0 if shape.louder is None else shape.louder
-            S = (g * v) @ g_turned
+            S = (g * v) @ g_adjoint
             S[:, diagonal, diagonal] += R * level
             inverse = np.linalg.inv(S)
             solved_columns = inverse @ block_columns
             a = solved_columns[:, :, 0]
-            up_R += level * (w @ (a.real**2 + a.imag**2))
-            down_R += level * (w @ inverse[:, diagonal, diagonal].real)
-            projected = (g_turned @ a[:, :, None])[:, :, 0]
-            process_up += w @ (projected.real**2 + projected.imag**2)
-            process_down += w @ np.sum(g_turned.transpose(0, 2, 1) * solved_columns[:, :, 1:], axis=1).real
-        R = np.maximum(R * np.sqrt(up_R / down_R), floor)
-        v[free] = np.maximum(v * np.sqrt(process_up / process_down), FLOOR / power)[free]
+            R_numerator += level * (w @ (a.real**2 + a.imag**2))
+            R_denominator += level * (w @ inverse[:, diagonal, diagonal].real)
+            projected = (g_adjoint @ a[:, :, None])[:, :, 0]
+            v_numerator += w @ (projected.real**2 + projected.imag**2)
+            v_denominator += w @ np.sum(g_adjoint.transpose(0, 2, 1) * solved_columns[:, :, 1:], axis=1).real
+        R = np.maximum(R * np.sqrt(R_numerator / R_denominator), floor)
+        v[free] = np.maximum(v * np.sqrt(v_numerator / v_denominator), FLOOR / power)[free]
     return NoiseModel(R, dict(zip(names, (float(x) for x in v), strict=True)))

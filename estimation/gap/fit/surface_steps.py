@@ -1,19 +1,20 @@
-"""What is wrong with controls at one time: paths of steps between two samples, and slow errors. No spectrum describes either.
+"""Errors of controls that no spectrum describes: their paths between two samples at a step, and slow errors.
 
-A servo's step falls anywhere within an interval. Which way the surface went through the middle of that interval moves the
-aircraft as much as many a hidden effect does. The middle of every interval in which a control moves much is given a prior
-displacement in proportion to the step; the proportion is estimated from the flights. An output that shows a control at once
-(side acceleration the rudder) jumps with it, one whose rate does (rolling with the ailerons) has a kink there, and what a
-sample next to it shows depends on the milliseconds between the two, on the instrument's filter and on how samples were brought
-to one time base: it too is given a displacement in proportion to the jump, or to what the kink makes in one interval.
+A servo may step anywhere within a sample interval. The path of the surface through the middle of that interval moves the aircraft
+as much as many a hidden effect does. Therefore, in every interval in which a control moves much, its value half-way gets an
+unknown displacement with a prior in proportion to the step; the proportion, called freedom, is estimated from the flights.
 
-A slow mode (a phugoid of ten seconds) rings for longer than a record lasts, and changes with speed on the way. The spectrum of
-what a noisy control makes of it is smeared over neighbouring frequencies, where the spectral matrix knows one mixture of the
-channels at every frequency: whitened with that alone, nulls scatter up to four times too far along slow signatures (a thrust
-line off the centre of gravity). Below half a hertz the error is therefore written as cosines of known size, each flown through
-the model along the record.
+An output that shows a control at once (side acceleration the rudder) jumps with the step; one whose rate does (roll rate the
+ailerons) has a kink there. The sample next to it depends on the milliseconds between the two, on the instrument's filter and on
+how the samples were brought to one time base. This sample, too, gets a displacement, in proportion to the jump or to the change
+that the kink makes in one interval.
 
-Both are marginalised over by a correction of low rank behind the whitener.
+A slow mode (a phugoid of ten seconds) rings for longer than a record lasts, and changes with speed on the way. Driven by the
+error of a control it spreads over neighbouring frequencies, while the spectral matrix has one mixture of the channels at every
+frequency. With that alone, nulls scatter up to four times too far along slow signatures (a thrust line off the centre of
+gravity). Below half a hertz the error of a control is therefore written as cosines of known size, each simulated over a record.
+
+The whitener marginalises over both as its slack, a correction of low rank.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,20 +34,20 @@ from estimation.models.base import Model
 from estimation.models.expressions import names_in
 
 GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
-SLIGHT = 1e-2  # energy of a displacement [variance of the noise]: of weaker ones a hundredth at most would be forgiven
-RUNAWAY = 1e6  # a change that grows so far is no small one any more
-SLOW = 0.5  # Hz, up to which
-MOST = 40  # cosines a control and record: a record in which more of them are slow is long beside its modes
+SLIGHT = 1e-2  # whitened energy of a displacement below which it is ignored: it would change energies by at most 1 %
+RUNAWAY = 1e6  # a response that grows so far is no small motion any more
+SLOW = 0.5  # Hz, below which the error of a control is written as cosines
+MOST = 40  # cosines for each control and record: a record that has more slow ones is long compared with its modes
 
 
 @dataclass(frozen=True)
 class SurfaceSteps:
-    """What steps of surfaces leave open in one record.
+    """The m displacements that steps of surfaces leave unknown in one record.
 
-    name: (m,) the control whose middle of an interval is meant, or the output that jumps or bends with it and of which one
-    sample is meant; at: (m,) index of the sample before the middle, or of that sample; step: (m,) [rad] or [unit of the
-    output]; response: (N, ny, m) change of the outputs by a displacement of one step, zero where they were not measured.
-    jumping: the outputs among the names.
+    name: (m,) the control that is displaced half-way between two samples, or the output of which one sample is displaced; at:
+    (m,) index of the sample before the displaced point, or of the displaced sample; step: (m,) size of the control's step [rad]
+    or of the output's jump [unit of the output]; response: (N, ny, m) change of the outputs by a displacement of one step, zero
+    where not measured. jumping: the outputs among the names.
     """
 
     name: tuple[str, ...]
@@ -62,13 +63,13 @@ class SurfaceSteps:
         return spectrum_of(self.response)
 
     def spread(self, freedom: Mapping[str, float]) -> Array:
-        """(m,) prior standard deviations in steps."""
+        """(m,) prior standard deviations of the displacements, in steps. freedom: as in `NoiseModel`."""
         c = self.criteria
         return np.array([freedom.get(n, c.jump_freedom if n in self.jumping else c.surface_freedom) for n in self.name])
 
 
 def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria: Criteria) -> SurfaceSteps:
-    """The largest steps of all controls in a record and what a displacement half-way, or of a jump, does to the outputs."""
+    """The displacements at the largest steps of all controls in a record: half-way, and of outputs that jump or bend there."""
     largest: list[tuple[float, str, int, float]] = []
     for j, signal in enumerate(model.inputs):
         if not signal.control or signal.name not in linear.controls:
@@ -80,21 +81,20 @@ def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria:
             largest.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))
     largest = sorted(sorted(largest, reverse=True)[: criteria.surface_steps_most], key=lambda e: (e[1], e[2]))
     N, ny = len(segment), linear.C.shape[0]
-    replies = {c: _reply(linear, linear.controls.index(c), N) for c in {e[1] for e in largest}}
+    responses = {c: _response(linear, linear.controls.index(c), N) for c in {e[1] for e in largest}}
     places = [(control, k, step) for _, control, k, step in largest]
-    sharp = np.abs(linear.D) + linear.dt * np.abs(
-        linear.C @ linear.B
-    )  # by unit step: the jump, the kink over one interval
+    # (ny, controls) by unit step: the jump of an output, and the change that a kink makes in one interval
+    jump_by_step = np.abs(linear.D) + linear.dt * np.abs(linear.C @ linear.B)
     outputs = []
     for i, output in enumerate(model.output_names):
-        jumps = sample_jumps(sharp[i], linear.controls, places, N)
+        jumps = sample_jumps(jump_by_step[i], linear.controls, places, N)
         if jumps.max() > criteria.visible_jump * linear.scale[i]:
             outputs.append(output)
             places += [(output, int(k), float(jumps[k])) for k in np.flatnonzero(jumps)]
     response = np.zeros((N, ny, len(places)))
     for m, (name, sample, size) in enumerate(places):
-        if name in replies:
-            response[sample + 1 :, :, m] = size * replies[name][: N - sample - 1]
+        if name in responses:
+            response[sample + 1 :, :, m] = size * responses[name][: N - sample - 1]
         else:
             response[sample, model.output_names.index(name), m] = size
     response[~np.isfinite(segment.z)] = 0.0
@@ -104,7 +104,7 @@ def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria:
 
 
 def jumping_outputs(model: Model) -> tuple[str, ...]:
-    """Outputs that a control reaches in the same instant, and not by way of a state (side acceleration: C_Y delta_r)."""
+    """Outputs on which a control acts directly and not by way of a state (side acceleration: C_Y delta_r)."""
     controls = {s.name for s in model.inputs if s.control}
 
     def reaches(symbol: str, seen: set[str]) -> bool:
@@ -117,38 +117,41 @@ def jumping_outputs(model: Model) -> tuple[str, ...]:
     return tuple(n for n in model.output_names if reaches(n, set()))
 
 
-def sample_jumps(through: Array, controls: Sequence[str], steps: Sequence[tuple[str, int, float]], count: int) -> Array:
-    """(count,) size of the jumps of an output next to every sample.
+def sample_jumps(change: Array, controls: Sequence[str], steps: Sequence[tuple[str, int, float]], count: int) -> Array:
+    """(count,) size of the jumps of an output next to every sample, several combined as a root sum of squares.
 
-    through: (controls,) its change by each control. steps: (control, sample before, size) of each step, others are ignored.
+    change: (controls,) of the output by a unit step of each control. steps: (control, sample before, size) of each step; those of
+    names that are not among `controls` are ignored.
     """
     jumps = np.zeros(count)
     for control, k, step in steps:
         if control not in controls:
             continue
-        size = through[controls.index(control)] * step
+        size = change[controls.index(control)] * step
         jumps[k : k + 2] = np.hypot(jumps[k : k + 2], size)
     return jumps
 
 
-def _reply(linear: Linear, control: int, count: int) -> Array:
-    """(count, ny) outputs at the samples after an interval in whose middle the control stood 1 off a straight line."""
+def _response(linear: Linear, control: int, count: int) -> Array:
+    """(count, ny) outputs at the samples after an interval in whose middle the control was 1 off a straight line; zero from where
+    the motion runs away."""
     h = linear.dt
-    x = expm(linear.A * (0.5 * h)) @ linear.B[:, control] * (0.5 * h)  # a triangle of width h: its area, at its middle
-    course, advance = x[:, None], expm(linear.A * h)
+    # the triangle of width h acts as an impulse at its middle, half an interval before the first sample
+    x = expm(linear.A * (0.5 * h)) @ linear.B[:, control] * (0.5 * h)
+    states, advance = x[:, None], expm(linear.A * h)
     with np.errstate(over="ignore", invalid="ignore"):
-        while course.shape[1] < count:  # what is there, as far again ahead
-            course, advance = np.concatenate([course, advance @ course], axis=1), advance @ advance
-    course = course[:, :count]
-    small = np.logical_and.accumulate(np.abs(course).max(axis=0) < RUNAWAY)
-    return np.where(small[:, None], (linear.C @ np.where(small, course, 0.0)).T, 0.0)
+        while states.shape[1] < count:  # every turn doubles the samples that are known
+            states, advance = np.concatenate([states, advance @ states], axis=1), advance @ advance
+    states = states[:, :count]
+    small = np.logical_and.accumulate(np.abs(states).max(axis=0) < RUNAWAY)
+    return np.where(small[:, None], (linear.C @ np.where(small, states, 0.0)).T, 0.0)
 
 
 def loosened(
     whitener: Whitener, steps: SurfaceSteps, freedom: Mapping[str, float], others: Array | None = None
 ) -> Whitener:
-    """`whitener` that also marginalises over the steps, and over `others` (N, ny, m): outputs by unknowns of one standard
-    deviation each."""
+    """`whitener` with the displacements at steps as slack, and `others`: (N, ny, m) changes of the outputs by one prior standard
+    deviation of m further unknowns. Effects too small to matter are left out."""
     rows = whitener.strict(steps.spectrum) * steps.spread(freedom) if steps.name else None
     if others is not None and others.shape[2]:
         extra_rows = whitener.strict(spectrum_of(others))
@@ -164,9 +167,9 @@ def loosened(
 def displaced(
     whitener: Whitener, steps: SurfaceSteps, freedom: Mapping[str, float], residual: Array
 ) -> tuple[Array, Array]:
-    """(mean (m,), variance (m,)) of the displacements [steps] that a residual (N, ny) tells; `whitener` without slack.
+    """(mean (m,), variance (m,)) of the displacements [steps], given a residual (N, ny). whitener: without slack.
 
-    Of those that hardly show it tells nothing.
+    Displacements that hardly show in the outputs keep their prior.
     """
     spread = steps.spread(freedom)
     mean, variance = np.zeros(spread.size), spread**2
@@ -178,11 +181,12 @@ def displaced(
     return mean, variance
 
 
-def freedom_of(steps: Sequence[SurfaceSteps], told: Sequence[tuple[Array, Array]]) -> dict[str, float]:
-    """Typical displacement of every control and of every jumping output in steps, from what all records tell."""
+def freedom_of(steps: Sequence[SurfaceSteps], displacements: Sequence[tuple[Array, Array]]) -> dict[str, float]:
+    """Control or jumping output -> rms of its displacements in steps, over all records. displacements: (mean, variance) of those
+    of each record, from `displaced`."""
     squares: dict[str, list[float]] = {}
     jumping = frozenset[str]().union(*(e.jumping for e in steps))
-    for e, (mean, variance) in zip(steps, told, strict=True):
+    for e, (mean, variance) in zip(steps, displacements, strict=True):
         for name, m, v in zip(e.name, mean, variance, strict=True):
             squares.setdefault(name, []).append(float(m * m + v))
     c = steps[0].criteria
@@ -192,31 +196,34 @@ def freedom_of(steps: Sequence[SurfaceSteps], told: Sequence[tuple[Array, Array]
 
 @dataclass(frozen=True)
 class SlowErrors:
-    """response: (N, ny, m) of the outputs by what is slowly wrong with the controls, each of one standard deviation, zero where
-    they were not measured. below: [Hz] what a spectrum no longer has to describe."""
+    """Slow errors of the controls of one record. response: (N, ny, m) changes of the outputs by m cosines of one standard
+    deviation each, zero where not measured. below: frequency [Hz] below which they stand in place of the spectrum."""
 
     response: Array
     below: float
 
 
 def slow_errors(
-    simulator: Simulator, values: Mapping[str, float], segment: Segment, left: Mapping[str, Array]
+    simulator: Simulator, values: Mapping[str, float], segment: Segment, control_errors: Mapping[str, Array]
 ) -> SlowErrors:
-    """Cosines of all controls in a record. left: control -> (frequencies,) variance per sample of its error."""
+    """The slow errors of all controls in a record. control_errors: control -> (frequencies,) variance per sample of its error.
+
+    Without cosines, so that the spectrum stands for all errors, where no control has one or the motion runs away.
+    """
     count, step = len(segment), float(np.median(np.diff(segment.time)))
-    names = [n for n in simulator.model.input_names if n in left]
+    names = [n for n in simulator.model.input_names if n in control_errors]
     none = SlowErrors(np.zeros((count, len(simulator.model.outputs), 0)), 0.0)
     if not names:
         return none
     motion = simulator.run(segment, values, segment.x0)
-    if not motion.finite:  # from where it is guessed to begin it runs away: the spectrum has to do
+    if not motion.finite:  # it runs away from the guessed initial state; then the spectrum has to suffice
         return none
     cosines = min(int(2.0 * SLOW * count * step) + 1, MOST, count)
     basis = idct(np.eye(count)[:cosines], axis=1, norm="ortho")
     cosine_frequencies, frequencies = 0.5 * np.arange(cosines) / (count * step), np.fft.rfftfreq(count, step)
     courses = np.zeros((count, len(simulator.model.inputs), cosines * len(names)))
     for k, name in enumerate(names):
-        size = np.sqrt(np.interp(cosine_frequencies, frequencies, left[name]))
+        size = np.sqrt(np.interp(cosine_frequencies, frequencies, control_errors[name]))
         columns = slice(k * cosines, (k + 1) * cosines)
         courses[:, simulator.model.input_names.index(name), columns] = (basis * size[:, None]).T
     mid_courses = np.concatenate([0.5 * (courses[1:] + courses[:-1]), courses[-1:]])
@@ -224,11 +231,11 @@ def slow_errors(
     if not np.abs(response).max() < RUNAWAY:
         return none
     response[~np.isfinite(segment.z)] = 0.0
-    return SlowErrors(response, 0.5 * (cosines - 0.5) / (count * step))  # half-way to the next one
+    return SlowErrors(response, 0.5 * (cosines - 0.5) / (count * step))  # half-way to the next cosine
 
 
 def without_slow(shapes: Shapes, below: float) -> Shapes:
-    """The shapes with nothing slower than `below` [Hz] in what is wrong with the controls."""
+    """The shapes without the errors of the controls below `below` [Hz]."""
     fast = (np.fft.rfftfreq(shapes.count, shapes.step) >= below)[:, None]
     parts = {n: p * fast if n.source is NoiseSource.PREPARED else p for n, p in shapes.parts.items()}
     return replace(shapes, parts=parts)

@@ -1,4 +1,4 @@
-"""The operator that whitens residuals: S(f)^(-1/2) of one record, and what it forgives.
+"""The whitener: the operator S(f)^(-1/2) of one record, with the unknowns that it marginalises over (its slack).
 
 Multiplying by S(f)^(-1/2) makes residuals white and keeps them aligned in time and channel. `spectra` has S(f).
 """
@@ -18,9 +18,9 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Slack:
-    """What the whitener is to forgive. rows: (rows, m) white rows of what unknowns of one standard deviation each do.
+    """Unknowns that the whitener marginalises over. rows: (rows, m) white rows of what one prior standard deviation of each does.
 
-    Marginalised over them the rows have the covariance I + E E' with E = rows, whose inverse is I - E (I + E'E)^-1 E'.
+    Marginalised over them white rows have the covariance I + E E' with E = rows, whose inverse is I - E (I + E'E)^-1 E'.
     """
 
     rows: Array
@@ -32,9 +32,9 @@ class Slack:
 
     @cached_property
     def _lower(self) -> Array:
-        """(m, m) lower, its product with its transpose I + E'E.
+        """(m, m) lower triangular L with L L' = I + E'E.
 
-        Columns that are as good as equal and large, as of a motion that grows, round the I away: no eigenvalue is below 1.
+        Of large and nearly equal columns, as of a growing motion, rounding loses the I; then eigenvalues below 1 are set to 1.
         """
         try:
             return np.asarray(np.linalg.cholesky(self._information))
@@ -55,30 +55,30 @@ class Slack:
         return 2.0 * float(np.sum(np.log(np.abs(np.diag(self._lower)))))
 
     def forgiven(self, rows: Array) -> Array:
-        """(m, k) whose inner products come off those of white rows (rows, k)."""
-        projections = rows.T @ self.rows  # in this order the many rows are read as they lie
+        """(m, k) coordinates F of white rows R (rows, k) in the slack: R'(I + E E')^-1 R = R'R - F'F."""
+        projections = rows.T @ self.rows  # in this order the long columns are read in the order of memory
         return np.asarray(solve_triangular(self._lower, projections.T, lower=True, check_finite=False))
 
 
 @dataclass(frozen=True)
 class White:
-    """White columns of a record, of which only inner products are asked: those corrected for what is forgiven are never made.
+    """White columns of a record for inner products, which take the slack into account without changing the rows.
 
-    rows: (rows, k) with nothing forgiven; forgiven: (m, k) as of `Slack.forgiven`, or None.
+    rows: (rows, k) without slack; forgiven: (m, k) from `Slack.forgiven`, or None.
     """
 
     rows: Array
     forgiven: Array | None = None
 
     def products(self, other: "White") -> Array:
-        """(own columns, columns of the other)."""
+        """(columns of this, columns of the other) inner products."""
         products = self.rows.T @ other.rows
         if self.forgiven is not None and other.forgiven is not None:
             products -= self.forgiven.T @ other.forgiven
         return np.asarray(products)
 
     def squares(self) -> Array:
-        """(columns,) the product of each with itself."""
+        """(columns,) the inner product of each with itself."""
         squares = np.einsum("ij,ij->j", self.rows, self.rows)
         if self.forgiven is not None:
             squares -= np.einsum("ij,ij->j", self.forgiven, self.forgiven)
@@ -91,7 +91,7 @@ class White:
 
 @dataclass(frozen=True)
 class Whitener:
-    """Applies S^(-1/2) to residual-like columns of one record. root: (frequencies, ny, ny)."""
+    """Applies S^(-1/2) to residual-like columns of one record. root: (frequencies, ny, ny) S^(-1/2); count: N samples."""
 
     root: Complex
     count: int
@@ -99,7 +99,7 @@ class Whitener:
 
     @cached_property
     def _scale(self) -> Array:
-        """(frequencies,) what makes rows of a real spectrum count as often as its samples do."""
+        """(frequencies,) factors with which the one-sided spectrum has the energy of the samples (Parseval)."""
         scale = np.full(self.root.shape[0], np.sqrt(2.0 / self.count))
         scale[0] = np.sqrt(1.0 / self.count)
         if self.count % 2 == 0:
@@ -114,7 +114,7 @@ class Whitener:
 
     @cached_property
     def _slack_series(self) -> Array:
-        """(N ny, m) what is forgiven as white series."""
+        """(N ny, m) the rows of the slack as white time series."""
         assert self.slack is not None
         ny, m = self.root.shape[1], self.slack.rows.shape[1]
         parts = self.slack.rows.reshape(-1, 2, ny, m) / self._scale[:, None, None, None]
@@ -122,16 +122,16 @@ class Whitener:
 
     @cached_property
     def log_determinant(self) -> float:
-        """Of the covariance of a record: with `energy`, minus twice the log-likelihood (Whittle) but for a constant."""
-        twice = np.full(self.root.shape[0], 2.0)
-        twice[0] = 1.0
+        """Of the covariance of a record; its sum with `energy` is minus twice the log-likelihood (Whittle) up to a constant."""
+        multiplicity = np.full(self.root.shape[0], 2.0)
+        multiplicity[0] = 1.0
         if self.count % 2 == 0:
-            twice[-1] = 1.0
-        of_spectrum = -2.0 * float(twice @ np.linalg.slogdet(self.root)[1])
+            multiplicity[-1] = 1.0
+        of_spectrum = -2.0 * float(multiplicity @ np.linalg.slogdet(self.root)[1])
         return of_spectrum + (0.0 if self.slack is None else self.slack.log_determinant)
 
     def strict(self, spectrum: Array) -> Array:
-        """(frequencies, 2 ny, k) from `spectrum_of` -> (rows, k): white rows of unit variance with nothing forgiven."""
+        """(frequencies, 2 ny, k) from `spectrum_of` -> (rows, k): white rows of unit variance, without slack."""
         white = self._real_root @ spectrum
         return np.asarray(white.reshape(white.shape[0] * white.shape[1], white.shape[2]))
 
@@ -143,7 +143,7 @@ class Whitener:
         return rows
 
     def white(self, columns: Array) -> White:
-        """Columns (N, ny, k) or (N, ny), for their inner products."""
+        """(N, ny, k) or (N, ny) -> white columns for inner products."""
         rows = self.strict(spectrum_of(columns))
         return White(rows, None if self.slack is None else self.slack.forgiven(rows))
 
@@ -169,7 +169,7 @@ class Whitener:
 
 
 def zero_filled(values: Array) -> Array:
-    """`values` with zero where nothing was measured; the very same where everything was."""
+    """`values` with zero for NaN; the same array where there is none."""
     return values if np.isfinite(np.sum(values)) else np.nan_to_num(values)
 
 

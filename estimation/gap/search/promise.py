@@ -1,8 +1,8 @@
-"""Which hypotheses get a full fit: those whose gain, by linear theory, can give a name or come near to that of the best.
+"""Which hypotheses get a full fit: those whose predicted gain is near what a name needs, and near the best prediction.
 
-A hypothesis that is linear in its unknowns gains in a full fit what its score says. A delay, a lag or a play does not: a small
-step says nothing of a usual one. What it does to the outputs is worked out at several sizes and taken as straight between them;
-the base absorbs of every one what it can.
+For a hypothesis that is linear in its unknowns, linear theory predicts the gain of the full fit. For a delay, a lag or a play it
+does not: the effect of a small step says little about that of the usual size. Their changes of the outputs are computed at
+several sizes and interpolated linearly; as in linear theory, the part that the base parameters can absorb is projected out.
 """
 
 from collections.abc import Collection
@@ -19,69 +19,70 @@ from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import Hypothesis, Projected, Screen, gram_of
 
 SIZES = (0.3, 1.0, 3.0)
-"""Usual sizes: from what the screen takes for a small step to the farthest from which a fit starts."""
-BEYOND = 4.0  # times the last size, to where the way goes on straight
-HOPELESS = 0.5  # of the gain that a name needs: a hypothesis that promises less gets no fit, a fit that does is not gone on with
+"""Multiples of the usual size: from what the screen takes for a small step to the farthest from which a fit starts."""
+BEYOND = 4.0  # times the last size, up to which its change is extrapolated linearly
+HOPELESS = 0.5  # of the gain that a name needs: below this promise a hypothesis is not fitted, a fit given up
 
 
 def leading(
     screen: Screen, promised: Array, threshold: float, criteria: Criteria, further: Collection[int] = ()
 ) -> list[int]:
-    """Indices of the hypotheses worth a full fit, best first: those that promise a good part of what a name needs and of what the
-    best promises, and with them what is tied to the very best.
+    """Indices of the hypotheses worth a full fit, best first.
 
-    Lags of the air always: about a base that has taken one up as damping, steps of any size set the aircraft swinging.
-    promised: (hypotheses,) as of `promise`. threshold: score that a name needs. further: asked too.
+    promised: (hypotheses,) from `promise`. threshold: score that a name needs. further: indices to be included in any case.
+
+    Worth a fit is what promises a good part of the gain that a name needs and of the best promise, and what has nearly the
+    signature of the best (`Screen.tied`). Unsteady lags of the aerodynamics always are: where the base has taken one up as
+    damping, adding it at any size makes the motion oscillate, and its promise says nothing.
     """
     order = [int(h) for h in np.argsort(-promised)]
     first = order[0]
     limit = max(HOPELESS * threshold**2, criteria.in_sight * float(promised[first]))
     tied = screen.tied(first, criteria) if promised[first] >= limit else [False] * len(order)
-    asked = [promised[h] >= limit or tied[h] or x.form.lagging or h in further for h, x in enumerate(screen.hypotheses)]
-    return [h for h in order if asked[h]]
+    worth = [promised[h] >= limit or tied[h] or x.form.lagging or h in further for h, x in enumerate(screen.hypotheses)]
+    return [h for h in order if worth[h]]
 
 
 def promise(round_: Round) -> Array:
-    """(hypotheses,) gains, over what the nulls scatter, that full fits promise. The scatter of a small step on the nulls does not
-    count against delays, lags and plays, which a small step cannot judge."""
+    """(hypotheses,) predicted gains of full fits, over inflation. For delays, lags and plays the inflation is at most the median
+    of all: theirs is that of a small step, which says little about them."""
     nonlinear = np.array([h.form.nonlinear for h in round_.screen.hypotheses])
-    shared = float(np.median(round_.inflation))
-    inflation = np.where(nonlinear, np.minimum(round_.inflation, shared), round_.inflation)
+    usual = float(np.median(round_.inflation))
+    inflation = np.where(nonlinear, np.minimum(round_.inflation, usual), round_.inflation)
     return np.asarray(np.maximum(round_.gains, gains_at_sizes(round_)) / inflation)
 
 
 def gains_at_sizes(round_: Round) -> Array:
-    """(hypotheses,) twice the log-likelihood that hypotheses which a small step does not tell gain at the size at which they
-    gain most; zero of the others."""
+    """(hypotheses,) largest predicted gain over all sizes, of hypotheses that are strongly nonlinear; 0 of the others."""
     problem, model_fit = round_.baseline.problem, round_.baseline.fit
-    asked: list[int] = []
+    owner: list[int] = []  # index of the hypothesis to which each change belongs
     changes: list[tuple[Array, ...]] = []
     for h, hypothesis in enumerate(round_.screen.hypotheses):
-        courses = changes_at_sizes(problem, model_fit, hypothesis) if is_bent(hypothesis.form) else []
-        asked += [h] * len(courses)
-        changes += courses
-    gram = gram_of(round_.tangent, lambda i: [course[i] for course in changes])
-    projected, gains = Projected.of(gram, len(problem.free), len(asked)), np.zeros(len(round_.screen.hypotheses))
-    for h in set(asked):
-        span = [k for k, other in enumerate(asked) if other == h]
+        at_sizes = changes_at_sizes(problem, model_fit, hypothesis) if strongly_nonlinear(hypothesis.form) else []
+        owner += [h] * len(at_sizes)
+        changes += at_sizes
+    gram = gram_of(round_.tangent, lambda i: [change[i] for change in changes])
+    projected, gains = Projected.of(gram, len(problem.free), len(owner)), np.zeros(len(round_.screen.hypotheses))
+    for h in set(owner):
+        span = [k for k, other in enumerate(owner) if other == h]
         gains[h] = gain_along(projected.B[np.ix_(span, span)], projected.b[span, 0])
     return gains
 
 
-def is_bent(form: Form) -> bool:
-    """Whether what a form does to the outputs bends away from a small step before the usual size: what makes a control late or
-    gives it play, or has states of its own. An output that is late does not."""
+def strongly_nonlinear(form: Form) -> bool:
+    """Whether a form's effect on the outputs departs from that of a small step already below the usual size: of a control that is
+    late or has play, and of a form with states of its own. An output that is merely late does not."""
     return bool(form.transforms or form.states)
 
 
 def changes_at_sizes(
     problem: LikelihoodProblem, model_fit: ModelFit, hypothesis: Hypothesis
 ) -> list[tuple[Array, ...]]:
-    """Per size, and there per record, (N, ny) what a hypothesis of that size adds to the outputs of the fitted base; sizes with
-    which the motion runs away are left out."""
+    """Per size, per record: (N, ny) what a hypothesis of that size adds to the outputs of the fitted base. Sizes at which the
+    motion runs away are left out."""
     trial = replace(problem, model=awakened(problem.model, hypothesis.form))
     locals_ = [carried_local(local, model_fit.model, trial.model) for local in model_fit.locals]
-    courses = []
+    changes = []
     for size in SIZES:
         unknowns = {
             p.name: float(np.clip(p.null_value(problem.model) + size * p.typical, p.lower, p.upper))
@@ -91,19 +92,19 @@ def changes_at_sizes(
         residuals = [trial.residual(i, values, local) for i, local in enumerate(locals_)]
         finite = [r for r in residuals if r is not None]
         if len(finite) == len(residuals):
-            courses.append(tuple(np.nan_to_num(a - b) for a, b in zip(model_fit.residuals, finite, strict=True)))
-    return courses
+            changes.append(tuple(np.nan_to_num(a - b) for a, b in zip(model_fit.residuals, finite, strict=True)))
+    return changes
 
 
 def gain_along(information: Array, gradient: Array) -> float:
-    """The most that is gained on straight lines from nothing to the first size, on to the next and so forth, and beyond the last.
+    """The largest gain on straight lines from no change to that of the first size, to the next, and so on beyond the last.
 
     information: (sizes, sizes) products of the changes; gradient: (sizes,) their products with the residuals."""
     count, best = len(gradient), 0.0
     corners = np.vstack([np.zeros(count), np.eye(count), BEYOND * np.eye(count)[-1:]])
-    for begin, end in zip(corners[:-1], corners[1:], strict=True):
-        way = end - begin
-        slope, bend = way @ (gradient - information @ begin), way @ information @ way
-        point = begin + way * (np.clip(slope / bend, 0.0, 1.0) if bend > 0.0 else 0.0)
+    for corner, next_corner in zip(corners[:-1], corners[1:], strict=True):
+        direction = next_corner - corner
+        slope, curvature = direction @ (gradient - information @ corner), direction @ information @ direction
+        point = corner + direction * (np.clip(slope / curvature, 0.0, 1.0) if curvature > 0.0 else 0.0)
         best = max(best, float(2.0 * gradient @ point - point @ information @ point))
     return best

@@ -1,7 +1,7 @@
 """Rounds of nulls, screen, full fits and acceptance, until nothing is significant.
 
-After each, earlier effects are asked again with the later ones in the model: dropped where idle, exchanged where a rival does
-better.
+Whenever an effect is added, the earlier ones are tested again beside it: an effect that is no longer significant is dropped, one
+that a rival beats is exchanged.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,28 +35,30 @@ from estimation.gap.significance.omnibus import examine
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess
 from estimation.gap.significance.tangent import Tangent
 
-DEEPER = 2  # better valleys of the base that one round is asked again for
+DEEPER = 2  # times a round is repeated because a better minimum of its base was found
 
 
 def backward_check(
     setting: Setting, findings: Sequence[AcceptedEffect]
 ) -> tuple[list[AcceptedEffect], list[Rejected]] | None:
-    """Every earlier effect asked again with the later ones in the model: dropped where it has become insignificant,
-    exchanged where a rival now explains the same flights better. None where all stand."""
+    """The findings without, or with another in place of, the first earlier effect that fails beside the last one; and why.
+
+    An effect that has become insignificant is dropped; one that a rival now beats is exchanged. None where all stand.
+    """
     last = findings[-1]
     for finding in findings[:-1]:
-        rest = [f for f in findings if f is not finding]
+        others = [f for f in findings if f is not finding]
         old = finding.candidate
-        reduced = afresh_with(setting, rest, last.child)
+        reduced = afresh_with(setting, others, last.child)
         if reduced is None:
             continue
         gain = 2.0 * (reduced.fit.cost - last.child.fit.cost)
         if idle(gain, finding.round_.threshold):
             reason = f"no longer needed once {last.candidate.hypothesis.label} is in the model"
-            fresh = fit_baseline(
+            refitted = fit_baseline(
                 reduced.model, reduced.clean, setting.prepared, setting.scatter, reduced.fit, reduced.noise
             )
-            updated = [replace(f, child=fresh) if f is last else f for f in rest]
+            updated = [replace(f, child=refitted) if f is last else f for f in others]
             return updated, [Rejected(old.hypothesis.label, reason)]
         rival = _rival(setting, reduced, finding, last.round_, gain)
         if rival is not None:
@@ -65,84 +67,93 @@ def backward_check(
             lead = 0.5 * (candidate.gain / own_inflation(candidate) - gain / own_inflation(old))
             choice = Choice.of((candidate, replace(old, evidence=candidate.evidence - lead)))
             exchanged = AcceptedEffect(last.round_, choice, candidate, reduced, child)
-            return [*rest, exchanged], [Rejected(old.hypothesis.label, reason)]
+            return [*others, exchanged], [Rejected(old.hypothesis.label, reason)]
     return None
 
 
 def idle(gain: float, threshold: float) -> bool:
-    """Whether an effect that gains so much (twice a log-likelihood) beside the others would not be significant any more."""
+    """Whether an effect with this gain beside the other effects is no longer significant."""
     return float(np.sqrt(max(gain, 0.0))) < threshold
 
 
 def _rival(
     setting: Setting, without: Baseline, old: AcceptedEffect, last: Round, gain: float
 ) -> tuple[FittedHypothesis, Baseline] | None:
-    """The best hypothesis that beats an earlier effect, which gains `gain`, by a clear margin where that was taken out, and is
-    confirmed there as any is that gets a name, with the model that has it; or None.
+    """The best confirmed hypothesis that beats an earlier effect by a clear margin, and the model with it; or None.
 
-    By how much nulls scatter gains is known of the last round, and of what is in its model of the round before it was. Of a rival
-    with nearly the signature of the old effect the last round knows what is left of it beside that: it shares the old one's.
+    without: the model without the earlier effect `old`; gain: what `old` gains over it. last: the last round.
+
+    Inflation is taken from the last round; of hypotheses that its model already has, from the round that accepted `old`. A rival
+    with nearly the signature of `old` takes at least the inflation of `old`: the last round, whose model has `old`, knows only
+    what is left of the rival beside it.
     """
     problem, criteria = without.problem, without.criteria
     hypotheses = hypotheses_for(without.clean, setting.effects, setting.prepared.available)
     screen = build_screen(Tangent(problem, without.fit), hypotheses)
     rounds = (old.round_, last)
-    scatter = _of_each(screen, *(individual_inflation(round_) for round_ in rounds))
-    keys = [h.key for h in hypotheses]
-    if old.candidate.hypothesis.key in keys:
-        tied = screen.tied(keys.index(old.candidate.hypothesis.key), criteria)
-        scatter = np.where(tied, np.maximum(scatter, own_inflation(old.candidate)), scatter)
+    inflation = _latest_known(screen, *(individual_inflation(round_) for round_ in rounds))
+    keys, old_key, old_inflation = (
+        [h.key for h in hypotheses],
+        old.candidate.hypothesis.key,
+        own_inflation(old.candidate),
+    )
+    if old_key in keys:
+        tied = screen.tied(keys.index(old_key), criteria)
+        inflation = np.where(tied, np.maximum(inflation, old_inflation), inflation)
     gains = linear_gains(screen, problem)
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
-    candidates, needed = [], gain / own_inflation(old.candidate) + criteria.certain**2
-    for h in questioners(gains / scatter, criteria):
+    candidates, cost_limit = [], within_reach(without.fit.cost, gain / old_inflation + criteria.certain**2)
+    for h in questioners(gains / inflation, criteria):
         hypothesis = screen.hypotheses[h]
-        if hypothesis.key != old.candidate.hypothesis.key and not by_derivatives(hypothesis):
+        if hypothesis.key != old_key and not by_derivatives(hypothesis):
             guess = linear_guess(screen, problem, h)
-            _, fitted = fit_hypothesis(problem, without.fit, hypothesis, guess, within_reach(without.fit.cost, needed))
-            rival = assess(problem, without.fit, hypothesis, fitted, float(scatter[h]))
+            _, fitted = fit_hypothesis(problem, without.fit, hypothesis, guess, cost_limit)
+            rival = assess(problem, without.fit, hypothesis, fitted, float(inflation[h]))
             candidates.append(material(rival, interval, noise, criteria))
-    inflation = _of_each(screen, *(inflation_by_hypothesis(round_) for round_ in rounds))
-    asked = replace(last, baseline=without, screen=screen, gains=gains, inflation=inflation)
-    for rival in better_rivals(candidates, gain / own_inflation(old.candidate), last.threshold, criteria):
-        if deeper_fit(without, rival.fit) is not None:  # its gain is that of another valley
+    small_step = _latest_known(screen, *(inflation_by_hypothesis(round_) for round_ in rounds))
+    round_without = replace(last, baseline=without, screen=screen, gains=gains, inflation=small_step)
+    for rival in better_rivals(candidates, gain / old_inflation, last.threshold, criteria):
+        if deeper_fit(without, rival.fit) is not None:  # the gain comes from a better minimum of the base
             continue
-        child, _ = confirmed(setting, asked, rival, nameless=0.0)
+        child, _ = confirmed(setting, round_without, rival, nameless=0.0)
         if child is not None:
             return rival, child
     return None
 
 
-def _of_each(screen: Screen, *known: Mapping[tuple[str, str], float]) -> Array:
-    """(hypotheses,) what is known of each, of the last that knows it; 1 of what nobody knows."""
-    return np.array([next((k[h.key] for k in reversed(known) if h.key in k), 1.0) for h in screen.hypotheses])
+def _latest_known(screen: Screen, *tables: Mapping[tuple[str, str], float]) -> Array:
+    """(hypotheses,) the value of each from the last table that has it; 1 where none has."""
+    return np.array([next((t[h.key] for t in reversed(tables) if h.key in t), 1.0) for h in screen.hypotheses])
 
 
 def questioners(gains: Array, criteria: Criteria) -> list[int]:
-    """Indices of the hypotheses that question an earlier effect: the best by linear theory, gains over what nulls scatter."""
+    """Indices of the hypotheses that compete with an earlier effect: those of the largest gains (linear theory, deflated)."""
     return [int(h) for h in np.argsort(-gains)[: criteria.rivals]]
 
 
 def better_rivals(
-    found: Sequence[FittedHypothesis], gain: float, threshold: float, criteria: Criteria
+    candidates: Sequence[FittedHypothesis], gain: float, threshold: float, criteria: Criteria
 ) -> list[FittedHypothesis]:
-    """The significant candidates that gain more than an accepted effect's `gain` by a clear margin, the most first; gains over
-    what the nulls scatter of them: what they scatter a hundred times too far gains by chance more than anything else."""
-    significant = [(c.gain / own_inflation(c), c) for c in found if not c.why_not and c.score >= threshold]
+    """The significant candidates that gain clearly more than an accepted effect's `gain`, the best first.
+
+    All gains are over inflation: a hypothesis of inflation 100 would by chance gain more than any other.
+    """
+    significant = [(c.gain / own_inflation(c), c) for c in candidates if not c.why_not and c.score >= threshold]
     ahead = [(gained, c) for gained, c in significant if gained > gain + criteria.certain**2]
     return [c for _, c in sorted(ahead, key=lambda pair: -pair[0])]
 
 
 def shape_gain(setting: Setting, round_: Round) -> float:
-    """What the best function of one variable without a name gains about a fitted model (twice the log-likelihood); nothing where
-    none stands out of the nulls."""
+    """Gain of the best nameless function of one variable about a fitted model; 0 where none stands out of the nulls."""
     motion = ModelMotion.of(round_.baseline.problem, round_.baseline.fit)
     return rank(motion, round_, places_of(setting.base)).best_gain
 
 
 def _better_base(setting: Setting, round_: Round, choice: Choice) -> Baseline | None:
-    """The round's base in the better valley to which the best significant candidate leads, or None: what is gained there without
-    the candidate is not its own, and the round has to be asked again."""
+    """The round's base in the better minimum to which the best significant candidate leads, or None where there is none.
+
+    What the base gains there without the candidate is not the candidate's, so the round has to be repeated.
+    """
     candidate = choice.best
     if candidate is None or candidate.score < round_.threshold:
         return None
@@ -151,12 +162,15 @@ def _better_base(setting: Setting, round_: Round, choice: Choice) -> Baseline | 
         return None
     try:
         return fit_baseline(base.model, base.clean, setting.prepared, setting.scatter, model_fit, base.noise)
-    except GapError:  # better with the noise it has only
+    except GapError:  # the better minimum does not last once its noise is estimated anew
         return None
 
 
 def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
-    """Add one effect after the other to `baseline` as long as one is accepted; what is left is examined at the end."""
+    """Add one effect after the other to `baseline` as long as one is accepted; then test the residuals for anything nameless.
+
+    Raises GapError where already the first baseline cannot be screened.
+    """
     findings: list[AcceptedEffect] = []
     rounds: list[Round] = []
     rejected: list[Rejected] = []
@@ -164,40 +178,39 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
     while True:
         try:
             round_ = setting.screened(baseline, len(rounds))
-        except GapError as error:  # what was found before it stands
+        except GapError as error:  # the last effect is taken back, the earlier ones stand
             if not findings:
                 raise
-            rejected.append(
-                Rejected(findings.pop().candidate.hypothesis.label, f"the model with it cannot be examined: {error}")
-            )
+            label = findings.pop().candidate.hypothesis.label
+            rejected.append(Rejected(label, f"the model with it cannot be examined: {error}"))
             break
         rounds.append(round_)
         omnibus = examine(round_)
         if len(findings) == setting.options.most:
             break
-        setting.tell(f"round {len(rounds)}: full fits", 0.1 + 0.8 * len(rounds) / (setting.options.most + 1))
-        choice = choose(round_, setting.prepared)
+        setting.tell(f"round {len(rounds)}: full fits", setting.options.progress(len(rounds)))
+        choice = choose(round_)
         deeper_base = _better_base(setting, round_, choice) if restarts < DEEPER else None
         if deeper_base is not None:
             baseline, restarts = deeper_base, restarts + 1
             rounds.pop()
             continue
         restarts = 0
-        finding, words = accept(setting, round_, choice, omnibus, partial(shape_gain, setting, round_))
+        finding, refused = accept(setting, round_, choice, omnibus, partial(shape_gain, setting, round_))
         sharper = sharper_base(round_, choice) if finding is None and not sharpened else None
         sharpened = sharper is not None
         if sharper is not None:
             baseline = sharper
             rounds.pop()
             continue
-        rejected += [*choice.rejected, *words]
+        rejected += [*choice.rejected, *refused]
         if finding is None:
             break
         findings.append(finding)
         if len(findings) > 1:
-            questioned = backward_check(setting, findings)
-            if questioned is not None:
-                findings, notes = questioned
-                rejected += notes
+            revised = backward_check(setting, findings)
+            if revised is not None:
+                findings, replaced = revised
+                rejected += replaced
         baseline = findings[-1].child
     return SearchState(tuple(findings), tuple(rounds), omnibus, tuple(rejected))

@@ -1,4 +1,4 @@
-"""State of the search: what its rounds share (options, the setting) and what they leave (findings, the rest)."""
+"""What the rounds of the search share (options, setting) and what they result in (findings, remainder)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,18 +18,23 @@ from estimation.gap.significance.nulls import InputErrors
 from estimation.gap.significance.omnibus import Omnibus
 from estimation.models.base import Model
 
-LOOK = Callable[[str, float], None]
+ProgressCallback = Callable[[str, float], None]
+"""Called with what is being done and the share of the run that is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """seed: of every random draw. nulls: simulated baselines per round. most: effects added at the most. criteria: every
-    number that decides."""
+    """seed: of every random draw. nulls: sets of flights simulated without an effect, per round. most: effects added at most.
+    criteria: every number that decides."""
 
     seed: int = 1
     nulls: int = 200
     most: int = 4
     criteria: Criteria = AS_SET
+
+    def progress(self, rounds: int) -> float:
+        """Share of the run that is done after so many rounds; preparation takes the first tenth, the conclusion the last."""
+        return 0.1 + 0.8 * rounds / (self.most + 1)
 
 
 AS_USUAL = Options()
@@ -37,8 +42,8 @@ AS_USUAL = Options()
 
 @dataclass(frozen=True)
 class AcceptedEffect:
-    """An effect accepted in some round: the hypothesis, its rivals, the model before and after. doubted: whether a shape
-    without a name explains clearly more."""
+    """An effect accepted in some round: the fitted hypothesis (candidate), its rivals (choice), the model before (parent) and
+    after (child). doubted: whether a nameless shape explains clearly more."""
 
     round_: Round
     choice: Choice
@@ -50,7 +55,8 @@ class AcceptedEffect:
 
 @dataclass(frozen=True)
 class SearchState:
-    """All that the rounds left. omnibus: what is still there without a name; rejected: hypotheses that were turned down."""
+    """The result of all rounds. omnibus: test of the last residuals for anything without a name; rejected: hypotheses that were
+    turned down."""
 
     findings: tuple[AcceptedEffect, ...]
     rounds: tuple[Round, ...]
@@ -60,8 +66,13 @@ class SearchState:
 
 @dataclass(frozen=True)
 class Setting:
-    """What stays the same over all rounds. following: controls that only follow the motion; untold: effects not asked for that
-    reason. commanded: controls of which a log has commands -> their interval [s], as of `rare_commands`."""
+    """What stays the same over all rounds.
+
+    base: the model as given. clean: the base with the nuisance parameters of every fit. working: `clean` with all effects
+    dormant, which is what is fitted. following: controls that only follow the motion; excluded_effects: not tested for that
+    reason. commanded: controls known from logged commands -> interval of the commands [s], from `rare_commands`. errors: per
+    record, errors of its inputs. scatter: (ny,) standard deviations of the outputs' white noise. tell: reports progress.
+    """
 
     base: Model
     clean: Model
@@ -69,52 +80,45 @@ class Setting:
     prepared: FlightRecords
     effects: tuple[Effect, ...]
     following: tuple[str, ...]
-    untold: tuple[Effect, ...]
+    excluded_effects: tuple[Effect, ...]
     commanded: Mapping[str, float]
     errors: tuple[InputErrors, ...]
     scatter: Array
     options: Options
-    tell: LOOK
+    tell: ProgressCallback
 
     @property
     def steered(self) -> bool:
-        """Whether every control of the base only follows the motion: gusts that a hand answers look like terms of the model then,
-        and nothing that is left without a name can be believed."""
+        """Whether every control of the base only follows the motion. Then gusts that the pilot answers look like terms of the
+        model, and a remainder without a name cannot be believed."""
         controls = {s.name for s in self.base.inputs if s.control}
         return bool(controls) and controls <= set(self.following)
 
     def child(self, parent: Baseline, candidate: FittedHypothesis) -> Baseline:
-        """The parent with a candidate's form, fitted afresh with its own noise."""
+        """The parent with a candidate's form added, fitted with its noise estimated anew."""
         values = {n: v for n, (v, _) in candidate.estimates.items()}
         clean = candidate.hypothesis.form.added_to(parent.clean, values)
-        noise, has_noise = candidate.noise or parent.noise, candidate.noise is not None
-        return fit_baseline(candidate.fit.model, clean, self.prepared, self.scatter, candidate.fit, noise, has_noise)
+        noise, is_known = candidate.noise or parent.noise, candidate.noise is not None
+        return fit_baseline(candidate.fit.model, clean, self.prepared, self.scatter, candidate.fit, noise, is_known)
 
     def screened(self, baseline: Baseline, number: int) -> Round:
-        """One round of nulls and screen about a fitted model."""
-        start = 0.1 + 0.8 * number / (self.options.most + 1)
+        """Round `number`, counted from 0: nulls and screen about a fitted model. Raises GapError where its nulls run away."""
+        nulls = self.options.nulls
 
         def tick(done: int) -> None:
             if done % 10 == 0:
-                self.tell(
-                    f"round {number + 1}: null {done} of {self.options.nulls}", start + 0.1 * done / self.options.nulls
-                )
+                share = self.options.progress(number) + 0.1 * done / nulls
+                self.tell(f"round {number + 1}: null {done} of {nulls}", share)
 
         seed = self.options.seed + ROUND * number
-        return screen_round(
-            baseline,
-            self.prepared,
-            self.effects,
-            self.errors,
-            self.options.nulls,
-            seed,
-            tick,
-        )
+        return screen_round(baseline, self.prepared, self.effects, self.errors, nulls, seed, tick)
 
 
 def afresh_with(setting: Setting, findings: Sequence[AcceptedEffect], child: Baseline) -> Baseline | None:
-    """The working model with the effects of some findings, fitted afresh with the noise of `child`, which has more in it; None
-    where the motion runs away without that."""
+    """The working model with the effects of `findings` alone, fitted with the noise of `child`, which has more effects.
+
+    None where the motion runs away without these.
+    """
     model, clean = setting.working, setting.clean
     for f in findings:
         values = {n: v for n, (v, _) in f.candidate.estimates.items()}

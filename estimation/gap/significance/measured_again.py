@@ -136,8 +136,9 @@ class MeasuredAgain:
         return SimulatedRecord(outputs, inputs, problem.whiteners[index].energy(outputs - modelled))
 
     def share(self, gain: float, model_fit: ModelFit, score: float) -> float:
-        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1. score: of
-        that gain, in units of its scatter on the nulls.
+        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
+
+        score: of that gain, in units of its scatter on the nulls.
 
         From its mean gain on simulated flights without the effect, as in `own_share`. Gains by priors, such as those of times
         that the base need not shift any more, are the hypothesis' own: simulated flights are compared by their residuals alone.

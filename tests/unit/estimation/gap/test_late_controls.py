@@ -10,7 +10,7 @@ from estimation.gap.fit.channel_noise import channel_noise, sample_interval
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
 from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.search import accept as accepting
-from estimation.gap.search.confirm import begun_afar, fit_hypothesis
+from estimation.gap.search.confirm import fit_from_afar, fit_hypothesis
 from estimation.gap.significance import measured_again
 from estimation.gap.significance.screen import Hypothesis, hypotheses_for
 from estimation.models.dependence import force_states
@@ -43,13 +43,13 @@ def test_a_servo_far_slower_than_usual_is_found_where_the_base_took_it_for_roll_
     baseline, asked = fitted({"aileron_lag": 12.0})
     slow, late = asked["aileron_lag"], asked["rudder_delay"]
     assert abs(baseline.fit.values["Cl_p"]) < 0.2, "a third of what the aircraft has"
-    afar = begun_afar(baseline.problem, baseline.fit, slow)
+    afar = fit_from_afar(baseline.problem, baseline.fit, slow)
     assert afar is not None
     _, found = fit_hypothesis(baseline.problem, baseline.fit, slow, {}, afar=afar)
     assert found.values["aileron_lag"] == pytest.approx(0.6, abs=0.03), "the slowest that is asked for, of .72"
     assert found.values["Cl_p"] < -0.3
     assert found.cost < baseline.fit.cost - 100.0
-    assert begun_afar(baseline.problem, baseline.fit, late) is None, (
+    assert fit_from_afar(baseline.problem, baseline.fit, late) is None, (
         "a rudder so late is no way to follow these flights"
     )
 
@@ -63,7 +63,7 @@ def test_a_servo_eight_times_slower_than_usual_is_found_from_the_base() -> None:
 
 def test_no_late_control_is_followed_where_none_is() -> None:
     baseline, asked = fitted({})
-    assert all(begun_afar(baseline.problem, baseline.fit, h) is None for h in asked.values())
+    assert all(fit_from_afar(baseline.problem, baseline.fit, h) is None for h in asked.values())
 
 
 def test_flights_made_anew_that_ran_away_say_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

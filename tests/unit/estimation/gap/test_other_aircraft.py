@@ -184,7 +184,7 @@ def test_another_fit_is_taken_where_it_is_as_good_and_calmer(
     made: Any = SimpleNamespace(problem=SimpleNamespace(starts=dict), fit=own)
     monkeypatch.setattr(baselines, "growth", lambda problem, found: growing if found is own else other)
     monkeypatch.setattr(baselines, "fit", lambda problem, start: again)
-    assert (baselines._calmer(made) is again) is taken
+    assert (baselines._calmer_fit(made) is again) is taken
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ def test_a_model_fitted_afresh_takes_the_better_of_two_ends(monkeypatch: pytest.
     """Begun from afar a fit can rest in a poorer valley; what it lacks would count for whatever was taken out of the model."""
     poor = replace(right.fit, cost=right.fit.cost + 75.0)
     ends: dict[str, Any] = {"afar": poor, "near": right.fit}
-    monkeypatch.setattr(baselines, "_careful", lambda *given, **more: ends["afar"])
+    monkeypatch.setattr(baselines, "_fit_in_stages", lambda *given, **more: ends["afar"])
     monkeypatch.setattr(baselines, "fit_from", lambda *given: ends["near"])
 
     def fitted() -> Any:

@@ -466,7 +466,8 @@ def test_free_derivatives_stand_for_the_factor_on_their_coefficient() -> None:
     moved = stub(fit=stub(values={"Cl_p": -0.44, "L_p": -6.1}, std=lambda: {"Cl_p": 0.01, "L_p": 0.2}), criteria=AS_SET)
     words = moved_in_words(["Cl_p", "L_p"], {"Cl_p": -0.4, "L_p": -6.0}, moved)
     assert "all 2 were refitted first: Cl_p from -0.4 to -0.44 +- 0.01." in words
-    assert "look off, as times of commands bend them" in moved_in_words(["Cl_p"], {"Cl_p": -0.4}, moved, bent=True)
+    biased = moved_in_words(["Cl_p"], {"Cl_p": -0.4}, moved, biased=True)
+    assert "look off, as errors in the times of commands bias them" in biased
     assert others_freed_in_words(["Cl_p", "L_p"]).startswith("The 2 other derivatives of the base were free beside it")
 
 
@@ -478,7 +479,7 @@ def test_the_noise_is_that_of_the_hypothesis_with_which_flights_are_likeliest(
     monkeypatch: pytest.MonkeyPatch, gains: tuple[float, ...], surprise: float, noise: str | None
 ) -> None:
     surprises = {"base": 1000.0, "a": 930.0, "b": surprise, "c": 999.0}
-    monkeypatch.setattr(sharper, "_surprise", lambda base, fit: (surprises[fit], f"noise of {fit}"))
+    monkeypatch.setattr(sharper, "_deviance", lambda base, fit: (surprises[fit], f"noise of {fit}"))
     monkeypatch.setattr(sharper, "with_noise", lambda base, noise: noise)
     round_ = stub(baseline=stub(criteria=AS_SET, fit="base"))
     choice = stub(candidates=[stub(gain=g, fit=f) for g, f in zip(gains, "abc", strict=True)])

@@ -17,10 +17,10 @@ from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, fr
 from estimation.gap.search.promise import gain_along, leading, promise
 from estimation.gap.search.select import (
     Choice,
-    asked_for_noise,
     credible_set,
     held_first,
     material,
+    noise_candidates,
     shared_inflation,
     within_reach,
     worth_comparing,
@@ -63,8 +63,8 @@ def test_what_is_asked_further_is_fitted_however_little_it_promises() -> None:
 
 def test_the_three_of_the_largest_gain_are_asked_whether_the_noise_holds_them() -> None:
     gains = np.array([60.0, 49.0, 70.0, 80.0, 90.0])
-    assert asked_for_noise(stub(gains=gains, criteria=AS_SET)) == [4, 3, 2]
-    assert asked_for_noise(stub(gains=np.array([49.0, 51.0, 0.0]), criteria=AS_SET)) == [1]
+    assert noise_candidates(stub(gains=gains, criteria=AS_SET)) == [4, 3, 2]
+    assert noise_candidates(stub(gains=np.array([49.0, 51.0, 0.0]), criteria=AS_SET)) == [1]
 
 
 def test_what_holds_that_a_control_is_late_stands_beside_it_in_a_coefficient() -> None:
@@ -124,11 +124,11 @@ def test_the_gain_along_a_hypothesis_is_that_at_its_best_point(changes: list[lis
 
 def test_sizes_of_a_control_made_late_or_with_play_are_followed_and_those_of_an_output_are_not() -> None:
     parameter = EffectParameter("x", "s", 0.1, 0.0, 1.0)
-    assert promising.is_bent(hypothesis("late", "delay").form)
-    assert promising.is_bent(hypothesis("play", "backlash").form)
-    assert promising.is_bent(Form("flow", (parameter,), states=(Variable("wake", "rad", start="beta"),)))
-    assert not promising.is_bent(Form("shown", (parameter,), output_delays={"beta": "x"}))
-    assert not promising.is_bent(hypothesis("x").form)
+    assert promising.strongly_nonlinear(hypothesis("late", "delay").form)
+    assert promising.strongly_nonlinear(hypothesis("play", "backlash").form)
+    assert promising.strongly_nonlinear(Form("flow", (parameter,), states=(Variable("wake", "rad", start="beta"),)))
+    assert not promising.strongly_nonlinear(Form("shown", (parameter,), output_delays={"beta": "x"}))
+    assert not promising.strongly_nonlinear(hypothesis("x").form)
 
 
 # ------------------------------------------------------------------------------------------------ how they are weighed
@@ -369,7 +369,7 @@ def test_an_end_at_nothing_is_not_believed_while_another_start_goes_on(
     parameter = EffectParameter("play", "rad", 1.0, 0.0, 3.0)
     hypothesis = stub(form=stub(parameters=(parameter,), nonlinear=True))
     monkeypatch.setattr(
-        confirm, "_begun", lambda p, b, h, start, _: (p, fitted("near" if start["play"] < 0.5 else "usual", 0))
+        confirm, "_first_steps", lambda p, b, h, start, _: (p, fitted("near" if start["play"] < 0.5 else "usual", 0))
     )
     monkeypatch.setattr(confirm, "fit", lambda trial, values, locals_, **_: fitted(str(values["which"]), 1))
     _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(cost=20.0), hypothesis, {"play": 0.0})
@@ -393,7 +393,7 @@ def test_a_fit_that_ends_above_the_base_it_holds_begins_nearer_to_no_effect(
             cost=cost, values=values, locals=[], converged=True, diverged=False, abandoned=False, model=None
         )
 
-    monkeypatch.setattr(confirm, "_begun", begun)
+    monkeypatch.setattr(confirm, "_first_steps", begun)
     hypothesis = stub(form=stub(parameters=(EffectParameter("play", "rad", 1.0, 0.0, 3.0),), nonlinear=True))
     _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(cost=20.0), hypothesis, {"play": 0.0})
     assert found.cost == kept

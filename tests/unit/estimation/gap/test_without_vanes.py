@@ -13,7 +13,7 @@ from estimation.gap.effects import catalogue
 from estimation.gap.errors import GapError
 from estimation.gap.records.candidate_model import stamped_attitudes, with_nuisance
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
-from estimation.gap.workflow import Options, _estimated, run_gap
+from estimation.gap.workflow import Options, _with_estimated_starts, run_gap
 from estimation.models.base import ParameterRole
 from estimation.models.load import load_model
 from groundstation.flight import RECONSTRUCTED, Flight, Provenance, read_flight
@@ -107,11 +107,11 @@ def test_a_base_without_beliefs_and_without_a_vane_is_begun_where_maximum_likeli
     blind = replace(flight, columns={c: v for c, v in flight.columns.items() if c != "beta"})
     unknown, _ = compared(LATERAL.with_starts(dict.fromkeys(LATERAL.free_names, 0.0)), [blind])
     lost = GapError("runs away")
-    begun = _estimated(unknown, [blind], lost).starts()
+    begun = _with_estimated_starts(unknown, [blind], lost).starts()
     assert begun["Cl_p"] < -0.3
     assert begun["Cn_beta"] == pytest.approx(truth.TRUE_DERIVATIVES["Cn_beta"], rel=0.5)
     with pytest.raises(GapError) as refused:
-        _estimated(unknown, [blind.part(slice(0, 3))], lost)
+        _with_estimated_starts(unknown, [blind.part(slice(0, 3))], lost)
     assert refused.value is lost
 
 
