@@ -46,9 +46,11 @@ from estimation.gap.search.free_base import (
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AS_USUAL, Options, ProgressCallback, Setting
 from estimation.gap.significance.kinematic_check import kinematic_check
+from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
 from estimation.models.dependence import force_states
+from estimation.prepare.inputs import has_pitch_rate
 from groundstation.flight import Flight
 
 
@@ -91,15 +93,18 @@ def run_gap(
     fault_notes = sample_notes(flights, [*outputs, *(s.source for s in model.inputs)], options.criteria)
     stale = stale_channels(training_flights, outputs, options.criteria)
 
-    def set_up(base: Model) -> tuple[Setting, Baseline]:
+    def set_up(base: Model, keep_feedback: bool = False) -> tuple[Setting, Baseline]:
         candidates = tuple(effects) if effects is not None else catalogue(model=base)
         candidates += missing_derivatives(base, {e.name for e in candidates})
-        prepared = prepare_flights(base, candidates, training_flights, holdout_flights, options.criteria)
+        prepared = prepare_flights(base, candidates, training_flights, holdout_flights, options.criteria, keep_feedback)
         prepared = replace(prepared, notes=(*comparison_notes, *prepared.notes, *fault_notes), stale=stale)
         attitude_intervals, commanded = stamped_attitudes(base, flights), rare_commands(base, training_flights)
         setting = _setting(prepared, candidates, levels(base, flights), attitude_intervals, commanded, options, tell)
         tell("fitting the baseline", 0.05)
-        return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
+        baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
+        if not (keep_feedback or has_pitch_rate(base)) and MeasuredAgain(baseline, options.seed).answers_gusts:
+            return set_up(base, keep_feedback=True)
+        return setting, baseline
 
     doubts, moved = [*broken_in_words(flights, full_model), *doubts_of(flights, model)], ""
     try:

@@ -140,10 +140,16 @@ class FlightRecords:
 
 
 def prepare_flights(
-    base: Model, effects: Sequence[Effect], training: Sequence[Flight], holdout: Sequence[Flight], criteria: Criteria
+    base: Model,
+    effects: Sequence[Effect],
+    training: Sequence[Flight],
+    holdout: Sequence[Flight],
+    criteria: Criteria,
+    keep_feedback: bool = False,
 ) -> FlightRecords:
     """Prepare all flights for `base` and the inputs that `effects` may add to it.
 
+    keep_feedback: controls keep what follows the motion and their measured steps, as those of a model that pitches always do.
     Raises MissingColumnError or DataError (one sentence) where a flight lacks what the base model needs.
     """
     flights = [*training, *holdout]
@@ -157,7 +163,8 @@ def prepare_flights(
     records: list[FlightRecord] = []
     notes: list[str] = []
     prepared = [prepare(probe, flight) for flight in flights]
-    exact = has_pitch_rate(base) or controls_outdo_gyros(probe, prepared[: len(training)], criteria)
+    loud = keep_feedback or controls_outdo_gyros(probe, prepared[: len(training)], criteria)
+    exact = has_pitch_rate(base) or loud
     if exact and not has_pitch_rate(base):
         prepared = [prepare(probe, flight, replace(AS_USUAL, every_axis=True)) for flight in flights]
     for index, (flight, data) in enumerate(zip(flights, prepared, strict=True)):
