@@ -144,7 +144,7 @@ class MeasuredAgain:
         that the base need not shift any more, are the hypothesis' own: simulated flights are compared by their residuals alone.
         1 where these flights cannot be flown.
         """
-        if gain <= 0.0:
+        if gain <= 0.0 or score <= 0.0:
             return 1.0
         trial = replace(self.baseline.problem, model=model_fit.model)  # one for all repeats: it caches results
         gains = [g for simulated in self.sets if (g := _gain(trial, simulated, model_fit)) is not None]
