@@ -54,8 +54,7 @@ class Criteria:
         "where a control's noise changes a rate by more in one sample, its steps and its part that follows the motion stay",
         "between gyros of 0.4 (0.7; nothing false in 60 sets) and of 0.04 deg/s (7; 2 false of 2), 2026-11-27")
     own_motion: float = criterion(0.5, "noise of the control",
-        "a control with a smaller rms beside the part that follows the motion cannot show when it moves; and answers to gusts with "
-        "a smaller rms bend nothing",
+        "a control with a smaller rms beside the part that follows the motion cannot show when it moves",
         "between elevators that only hold an attitude (0.1 to 0.3) and doublets of 0.9 deg beside that (1.1), 2026-11-25")
     missing_share: float = criterion(0.02, "samples", "a note names a channel that lacks more of them")
     louder_channel: float = criterion(1.5, "usual standard deviations",

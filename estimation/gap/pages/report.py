@@ -73,8 +73,10 @@ def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] 
 def _meaning(result: GapResult) -> Markup:
     """The meaning of the numbers on the first screen."""
     gate = result.details["kinematic_gate"]
-    scored = f"score {gate['score']} against {gate['threshold']}"
-    instrument = f" (best instrument error {gate['best']}, {scored}: {gate['why']})" if gate["best"] else ""
+    instrument = ""
+    if gate["best"]:
+        scored = f"score {gate['score']} against {gate['threshold']}"
+        instrument = f" (best instrument error {gate['best']}, {scored}: {gate['why']})"
     return paragraph(
         "Gaps are rms residuals in units of the measurement noise σ, over all outputs; the floor is their median over"
         f" {result.details['nulls']} simulated nulls (seed {result.details['seed']}). Family-wise threshold of the scores"

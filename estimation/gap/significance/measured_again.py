@@ -92,7 +92,11 @@ class MeasuredAgain:
 
     @cached_property
     def answers_gusts(self) -> bool:
-        """Whether a control moves by more than a share of its noise when it answers gusts."""
+        """Whether a control moves by more than its noise when it answers gusts.
+
+        An effect that the base lacks counts as gusts: one of usual size makes 0.8 of the noise with the pilot of the second truth,
+        gusts of 0.3 deg with a wing leveller make 1.3.
+        """
         return any(self._is_felt(i, record) for i, record in enumerate(self._first_answered))
 
     @cached_property
@@ -111,8 +115,7 @@ class MeasuredAgain:
         if answered is None:
             return False
         moved = np.std(answered.inputs - self.baseline.problem.coarse[index].u, axis=0)
-        controls, share = self._noisy_controls(index), self.baseline.criteria.own_motion
-        return any(moved[column] > share * noise for column, _, noise in controls)
+        return any(moved[column] > noise for column, _, noise in self._noisy_controls(index))
 
     def _answered(self, index: int, rng: np.random.Generator, feedback: Mapping[str, Array]) -> SimulatedRecord | None:
         """One record flown in gusts with controls that answer them, and known exactly; None where the motion runs away."""
@@ -157,22 +160,17 @@ class MeasuredAgain:
     def _share_without_feedback(self, model_fit: ModelFit, inflation: float) -> float:
         """The share of a gain that remains when the mean score on flights with feedback is subtracted, and their scatter counts
         where it exceeds that of the nulls. inflation: variance of the score on these."""
-        scores = [score_of_size(problem, fit, model_fit) for problem, fit in self._problems(self.closed_loop)]
+        scores = [score_of_size(problem, fit, model_fit) for problem, fit in self.problems(self.closed_loop)]
         finite = np.array([s for s in scores if s is not None])
         own = score_of_size(self.baseline.problem, self.baseline.fit, model_fit) if finite.size >= FEWEST else None
         if own is None:
             return 1.0
-        mean, std, count = finite.mean(), float(finite.std()), finite.size
-        mean += np.sign(own) * std / np.sqrt(count)  # both as large as they may be by one standard error
-        wider = max(std * (1.0 + 1.0 / np.sqrt(2.0 * count)) / np.sqrt(inflation), 1.0)
-        return float(own_shares(np.array([own]), np.array([mean]))[0] / wider) ** 2
+        mean, std = chance_scores(finite[:, None], np.sign(own))
+        wider = max(float(std[0]) / np.sqrt(inflation), 1.0)
+        return float(own_shares(np.array([own]), mean)[0] / wider) ** 2
 
-    def problems(self) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
-        """Every repeat as flights, with controls that answer gusts where any does: the base with the values found on the real
-        flights, and its residuals."""
-        return self._problems(self.closed_loop or self.sets)
-
-    def _problems(self, sets: Sequence[Sequence[SimulatedRecord]]) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
+    def problems(self, sets: Sequence[Sequence[SimulatedRecord]]) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
+        """Each of some simulated sets as flights: the base with the values found on the real flights, and its residuals."""
         problem, model_fit = self.baseline.problem, self.baseline.fit
         for simulated in sets:
             pairs = list(zip(problem.records, simulated, strict=True))
@@ -252,6 +250,13 @@ def score_of_size(problem: LikelihoodProblem, base_fit: ModelFit, model_fit: Mod
     tangent = Tangent(problem, base_fit, (base_fit.residuals,))
     projected = Projected.of(gram_of(tangent, lambda i: [changes[i]]), len(problem.free), 1)
     return float(projected.scores()[0, 1])
+
+
+def chance_scores(scores: Array, signs: Array) -> tuple[Array, Array]:
+    """(terms,) mean, towards `signs`, and standard deviation of scores (sets, terms) on flights without an effect, each larger by
+    its standard error: sixteen sets know them to a quarter and a sixth."""
+    std, count = scores.std(axis=0), len(scores)
+    return scores.mean(axis=0) + signs * std / np.sqrt(count), std * (1.0 + 1.0 / np.sqrt(2.0 * count))
 
 
 def own_shares(signed: Array, mean: Array) -> Array:

@@ -10,7 +10,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.measured_again import FEWEST, MeasuredAgain, own_shares
+from estimation.gap.significance.measured_again import FEWEST, MeasuredAgain, SimulatedRecord, chance_scores, own_shares
 from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent, is_door, output_changes
 
@@ -124,20 +124,27 @@ def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> lis
     again do: their mean score is subtracted, and their scatter counts where it exceeds that of the nulls. Unchanged where
     such flights cannot be flown.
     """
-    keys = [s.key for s in signals]
-    scores = [
-        _projected(Tangent(problem, model_fit, (model_fit.residuals,)), keys).scores()[:, 1]
-        for problem, model_fit in MeasuredAgain(round_.baseline, MEASURED_AGAIN_SEED).problems()
-    ]
-    if len(scores) < FEWEST:
-        return list(signals)
-    scattered = np.array(scores)
-    shares = own_shares(np.array([s.sign * np.sqrt(s.gain) for s in signals]), scattered.mean(axis=0))
-    wider = np.maximum(scattered.std(axis=0), 1.0)
+    again, signs = MeasuredAgain(round_.baseline, MEASURED_AGAIN_SEED), np.array([s.sign for s in signals])
+    scores = [_scores(again, sets, signals) for sets in (again.sets, again.closed_loop)]
+    means, widths = [np.zeros(len(signals))], [np.ones(len(signals))]
+    if len(scores[0]) >= FEWEST:
+        means, widths = [*means, scores[0].mean(axis=0)], [*widths, scores[0].std(axis=0)]
+    if len(scores[1]) >= FEWEST:
+        mean, width = chance_scores(scores[1], signs)
+        means, widths = [*means, mean], [*widths, width]
+    shares = own_shares(np.array([s.sign * np.sqrt(s.gain) for s in signals]), np.sum(means, axis=0))
+    wider = np.max(widths, axis=0)
     return [
         replace(s, score=s.score * float(share / width), gain=s.gain * float(share) ** 2)
         for s, share, width in zip(signals, shares, wider, strict=True)
     ]
+
+
+def _scores(again: MeasuredAgain, sets: Sequence[Sequence[SimulatedRecord]], signals: Sequence[OmnibusSignal]) -> Array:
+    """(sets, terms) signed scores of nameless terms on simulated sets."""
+    keys = [s.key for s in signals]
+    tangents = (Tangent(problem, fit, (fit.residuals,)) for problem, fit in again.problems(sets))
+    return np.array([_projected(tangent, keys).scores()[:, 1] for tangent in tangents])
 
 
 def standardised(projected: Projected, criteria: Criteria) -> tuple[Array, Array]:

@@ -89,7 +89,7 @@ def test_a_bias_never_takes_the_place_of_a_persons_parameter(clean_flight: Fligh
     own = LATERAL.plus(
         terms={"Cn": "bias_p*beta*beta"}, parameters=[Parameter("bias_p", "1/rad2", start=0.02)], name="own"
     )
-    with pytest.raises(ModelError, match="model own: has a parameter bias_p already"):
+    with pytest.raises(ModelError, match="model own: it already has a parameter bias_p"):
         own.with_biases("p")
     both = own.with_biases("r")
     truth = simulate(own, prepare(LATERAL, clean_flight), {**own.starts(), **TRUE, "bias_p": 0.05})
