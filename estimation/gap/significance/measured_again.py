@@ -94,7 +94,7 @@ class MeasuredAgain:
     def answers_gusts(self) -> bool:
         """Whether a control moves by more than its noise when it answers gusts.
 
-        An effect that the base lacks counts as gusts: one of usual size makes 0.8 of the noise with the pilot of the second truth,
+        A missing effect of the base counts as gusts: one of usual size makes 0.8 of the noise with the pilot of the second truth,
         gusts of 0.3 deg with a wing leveller make 1.3.
         """
         return any(self._is_felt(i, record) for i, record in enumerate(self._first_answered))
