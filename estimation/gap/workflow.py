@@ -6,7 +6,7 @@ until nothing is significant. `estimation.gap.search` defines these words.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from estimation.errors import EstimationError
 from estimation.estimators.output_error import output_error
@@ -54,6 +54,73 @@ from estimation.prepare.inputs import has_pitch_rate
 from groundstation.flight import Flight
 
 
+@dataclass(frozen=True)
+class _Run:
+    """What all bases of a run share.
+
+    given: flights as measured, training ones first; sound: training flights without stuck channels; training, holdout: as fits
+    take them. notes_before, notes_after: those of the records stand between. stale: outputs that repeat values. effects:
+    candidates, None for the whole catalogue.
+    """
+
+    given: tuple[Flight, ...]
+    sound: tuple[Flight, ...]
+    training: tuple[Flight, ...]
+    holdout: tuple[Flight, ...]
+    notes_before: tuple[str, ...]
+    notes_after: tuple[str, ...]
+    stale: tuple[str, ...]
+    effects: Sequence[Effect] | None
+    options: Options
+    tell: ProgressCallback
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        training: Sequence[Flight],
+        holdout: Sequence[Flight],
+        notes: Sequence[str],
+        effects: Sequence[Effect] | None,
+        options: Options,
+        tell: ProgressCallback,
+    ) -> "_Run":
+        """Prepare flights for `model`: faults left out, attitudes between their samples, at the rate of the slowest control."""
+        criteria, given = options.criteria, (*training, *holdout)
+        controls = [s.source for s in model.inputs if s.control and not s.computed]
+        outputs = [s.source for s in model.outputs]
+        sensed = [*outputs, *(s.source for s in model.inputs if not s.computed)]
+        sound = [tuple(without_stuck(f, sensed) for f in group) for group in (training, holdout)]
+        prepared = []
+        for group in sound:
+            on_grid = [with_attitudes_between(with_lost_rows(f), criteria) for f in group]
+            resampled = at_own_rates(on_grid, controls, outputs, criteria)
+            prepared.append(tuple(without_unseen_moves(f, controls, outputs, criteria) for f in resampled))
+        faults = sample_notes(given, [*outputs, *(s.source for s in model.inputs)], criteria)
+        stale = tuple(stale_channels(prepared[0], outputs, criteria))
+        return cls(
+            given, sound[0], prepared[0], prepared[1], tuple(notes), tuple(faults), stale, effects, options, tell
+        )
+
+    def set_up(self, base: Model, keep_feedback: bool = False) -> tuple[Setting, Baseline]:
+        """What all rounds share and the first fit, for `base`. keep_feedback: controls keep what follows the motion; they also do
+        where the fit shows that they answer gusts."""
+        options = self.options
+        candidates = tuple(self.effects) if self.effects is not None else catalogue(model=base)
+        candidates += missing_derivatives(base, {e.name for e in candidates})
+        prepared = prepare_flights(base, candidates, self.training, self.holdout, options.criteria, keep_feedback)
+        notes = (*self.notes_before, *prepared.notes, *self.notes_after)
+        prepared = replace(prepared, notes=notes, stale=self.stale)
+        attitude_intervals, commanded = stamped_attitudes(base, self.given), rare_commands(base, self.training)
+        level_std = levels(base, self.given)
+        setting = _setting(prepared, candidates, level_std, attitude_intervals, commanded, options, self.tell)
+        self.tell("fitting the baseline", 0.05)
+        baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
+        if not (keep_feedback or has_pitch_rate(base)) and MeasuredAgain(baseline, options.seed).answers_gusts:
+            return self.set_up(base, keep_feedback=True)
+        return setting, baseline
+
+
 def run_gap(
     model: Model,
     training: Sequence[Flight],
@@ -79,45 +146,19 @@ def run_gap(
     full_model = model
     model, comparison_notes = compared(full_model, flights)  # only in outputs that every flight measured
     tell("preparing the flights", 0.0)
-    controls = [s.source for s in model.inputs if s.control and not s.computed]
-    outputs = [s.source for s in model.outputs]
-    sensed = [*outputs, *(s.source for s in model.inputs if not s.computed)]
-    training, holdout = ([without_stuck(f, sensed) for f in group] for group in (training, holdout))
-    on_grid = (
-        [with_attitudes_between(with_lost_rows(f), options.criteria) for f in group] for group in (training, holdout)
-    )
-    resampled = (at_own_rates(group, controls, outputs, options.criteria) for group in on_grid)
-    training_flights, holdout_flights = (
-        [without_unseen_moves(f, controls, outputs, options.criteria) for f in group] for group in resampled
-    )
-    fault_notes = sample_notes(flights, [*outputs, *(s.source for s in model.inputs)], options.criteria)
-    stale = stale_channels(training_flights, outputs, options.criteria)
-
-    def set_up(base: Model, keep_feedback: bool = False) -> tuple[Setting, Baseline]:
-        candidates = tuple(effects) if effects is not None else catalogue(model=base)
-        candidates += missing_derivatives(base, {e.name for e in candidates})
-        prepared = prepare_flights(base, candidates, training_flights, holdout_flights, options.criteria, keep_feedback)
-        prepared = replace(prepared, notes=(*comparison_notes, *prepared.notes, *fault_notes), stale=stale)
-        attitude_intervals, commanded = stamped_attitudes(base, flights), rare_commands(base, training_flights)
-        setting = _setting(prepared, candidates, levels(base, flights), attitude_intervals, commanded, options, tell)
-        tell("fitting the baseline", 0.05)
-        baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
-        if not (keep_feedback or has_pitch_rate(base)) and MeasuredAgain(baseline, options.seed).answers_gusts:
-            return set_up(base, keep_feedback=True)
-        return setting, baseline
-
+    run = _Run.of(model, training, holdout, comparison_notes, effects, options, tell)
     doubts, moved = [*broken_in_words(flights, full_model), *doubts_of(flights, model)], ""
     try:
         try:
-            setting, baseline = set_up(model)
+            setting, baseline = run.set_up(model)
         except GapError as error:
-            model = _with_estimated_starts(model, training_flights, error)
-            setting, baseline = set_up(model)
+            model = _with_estimated_starts(model, run.training, error)
+            setting, baseline = run.set_up(model)
         if off := derivatives_off(setting, baseline):
             # the one that stands out is for the search, which has to confirm it
             outlier = outstanding(setting, baseline, off) if setting.commanded else None
             others = tuple(n for n in off if n != outlier)
-            freed = set_up(with_free_derivatives(model, others))
+            freed = run.set_up(with_free_derivatives(model, others))
             if outlier or many(far_off(others, model.starts(), freed[1].fit, options.criteria), options.criteria):
                 setting, baseline = freed
                 if outlier:
@@ -129,12 +170,12 @@ def run_gap(
     except GapError as error:
         raise GapError("; ".join([str(error), *doubts[:1]])) from error
     tell("kinematic check", 0.9)
-    measured = [as_measured(with_attitudes_between(f, options.criteria)) for f in training]
+    measured = [as_measured(with_attitudes_between(f, options.criteria)) for f in run.sound]
     check = kinematic_check(measured, setting.effects, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
     answer = concluded(setting, search, check)
     unmoved = unmoved_in_words(flights, model)
-    remarks = (moved, late_commands(training_flights, baseline), not_compared(full_model, model))
+    remarks = (moved, late_commands(run.training, baseline), not_compared(full_model, model))
     # a control whose channel is dead may be the unknown effect itself, so that it stands first
     is_unknown = answer.verdict is GapVerdict.UNKNOWN
     sentences = (unmoved, answer.text, *remarks) if is_unknown else (answer.text, *remarks, unmoved)
