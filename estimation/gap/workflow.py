@@ -50,7 +50,6 @@ from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
 from estimation.models.dependence import force_states
-from estimation.prepare.inputs import has_pitch_rate
 from groundstation.flight import Flight
 
 
@@ -116,7 +115,7 @@ class _Run:
         setting = _setting(prepared, candidates, level_std, attitude_intervals, commanded, options, self.tell)
         self.tell("fitting the baseline", 0.05)
         baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
-        if not (keep_feedback or has_pitch_rate(base)) and MeasuredAgain(baseline, options.seed).answers_gusts:
+        if not prepared.keeps_feedback and MeasuredAgain(baseline, options.seed).answers_gusts:
             return self.set_up(base, keep_feedback=True)
         return setting, baseline
 

@@ -103,7 +103,7 @@ UNEXPLAINED = 0.5  # r2 below which a channel is not explained
 ABOVE_NOISE = 3.0  # residual over the channel's white noise, above which noise alone does not explain a low r2
 SURE = 2.0  # bounds by which a constant must lie beyond what is possible
 LARGEST_TRIM = (
-    0.26  # rad (15 deg) of sideslip or surface that a lateral constant may stand for: none is flown so far out of trim
+    0.26  # rad (15 deg) of sideslip or surface for which a lateral constant may stand: nobody flies so far off trim
 )
 SYMMETRIC = ("CY", "Cl", "Cn")  # coefficients that vanish in symmetric flight: their constants are offsets
 

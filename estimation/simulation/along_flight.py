@@ -17,7 +17,16 @@ from estimation.models.base import Model, Signal
 from estimation.prepare.columns import alpha_rate
 from estimation.prepare.flight_data import FlightData, Preparation
 from estimation.prepare.pipeline import prepare
-from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
+from estimation.simulation.oracle import (
+    ALPHA_RATE,
+    COEFFICIENTS,
+    SURFACES,
+    VARIABLES,
+    Array,
+    Simulation,
+    SimulationError,
+    States,
+)
 from groundstation.flight import Flight
 
 SIMULATION_PREFIX = "sim_"  # of the columns with the simulation's values at each sample
@@ -134,9 +143,7 @@ def motion(
     flight does not measure. Raises SimulationError where the airspeed is not above zero."""
     signal_names = {s.name for s in (*model.inputs, *model.states)}
     absent_signals = [
-        Signal(v, UNITS.get(v, "rad"), control=v.startswith("delta_"), optional=True)
-        for v in VARIABLES
-        if v not in signal_names
+        Signal(v, UNITS.get(v, "rad"), control=v in SURFACES, optional=True) for v in VARIABLES if v not in signal_names
     ]
     probe = model.plus(inputs=[*absent_signals, *([Signal("rho", "kg/m3")] if "rho" not in signal_names else [])])
     data = prepare(probe, flight, preparation)
@@ -147,7 +154,7 @@ def motion(
         usable[s] = True
         for name in (*VARIABLES, "rho"):
             measured = _history(probe, data, s, segment.u, name)
-            if controls is not None and name.startswith("delta_"):
+            if controls is not None and name in SURFACES:
                 measured = as_moved_by(controls, name, segment.time, measured)
             if name in replacement:
                 measured = np.where(np.isfinite(replacement[name][s]), replacement[name][s], measured)

@@ -27,7 +27,7 @@ LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
 
 MOST_CONNECTIONS = 64
 MOST_OF_ONE = (
-    24  # connections of one other computer, so that it cannot block all others: a browser has six, and its streams
+    24  # connections of one other computer, which must not block all others: a browser has six, and its streams
 )
 HEAD_S = 5.0  # in which the head of a request must be complete
 IDLE_S = 600.0  # without a byte in either direction, after which a connection is closed

@@ -273,6 +273,18 @@ class LikelihoodProblem:
         return p.lower, p.upper
 
 
+def changes_by(trial: LikelihoodProblem, base_fit: ModelFit, values: Mapping[str, float]) -> tuple[Array, ...] | None:
+    """Per record (N, ny): outputs of a trial model with shared `values` minus those of a fitted base, with the unknowns that the
+    base has of each record; zero where nothing was measured. None where the motion runs away."""
+    changes = []
+    for i, (local, before) in enumerate(zip(base_fit.locals, base_fit.residuals, strict=True)):
+        residual = trial.residual(i, values, carried_local(local, base_fit.model, trial.model))
+        if residual is None:
+            return None
+        changes.append(np.nan_to_num(before - residual))
+    return tuple(changes)
+
+
 def prior_terms(problem: LikelihoodProblem, names: Sequence[str], values: Mapping[str, float]) -> tuple[Array, Array]:
     """(weights (n,), weighted distances from the mean (n,)) of the priors of the named parameters; zero where one has none."""
     weight, distance = np.zeros(len(names)), np.zeros(len(names))

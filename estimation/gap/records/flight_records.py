@@ -121,7 +121,8 @@ def starting_state(model: Model, known: Mapping[str, float]) -> Array:
 @dataclass(frozen=True)
 class FlightRecords:
     """Records of all flights for one base model. names: of the flights; training, holdout: flight indices; available: symbols
-    that a form may use; stale: outputs that repeat their last value in many samples."""
+    that a form may use; stale: outputs that repeat their last value in many samples; keeps_feedback: whether
+    controls keep what follows the motion."""
 
     base: Model
     names: tuple[str, ...]
@@ -132,6 +133,7 @@ class FlightRecords:
     notes: tuple[str, ...]
     criteria: Criteria
     stale: tuple[str, ...] = ()
+    keeps_feedback: bool = False
 
     def of(self, flights: Iterable[int]) -> tuple[FlightRecord, ...]:
         """Records of the named flights."""
@@ -163,9 +165,9 @@ def prepare_flights(
     records: list[FlightRecord] = []
     notes: list[str] = []
     prepared = [prepare(probe, flight) for flight in flights]
-    loud = keep_feedback or controls_outdo_gyros(probe, prepared[: len(training)], criteria)
-    exact = has_pitch_rate(base) or loud
-    if exact and not has_pitch_rate(base):
+    pitches = has_pitch_rate(base)
+    exact = keep_feedback or pitches or controls_outdo_gyros(probe, prepared[: len(training)], criteria)
+    if exact and not pitches:
         prepared = [prepare(probe, flight, replace(AS_USUAL, every_axis=True)) for flight in flights]
     for index, (flight, data) in enumerate(zip(flights, prepared, strict=True)):
         notes += [f"{flight.name}: {note}" for note in data.notes]
@@ -208,6 +210,7 @@ def prepare_flights(
         available=frozenset(symbols | {s.name for s in usable}),
         notes=tuple(notes),
         criteria=criteria,
+        keeps_feedback=exact,
     )
 
 

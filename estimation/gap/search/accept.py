@@ -29,7 +29,8 @@ def accept(
 ) -> tuple[AcceptedEffect | None, list[Rejected]]:
     """The first candidate that is significant and `confirmed`, or None; and the candidates refused before it, with reasons.
 
-    A score counts less where the candidate gains also on flights that differ only in the noise of the controls (`MeasuredAgain`).
+    A score counts less where the candidate gains also on flights without it, whose controls are measured again or answer gusts
+    (`MeasuredAgain`).
     shapes: gives the gain of the best nameless function of one variable; called only where a candidate is significant.
     """
     rejected: list[Rejected] = []

@@ -13,7 +13,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Form
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, changes_by
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import Hypothesis, Projected, Screen, gram_of
@@ -81,7 +81,6 @@ def changes_at_sizes(
     """Per size, per record: (N, ny) what a hypothesis of that size adds to the outputs of the fitted base. Sizes at which the
     motion runs away are left out."""
     trial = replace(problem, model=awakened(problem.model, hypothesis.form))
-    locals_ = [carried_local(local, model_fit.model, trial.model) for local in model_fit.locals]
     changes = []
     for size in SIZES:
         unknowns = {
@@ -89,10 +88,8 @@ def changes_at_sizes(
             for p in hypothesis.form.parameters
         }
         values = {**trial.model.starts(), **model_fit.values, **unknowns}
-        residuals = [trial.residual(i, values, local) for i, local in enumerate(locals_)]
-        finite = [r for r in residuals if r is not None]
-        if len(finite) == len(residuals):
-            changes.append(tuple(np.nan_to_num(a - b) for a, b in zip(model_fit.residuals, finite, strict=True)))
+        if (change := changes_by(trial, model_fit, values)) is not None:
+            changes.append(change)
     return changes
 
 

@@ -92,11 +92,8 @@ def _rival(
     screen = build_screen(Tangent(problem, without.fit), hypotheses)
     rounds = (old.round_, last)
     inflation = _latest_known(screen, *(individual_inflation(round_) for round_ in rounds))
-    keys, old_key, old_inflation = (
-        [h.key for h in hypotheses],
-        old.candidate.hypothesis.key,
-        own_inflation(old.candidate),
-    )
+    keys = [h.key for h in hypotheses]
+    old_key, old_inflation = old.candidate.hypothesis.key, own_inflation(old.candidate)
     if old_key in keys:
         tied = screen.tied(keys.index(old_key), criteria)
         inflation = np.where(tied, np.maximum(inflation, old_inflation), inflation)

@@ -15,17 +15,17 @@ Controls with feedback also follow gusts (`closed_loop`). For these, flights are
 hypothesis has on the average on them, with the base projected out of each, is subtracted from its score on the real flights.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from estimation.engine.kernel import Array
+from estimation.engine.kernel import Array, SegmentMotion
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, freed_by
-from estimation.gap.fit.spectra import linear_motion
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, changes_by, freed_by
+from estimation.gap.fit.spectra import Linear, linear_motion
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.significance.closed_loop import answer, feedback_of
@@ -65,7 +65,7 @@ class MeasuredAgain:
         on such flights do not come from controls."""
         indices = range(len(self.baseline.problem.records))
         streams = (Stream.MEASURED_AGAIN.generator(self.seed, number) for number in range(REPEATS))
-        flown = [[self._flown(self._flyer, index, rng) for index in indices] for rng in streams]
+        flown = [[self._flown(index, rng) for index in indices] for rng in streams]
         by_record = (self._simulated(index, [flights[index] for flights in flown]) for index in indices)
         return self._near_the_base(list(zip(*by_record, strict=True)))
 
@@ -76,8 +76,9 @@ class MeasuredAgain:
         return NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, exact)
 
     def _near_the_base(
-        self, sets: Sequence[Sequence["SimulatedRecord | None"]]
+        self, sets: Sequence[Sequence[SimulatedRecord | None]]
     ) -> tuple[tuple[SimulatedRecord, ...], ...]:
+        """The sets in which no motion runs away or leaves the base by many times the noise."""
         pairs = zip(self.baseline.problem.whiteners, self.baseline.fit.residuals, strict=True)
         limit = RAN_AWAY * sum(w.energy(residual) for w, residual in pairs)
         finite = (tuple(r for r in records if r is not None) for records in sets if None not in records)
@@ -109,7 +110,7 @@ class MeasuredAgain:
 
     def _answered_set(self, number: int) -> list[SimulatedRecord | None]:
         rng, indices = Stream.CLOSED_LOOP.generator(self.seed, number), range(len(self.baseline.problem.records))
-        return [self._answered(index, rng, self._feedback) for index in indices] if self._feedback else []
+        return [self._answered(index, rng) for index in indices] if self._feedback else []
 
     def _is_felt(self, index: int, answered: SimulatedRecord | None) -> bool:
         if answered is None:
@@ -117,33 +118,44 @@ class MeasuredAgain:
         moved = np.std(answered.inputs - self.baseline.problem.coarse[index].u, axis=0)
         return any(moved[column] > noise for column, _, noise in self._noisy_controls(index))
 
-    def _answered(self, index: int, rng: np.random.Generator, feedback: Mapping[str, Array]) -> SimulatedRecord | None:
+    @cached_property
+    def _undisturbed(self) -> tuple[tuple[SegmentMotion, Linear], ...]:
+        """Per record the motion of the base in still air, and its linearisation."""
+        problem, values, flyer = self.baseline.problem, self.baseline.fit.values, self._flyer
+        return tuple(
+            (flyer.motion(i, driven), linear_motion(problem.model, problem.simulator, segment, values))
+            for i, (driven, segment) in enumerate(zip(flyer.driven, problem.coarse, strict=True))
+        )
+
+    def _answered(self, index: int, rng: np.random.Generator) -> SimulatedRecord | None:
         """One record flown in gusts with controls that answer them, and known exactly; None where the motion runs away."""
-        problem, fit, flyer = self.baseline.problem, self.baseline.fit, self._flyer
+        problem, flyer, (still, linear) = self.baseline.problem, self._flyer, self._undisturbed[index]
         driven, inputs = flyer.driven[index], problem.coarse[index].u.copy()
         shaken = flyer.disturbed(index, rng, driven)
-        motions = [flyer.motion(index, replace(driven, u=u)) for u in (driven.u, shaken)]
-        if not all(motion.finite for motion in motions):
+        gusty = flyer.motion(index, replace(driven, u=shaken))
+        if not (still.finite and gusty.finite):
             return None
         states = [problem.model.state_names.index(n) for n in problem.base.state_names]
-        disturbance = (motions[1].x - motions[0].x)[:, states]
-        linear = linear_motion(problem.model, problem.simulator, problem.coarse[index], fit.values)
         columns = [problem.model.input_names.index(n) for n in linear.controls]
-        inputs[:, columns] += answer(disturbance, linear, feedback)
-        answered = problem.driven(problem.grids[index].with_inputs(inputs), fit.values)
+        inputs[:, columns] += answer((gusty.x - still.x)[:, states], linear, self._feedback)
+        answered = problem.driven(problem.grids[index].with_inputs(inputs), self.baseline.fit.values)
         motion = flyer.motion(index, replace(answered, u=answered.u + shaken - driven.u))
+        return self._simulated_record(index, flyer.measured(index, rng, motion), inputs) if motion.finite else None
+
+    def _simulated_record(self, index: int, outputs: Array | None, inputs: Array) -> SimulatedRecord | None:
+        """One record with these outputs and inputs; None where it or the base runs away."""
+        problem, fit = self.baseline.problem, self.baseline.fit
         modelled = problem.modelled(index, fit.values, fit.locals[index], inputs=inputs)
-        if not motion.finite or modelled is None:
+        if outputs is None or modelled is None:
             return None
-        outputs = flyer.measured(index, rng, motion)
         return SimulatedRecord(outputs, inputs, problem.whiteners[index].energy(outputs - modelled))
 
     def share(self, gain: float, model_fit: ModelFit, score: float) -> float:
-        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
+        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1. score:
+        the same gain in units of its scatter on the nulls.
 
-        score: of that gain, in units of its scatter on the nulls.
-
-        From its mean gain on simulated flights without the effect, as in `own_share`. Gains by priors, such as those of times
+        From its mean gain on simulated flights without the effect, as in `own_share`, and from its scores on those where controls
+        answer gusts. Gains by priors, such as those of times
         that the base need not shift any more, are the hypothesis' own: simulated flights are compared by their residuals alone.
         1 where these flights cannot be flown.
         """
@@ -180,7 +192,7 @@ class MeasuredAgain:
             if len(residuals) == len(pairs):
                 yield again, replace(model_fit, residuals=residuals)
 
-    def _flown(self, flyer: NullFlyer, index: int, rng: np.random.Generator) -> tuple[Array | None, Array]:
+    def _flown(self, index: int, rng: np.random.Generator) -> tuple[Array | None, Array]:
         """Outputs of the base flown through a course that the controls of a record may have taken, None where it runs away; and
         inputs (N, nu) with these controls as measured."""
         problem, record = self.baseline.problem, self.baseline.problem.records[index]
@@ -189,25 +201,19 @@ class MeasuredAgain:
             true_inputs[:, column] = course(record, name, true_inputs[:, column], noise, rng)
             measured[:, column] = true_inputs[:, column] + noise * rng.standard_normal(len(true_inputs))
         driven = problem.driven(problem.grids[index].with_inputs(true_inputs), self.baseline.fit.values)
-        return flyer.observed(index, rng, driven), measured
+        return self._flyer.observed(index, rng, driven), measured
 
     def _simulated(self, index: int, flown: Sequence[tuple[Array | None, Array]]) -> list[SimulatedRecord | None]:
         """One record of every repeat with its controls prepared again; None where the motion runs away."""
-        problem, fit = self.baseline.problem, self.baseline.fit
+        record = self.baseline.problem.records[index]
         prepared = [measured.copy() for _, measured in flown]
         for column, name, noise in self._noisy_controls(index):
             courses = [measured[:, column] for _, measured in flown]
-            again = prepared_again(problem.records[index], name, courses, noise, self.baseline)
+            again = prepared_again(record, name, courses, noise, self.baseline)
             for inputs, values in zip(prepared, again, strict=True):
                 inputs[:, column] = values
-        simulated: list[SimulatedRecord | None] = []
-        for (outputs, _), inputs in zip(flown, prepared, strict=True):
-            modelled = problem.modelled(index, fit.values, fit.locals[index], inputs=inputs)
-            if outputs is None or modelled is None:
-                simulated.append(None)
-            else:
-                simulated.append(SimulatedRecord(outputs, inputs, problem.whiteners[index].energy(outputs - modelled)))
-        return simulated
+        pairs = zip(flown, prepared, strict=True)
+        return [self._simulated_record(index, outputs, inputs) for (outputs, _), inputs in pairs]
 
     def _noisy_controls(self, index: int) -> list[tuple[int, str, float]]:
         """Column, name and noise of every control of a record that has noise."""
@@ -241,12 +247,9 @@ def score_of_size(problem: LikelihoodProblem, base_fit: ModelFit, model_fit: Mod
     them as it is in those of `model_fit`."""
     trial = replace(problem, model=model_fit.model)
     values = {**model_fit.model.starts(), **model_fit.values, **{n: base_fit.values[n] for n in problem.free}}
-    changes = []
-    for i, local in enumerate(base_fit.locals):
-        modelled = trial.modelled(i, values, carried_local(local, base_fit.model, model_fit.model))
-        if modelled is None:
-            return None
-        changes.append(np.nan_to_num(modelled - problem.coarse[i].z + base_fit.residuals[i]))
+    changes = changes_by(trial, base_fit, values)
+    if changes is None:
+        return None
     tangent = Tangent(problem, base_fit, (base_fit.residuals,))
     projected = Projected.of(gram_of(tangent, lambda i: [changes[i]]), len(problem.free), 1)
     return float(projected.scores()[0, 1])

@@ -117,23 +117,21 @@ def _scale_of_additions(problem: LikelihoodProblem, index: int) -> dict[str, flo
 
 
 def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> list[OmnibusSignal]:
-    """Terms with the part of their score that exceeds the noise of recorded controls.
+    """Terms with the part of their score that exceeds the noise of recorded controls, and their answers to gusts.
 
     That noise is in the motion that a term is made of and in the residual, which correlate with nothing hidden. Nulls do not show
     this, for their terms are made of the motion of the flights. Simulated flights without an effect whose controls are measured
-    again do: their mean score is subtracted, and their scatter counts where it exceeds that of the nulls. Unchanged where
-    such flights cannot be flown.
+    again do, and those whose controls answer gusts (`closed_loop`): both mean scores are subtracted, and the larger scatter
+    counts where it exceeds that of the nulls. Unchanged where such flights cannot be flown.
     """
     again, signs = MeasuredAgain(round_.baseline, MEASURED_AGAIN_SEED), np.array([s.sign for s in signals])
-    scores = [_scores(again, sets, signals) for sets in (again.sets, again.closed_loop)]
-    means, widths = [np.zeros(len(signals))], [np.ones(len(signals))]
-    if len(scores[0]) >= FEWEST:
-        means, widths = [*means, scores[0].mean(axis=0)], [*widths, scores[0].std(axis=0)]
-    if len(scores[1]) >= FEWEST:
-        mean, width = chance_scores(scores[1], signs)
-        means, widths = [*means, mean], [*widths, width]
-    shares = own_shares(np.array([s.sign * np.sqrt(s.gain) for s in signals]), np.sum(means, axis=0))
-    wider = np.max(widths, axis=0)
+    mean, wider = np.zeros(len(signals)), np.ones(len(signals))
+    if len(scores := _scores(again, again.sets, signals)) >= FEWEST:
+        mean, wider = scores.mean(axis=0), np.maximum(scores.std(axis=0), wider)
+    if len(scores := _scores(again, again.closed_loop, signals)) >= FEWEST:
+        chance_mean, chance_std = chance_scores(scores, signs)
+        mean, wider = mean + chance_mean, np.maximum(chance_std, wider)
+    shares = own_shares(np.array([s.sign * np.sqrt(s.gain) for s in signals]), mean)
     return [
         replace(s, score=s.score * float(share / width), gain=s.gain * float(share) ** 2)
         for s, share, width in zip(signals, shares, wider, strict=True)

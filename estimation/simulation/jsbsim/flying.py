@@ -28,9 +28,7 @@ SECOND_DOUBLET = 2.5  # s after the first, half as wide
 CENTRING = 3  # frames of each step that centres a play
 FEEDBACK = {"delta_e": (0.15, 0.1), "delta_a": (0.08, 0.02)}  # on pitch and bank [rad per rad], their rates [s]
 INJECTED = f"{OURS}/injected/"
-ADAMS_BASHFORTH = (
-    3.0  # JSBSim's number for the second-order rule; `estimation.simulation.proof` integrates by the same rule
-)
+ADAMS_BASHFORTH = 3.0  # JSBSim's number of the second-order rule, by which `estimation.simulation.proof` integrates too
 LARGEST_SIDESLIP = 0.5  # rad, above which the motion has run away
 LIFTS = (0.4, 0.3, 0.5, 0.6, 0.8, 0.2)  # lift coefficients at which a glide is tried
 TRIMMED = 1e-4  # g and rad/s2: largest acceleration of a trimmed glide
