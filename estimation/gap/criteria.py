@@ -93,7 +93,7 @@ class Criteria:
     surface_step: float = criterion(4.0, "scatter of a control",
         "a smaller change from sample to sample is no step of a surface",
         "by hand: one in 15 000 samples of Gaussian noise alone is larger")
-    surface_steps_most: int = criterion(48, "steps a record", "the largest steps whose path between samples is left open", CHAIN)
+    surface_steps_most: int = criterion(400, "steps a record", "the largest steps whose path between samples is left open", CHAIN)
     visible_jump: float = criterion(0.05, "rms of an output",
         "a smaller jump or kink is ignored",
         "by hand; leaving kinks open removed a needless second name from 3 of 4 sets (2026-11-21)")

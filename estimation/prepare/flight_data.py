@@ -52,7 +52,8 @@ class FlightData:
     is not measured; noise: input -> (standard deviation, rms removed by de-noising); errors: (samples, nu, draws) draws of the
     remaining errors of the inputs (from the posterior of the de-noising, or of noise that was not removed; zero outside the
     segments), or None where unknown; follows: (samples, nu) the part of each control that follows the motion, where it was
-    looked for; commands: control that is a recorded command -> interval of its record [s]."""
+    looked for; commands: control that is a recorded command -> interval of its record [s]; restless: controls that stay as
+    measured, because de-noising would take more signal than noise."""
 
     name: str
     samples: int
@@ -64,6 +65,7 @@ class FlightData:
     errors: NDArray[np.float32] | None = None
     follows: Array | None = None
     commands: Mapping[str, float] = field(default_factory=dict)
+    restless: frozenset[str] = frozenset()
 
     @property
     def used(self) -> int:

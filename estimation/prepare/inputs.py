@@ -3,7 +3,8 @@
 Controls of a model with pitch rate keep their part that follows the motion, and their measured values near steps: an elevator
 acts on a light and little damped motion, so what de-noising removes besides noise would bias pitch damping and the derivatives
 by the elevator far beyond their bounds (`estimation.signals.controls`). Lateral models need neither, but for very quiet gyros:
-there the noise of measured values costs as much as the rounding of steps.
+there the noise of measured values costs as much as the rounding of steps. A control that moves so much that de-noising takes
+more signal than noise stays as measured.
 """
 
 from collections.abc import Sequence
@@ -17,12 +18,21 @@ from estimation.prepare.columns import DERIVED, bridge_gaps, derive_column
 from estimation.prepare.conditioned import ConditionedFlight
 from estimation.prepare.flight_data import SHORTEST_SEGMENT, Preparation, draws_for
 from estimation.signals.controls import STEP, ControlStretch, feedback_gains, near_steps, step_reach, with_feedback
-from estimation.signals.denoise import QUIET, denoise_many, noise_level
+from estimation.signals.denoise import (
+    QUIET,
+    Denoised,
+    denoise_many,
+    finest_noise_level,
+    noise_level,
+    worth_denoising,
+)
 from groundstation.flight import Array, Flight
 from groundstation.flight.findings import Finding, FindingKind
 
 SEED = 20  # of the draws: the same flight gives the same bound
 FEEDBACK_SEED = 22
+RESTLESS_SEED = 23
+FEWEST = 100  # samples that give the noise of a restless control to a tenth
 PITCH_RATE = "q"  # column
 
 Index = NDArray[np.int64]
@@ -33,7 +43,8 @@ class PreparationState:
     """A flight partly prepared for a model: argument and result of each step of the pipeline.
 
     pieces: [start, stop) of samples without a gap. rows: index of an input -> the measured samples of each piece. u, z, states:
-    as in `FlightData` and its segments, over all samples, NaN outside the pieces; errors, follows, noise, absent as there.
+    as in `FlightData` and its segments, over all samples, NaN outside the pieces; errors, follows, noise, restless, absent as
+    there.
     """
 
     model: Model
@@ -48,6 +59,7 @@ class PreparationState:
     errors: NDArray[np.float32] | None = None
     follows: Array | None = None
     noise: dict[str, tuple[float, float]] = field(default_factory=dict)
+    restless: frozenset[str] = frozenset()
     absent: tuple[str, ...] = ()
 
     @property
@@ -116,11 +128,12 @@ def inputs_without_noise(state: PreparationState) -> PreparationState:
         _draw_noise(state, noisy, errors, rng)
         note = Finding(FindingKind.OTHER, "measured inputs taken with their noise")
         return replace(state, errors=errors if draws else None, notes=(*state.notes, note))
-    for order, control in ((1, True), (2, False)):
-        same_kind = [i for i in state.rows if i in noisy and inputs[i].control == control]
-        _denoise(state, same_kind, order, errors, rng)
+    controls = [i for i in state.rows if i in noisy and inputs[i].control]
+    motion = [i for i in state.rows if i in noisy and not inputs[i].control]
+    restless = _denoise(state, controls, 1, errors, rng)
+    _denoise(state, motion, 2, errors, rng)
     _derive_errors(state, errors)
-    return replace(state, errors=errors)
+    return replace(state, errors=errors, restless=frozenset(inputs[i].name for i in restless))
 
 
 def _draw_noise(
@@ -139,13 +152,17 @@ def _draw_noise(
 
 def _denoise(
     state: PreparationState, inputs: Sequence[int], order: int, errors: NDArray[np.float32], rng: np.random.Generator
-) -> None:
-    """De-noise columns of `u` and draw their errors, in place. order: of the polynomials."""
+) -> list[int]:
+    """De-noise columns of `u` and draw their errors, in place. order: of the polynomials. Returns the controls that stay as
+    measured."""
     levels: dict[int, list[tuple[float, float]]] = {i: [] for i in inputs}
     places = [(a, b, i, state.rows[i][k]) for k, (a, b) in enumerate(state.pieces) for i in inputs]
     measured = [state.u[rows, i] for _, _, i, rows in places]
     smooth = denoise_many(measured, order=order, draws=errors.shape[2], rng=rng)
-    for (a, b, i, rows), denoised in zip(places, smooth, strict=True):
+    restless = _restless(state, places, measured, smooth)
+    for (a, b, i, rows), values, denoised in zip(places, measured, smooth, strict=True):
+        if i in restless:
+            denoised = _as_measured(values, errors.shape[2], restless[i], i)
         complete, samples = rows.size == b - a, np.arange(a, b)
         state.u[a:b, i] = denoised.values if complete else np.interp(samples, rows, denoised.values)
         for k, error in enumerate(denoised.errors):
@@ -155,6 +172,27 @@ def _denoise(
         if levels[i]:
             noise, removed = (float(np.median(values)) for values in zip(*levels[i], strict=True))
             state.noise[state.model.inputs[i].name] = (noise, removed)
+    return list(restless)
+
+
+def _restless(
+    state: PreparationState, places: Sequence[tuple[int, int, int, Index]], measured: Sequence[Array], smooth: Sequence[Denoised]
+) -> dict[int, float]:
+    """Control -> its noise, of those that would lose more signal than noise in most of their samples."""
+    samples: dict[int, list[tuple[int, float, bool]]] = {}
+    for (*_, i, _), values, denoised in zip(places, measured, smooth, strict=True):
+        if state.model.inputs[i].control and values.size >= FEWEST:
+            level = finest_noise_level(values)
+            worth = worth_denoising(denoised, level)
+            samples.setdefault(i, []).append((values.size, level, worth))
+    lost = {i: sum(n if not worth else -n for n, _, worth in parts) for i, parts in samples.items()}
+    return {i: float(np.median([level for _, level, _ in samples[i]])) for i, count in lost.items() if count > 0}
+
+
+def _as_measured(values: Array, draws: int, level: float, column: int) -> Denoised:
+    """A signal with its noise, and draws of that."""
+    rng = np.random.default_rng([RESTLESS_SEED, column])
+    return Denoised(values, level, 0.0, level * rng.standard_normal((draws, values.size)))
 
 
 def _derive_errors(state: PreparationState, errors: NDArray[np.float32]) -> None:
@@ -187,6 +225,8 @@ def feedback_restored(state: PreparationState) -> PreparationState:
     for i, signal in enumerate(state.model.inputs):
         level = state.noise.get(signal.name, (0.0, 0.0))[0]
         if not signal.control or signal.computed or not state.flight.measured(signal.source):
+            continue
+        if signal.name in state.restless:  # nothing was taken off
             continue
         column = state.flight[signal.source]
         missing = ~np.isfinite(column) | state.conditioned.held(signal.source)

@@ -200,6 +200,7 @@ def _flight_data(state: PreparationState) -> FlightData:
         state.errors,
         state.follows,
         commands,
+        state.restless,
     )
 
 

@@ -7,11 +7,16 @@ Statistics and Computing 16, 203-213, with Gaussian noise of known variance). Ru
 edge gets a break with probability near one and stays where it was; a quiet stretch is averaged over its length.
 
 The noise level is estimated from the signal (`noise_level`), so nothing need be known of the sensor.
+
+A control that never rests (a multisine, a random sequence of steps) has curves and edges in most samples: its noise is overstated
+by third differences, and smoothing takes more signal than noise (0.134 deg of error for 0.071, simulated multisine of up to
+2.5 Hz at 20 Hz). `worth_denoising` tells, by an unbiased estimate of the risk.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from math import comb, erf, exp, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +31,10 @@ QUIET = 3e-4  # of the range of a signal: noise below this stays
 ROUNDING = 1e-12  # of the size of a signal: a filtered constant has only rounding, which must not use up random numbers
 NORMAL_MEDIAN = 0.6744897501960817  # median of |x| of a standard normal x
 THIRD_DIFFERENCE = 20.0  # variance of the third difference of unit white noise: squares of 1 -3 3 -1
+ORDERS = range(1, 9)  # of differences: first ones see through many edges, eighth ones through a sine of an eighth of the rate
+CLIP = 2.5  # standard deviations: one in 80 differences of noise alone is larger; edges mostly are
+CLIPPED_VARIANCE = 1.0 - 2.0 * CLIP * exp(-0.5 * CLIP**2) / sqrt(2.0 * pi) / erf(CLIP / sqrt(2.0))  # of a standard normal
+CLIPPINGS = 30  # usual: 5 to 10
 BLOCK = 640  # samples of a long signal treated at once
 RESCALE = 12  # steps between rescalings of the recursions
 ROWS = 24  # blocks treated at once
@@ -58,6 +67,38 @@ def noise_level(values: Array) -> float:
     if third.size < LEAST:
         return 0.0
     return float(np.median(third) / NORMAL_MEDIAN / np.sqrt(THIRD_DIFFERENCE))
+
+
+def finest_noise_level(values: Array) -> float:
+    """Standard deviation of the white part of a signal that may move all the time: the smallest of what differences of several
+    orders say without those that a signal has enlarged. values: (N,) finite."""
+    levels = [_clipped_level(np.diff(values, k)) / sqrt(comb(2 * k, k)) for k in ORDERS if values.size >= k + LEAST]
+    return min(levels, default=0.0)
+
+
+def _clipped_level(values: Array) -> float:
+    """Standard deviation of Gaussian values about zero among larger ones, by those within CLIP times itself."""
+    size = np.abs(values)
+    level = float(np.median(size)) / NORMAL_MEDIAN
+    for _ in range(CLIPPINGS):
+        inside = size[size <= CLIP * level]
+        before, level = level, sqrt(float(np.mean(inside**2)) / CLIPPED_VARIANCE)
+        if abs(level - before) <= 1e-3 * before:
+            break
+    return level
+
+
+def worth_denoising(denoised: Denoised, level: float) -> bool:
+    """Whether a de-noised signal is nearer the truth than the measured one.
+
+    By Stein's unbiased estimate of its mean squared error (C. M. Stein, Annals of Statistics 9 (1981), 1135-1151, theorem 1); the
+    derivative of a posterior mean by the measurement is the posterior variance over that of the noise. denoised: with draws of
+    its error; level: standard deviation of the noise.
+    """
+    if denoised.removed == 0.0 or not denoised.errors.size:
+        return True
+    follows = float(np.mean(denoised.errors**2)) / denoised.noise**2
+    return denoised.removed**2 + 2.0 * level**2 * follows < 2.0 * level**2
 
 
 def denoise(values: Array, *, order: int = 1, noise: float | None = None) -> Denoised:

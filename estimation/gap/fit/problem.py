@@ -2,6 +2,10 @@
 
 Between two samples inputs follow a monotone cubic, of which the simulation uses the value half-way: servos round the steps of
 surfaces, and straight lines between samples bias the control and damping derivatives by some 2 % at 20 Hz.
+
+Steps of a sequence that a computer flies all begin at the same time after a sample. What the cubic lacks half-way is then the same
+share of every step. With a few steps that passes for the scatter that is allowed for; where a control never rests it adds up, and
+the share is an unknown (`edge_<control>`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,6 +24,7 @@ from estimation.models.base import Model, ParameterRole
 from estimation.models.dependence import names_used
 from estimation.signals.curves import half_way, inner_slopes
 
+GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
 
 
@@ -36,6 +41,17 @@ class MidSampleGrid:
         values, rounding = self.segment.u.copy(), self.rounding.copy()
         _fill(self.segment.time[::2], u, values, rounding, changed)
         return MidSampleGrid(replace(self.segment, u=values), rounding)
+
+    def edges(self, column: int, smallest: float) -> Array:
+        """(2N - 1,) half-way in the steepest interval of every edge of an input the change over that interval, else zero.
+        smallest: change of an edge, in the scatter of all changes."""
+        change = np.diff(self.segment.u[::2, column])
+        size = np.pad(np.abs(change), 1)
+        steepest = (size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])
+        edge = steepest & (size[1:-1] > smallest * GAUSSIAN * float(np.median(np.abs(change))))
+        result = np.zeros(len(self.rounding))
+        result[1::2] = np.where(edge, change, 0.0)
+        return result
 
 
 def fine_grid(segment: Segment) -> MidSampleGrid:
@@ -125,7 +141,8 @@ class LikelihoodProblem:
     """A model bound to records and their whiteners. base: the model the records were prepared for.
 
     Shared unknowns are the model's free parameters and one `curvature_<control>` for each control: how its surface moves between
-    two samples, on a straight line (-1), a monotone cubic (0) or a rounder curve (above 0).
+    two samples, on a straight line (-1), a monotone cubic (0) or a rounder curve (above 0). A control that never rests also has
+    `edge_<control>`: by which share of a step its surface is off half-way in it.
     """
 
     model: Model
@@ -154,6 +171,22 @@ class LikelihoodProblem:
         return {f"curvature_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control}
 
     @cached_property
+    def edges(self) -> dict[str, int]:
+        """Unknown of the edges of a control that never rests -> its column."""
+        restless = frozenset[str]().union(*(r.restless for r in self.records))
+        return {f"edge_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control and s.name in restless}
+
+    @cached_property
+    def paths(self) -> dict[str, int]:
+        """Unknown of a path between samples -> column of the input it belongs to."""
+        return {**self.curvatures, **self.edges}
+
+    def _path(self, grid: MidSampleGrid, name: str) -> Array:
+        """(2N - 1,) change of an input by one unit of the unknown `name` of its path."""
+        column = self.paths[name]
+        return grid.rounding[:, column] if name in self.curvatures else grid.edges(column, self.criteria.surface_step)
+
+    @cached_property
     def used_names(self) -> frozenset[str]:
         """Names that the equations use while the dormant terms are zero."""
         dormant = (p for p in self.model.parameters if p.role is ParameterRole.DORMANT and p.fixed)
@@ -167,7 +200,7 @@ class LikelihoodProblem:
     @property
     def free(self) -> tuple[str, ...]:
         """All shared unknowns, in the order of the columns."""
-        return (*self.parameters, *self.curvatures)
+        return (*self.parameters, *self.paths)
 
     @cached_property
     def simulator(self) -> Simulator:
@@ -180,7 +213,7 @@ class LikelihoodProblem:
 
     def starts(self) -> dict[str, float]:
         """Start values of everything shared, held parameters included."""
-        return {**self.model.starts(), **dict.fromkeys(self.curvatures, 0.0)}
+        return {**self.model.starts(), **dict.fromkeys(self.paths, 0.0)}
 
     def starting_locals(self) -> tuple[Local, ...]:
         starts = self.model.starts()
@@ -213,17 +246,18 @@ class LikelihoodProblem:
 
         None where the motion or a sensitivity runs away."""
         grid, shared = self.grids[index], {**values, **local.parameters}
-        active = [j for j, i in enumerate(self.curvatures.values()) if self.model.input_names[i] in self.used_names]
+        columns = list(self.paths.items())
+        active = [j for j, (_, i) in enumerate(columns) if self.model.input_names[i] in self.used_names]
         paths = np.zeros((*grid.rounding.shape, len(active)))
         for k, j in enumerate(active):
-            column = list(self.curvatures.values())[j]
-            paths[:, column, k] = grid.rounding[:, column]
+            name, column = columns[j]
+            paths[:, column, k] = self._path(grid, name)
         segment = self.driven(grid, values)
         motion = self.simulator.run_by_middles(segment, shared, local.x0, sensitivities=True, moved=paths)
         if not motion.finite or motion.dy is None or not max(motion.dy.max(), -motion.dy.min()) < LARGEST:
             return None
         residual = self.coarse[index].z - motion.y
-        n, m, split = len(self.parameters), len(self.curvatures), motion.dy.shape[2] - len(active)
+        n, m, split = len(self.parameters), len(self.paths), motion.dy.shape[2] - len(active)
         dy = np.zeros((*residual.shape, split + m))
         dy[:, :, :n], dy[:, :, n + m :] = motion.dy[:, :, :n], motion.dy[:, :, n:split]
         dy[:, :, [n + j for j in active]] = motion.dy[:, :, split:]
@@ -246,29 +280,33 @@ class LikelihoodProblem:
         return motion.dy[:, :, -du.shape[2] :] if motion.finite and motion.dy is not None else None
 
     def driven(self, grid: MidSampleGrid, values: Mapping[str, float]) -> Segment:
-        """A grid's segment with the controls between samples moved by the curvatures in `values`."""
+        """A grid's segment with the controls between samples moved by the path unknowns in `values`."""
         u = grid.segment.u
-        shifts = [(i, values[name]) for name, i in self.curvatures.items() if values.get(name, 0.0) != 0.0]
-        if shifts:
+        moved = [(name, i) for name, i in self.paths.items() if values.get(name, 0.0) != 0.0]
+        if moved:
             u = u.copy()
-            for i, kappa in shifts:
-                u[:, i] += kappa * grid.rounding[:, i]
+            for name, i in moved:
+                u[:, i] += values[name] * self._path(grid, name)
         return replace(grid.segment, u=u)
 
     def prior(self, name: str) -> tuple[float, float] | None:
         """(mean, standard deviation) of an unknown's Gaussian prior, or None where it has none."""
         if name in self.curvatures:
             return 0.0, self.criteria.curvature_spread
+        if name in self.edges:
+            return 0.0, self.criteria.surface_freedom
         p = self.model.parameter(name)
         return None if p.prior_mean is None or p.prior_std is None else (p.prior_mean, p.prior_std)
 
     def nuisance(self, name: str) -> bool:
         """Whether a shared unknown is a nuisance parameter (timing, curvature ...), for which no effect may be named."""
-        return name in self.curvatures or self.model.parameter(name).role is ParameterRole.NUISANCE
+        return name in self.paths or self.model.parameter(name).role is ParameterRole.NUISANCE
 
     def limits(self, name: str) -> tuple[float, float]:
         if name in self.curvatures:
             return -self.criteria.curvature_limit, self.criteria.curvature_limit
+        if name in self.edges:
+            return -self.criteria.surface_freedom_most, self.criteria.surface_freedom_most
         p = self.model.parameter(name)
         return p.lower, p.upper
 

@@ -78,7 +78,7 @@ class FlightRecord:
     errors: input -> (draws, N) possible errors after its preparation; error_spectra: control -> (frequencies,) their variance per
     sample, once known. uncompared: (N, ny) measured outputs that are not compared, such as the repeats of a slow sensor; NaN
     elsewhere. states: (N, nx) measured states without their noise. follows: control -> (N,) the part of it that follows the
-    motion, which de-noising keeps.
+    motion, which de-noising keeps. restless: controls that never rest on any training flight; of all records alike.
     """
 
     flight: int
@@ -95,6 +95,12 @@ class FlightRecord:
     uncompared: Array | None = None
     states: Array | None = None
     follows: Mapping[str, Array] = field(default_factory=dict)
+    restless: frozenset[str] = frozenset()
+
+    def as_measured(self, control: str) -> bool:
+        """Whether a control is used as it was measured in all samples."""
+        raw = self.raw.get(control)
+        return raw is not None and bool(raw.all())
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -166,6 +172,7 @@ def prepare_flights(
     notes: list[str] = []
     prepared = [prepare(probe, flight) for flight in flights]
     pitches = has_pitch_rate(base)
+    restless = frozenset.intersection(*(data.restless for data in prepared[: len(training)]))
     exact = keep_feedback or pitches or controls_outdo_gyros(probe, prepared[: len(training)], criteria)
     if exact and not pitches:
         prepared = [prepare(probe, flight, replace(AS_USUAL, every_axis=True)) for flight in flights]
@@ -179,8 +186,9 @@ def prepare_flights(
             length = quick_length(len(part))
             segment = replace(part, time=part.time[:length], u=part.u[:length], z=part.z[:length])
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
-            controls_read = base.inputs if exact else ()
+            controls_read = [s for s in base.inputs if s.name not in data.restless] if exact else ()
             raw, step_noise = _raw_steps(controls_read, flight, segment.first, inputs, noise, criteria)
+            raw |= {n: np.ones(length, bool) for n in data.restless}
             level = {**noise, **step_noise}
             errors = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
             span = slice(segment.first, segment.first + length)
@@ -199,6 +207,7 @@ def prepare_flights(
                     uncompared=_not_compared(base, flight, segment),
                     states=data.states[span],
                     follows={s.name: f for s, f in zip(probe.inputs, follows, strict=False) if f.any()},
+                    restless=restless,
                 )
             )
     return FlightRecords(

@@ -299,6 +299,8 @@ def prepared_again(
 ) -> list[Array]:
     """(N,) each: repeated measurements of a control, de-noised except for the part that follows the motion, and as measured near
     its steps where the record is."""
+    if record.as_measured(name):
+        return list(measured)
     follows = record.follows.get(name, 0.0)
     smooth = [d.values + follows for d in denoise_many([m - follows for m in measured], noise=noise)]
     raw = record.raw.get(name)
