@@ -41,6 +41,12 @@ class Criteria:
         "a channel holds its values too long where its residual at repeats is so many times that at new values",
         "between a vane read at 10 Hz in a record of 20 Hz (1.5 to 1.8) and one at 6.7 Hz (2.1 to 2.5), 2026-11-24")
     clipped_run: int = criterion(4, "samples", "so many in a row at the end of a range are a clipped channel")
+    spike: float = criterion(5.0, "standard deviations",
+        "a single value farther from the model and its neighbours is no measurement",
+        "theory: one in 1.7 million values of Gaussian noise; spikes of 5 to 8 made 8 of 8 sets of nothing unknown, 2026-11-29")
+    heavy_tails: float = criterion(1.0, "excess kurtosis",
+        "a channel whose noise has more is simulated with the distribution of its own residuals",
+        "between Gaussian noise (0.0 +- 0.1 from 1800 values) and Student's t of three degrees of freedom (5 to 40), 2026-11-29")
     slow_control: float = criterion(1.5, "samples",
         "a flight is read at the rate of a control with longer intervals between its values",
         "by hand: servos logged at 10 Hz in 20 Hz (2) gave servo_lag or an unknown on half the sets of nothing, 2026-11-25")

@@ -8,6 +8,9 @@ until nothing is significant. `estimation.gap.search` defines these words.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from estimation.errors import EstimationError
 from estimation.estimators.output_error import output_error
 from estimation.gap.answer.result import GapResult, GapVerdict
@@ -27,7 +30,16 @@ from estimation.gap.fit.channel_noise import (
 )
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.attitudes import with_attitudes_between
-from estimation.gap.records.broken import broken_in_words, unmoved_in_words, without_stuck
+from estimation.gap.records.broken import (
+    Spikes,
+    broken_in_words,
+    near_steps,
+    spikes_in,
+    spikes_in_words,
+    unmoved_in_words,
+    without_spikes,
+    without_stuck,
+)
 from estimation.gap.records.candidate_model import rare_commands, stamped_attitudes, with_dormant, with_nuisance
 from estimation.gap.records.doubts import doubts_of, refuse_twice, sample_notes, stale_channels
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
@@ -50,7 +62,11 @@ from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
 from estimation.models.dependence import force_states
+from estimation.prepare.plausible import MOST_WILD
 from groundstation.flight import Flight
+
+
+SPIKE_PASSES = 2  # a large spike bends the first fit, so that others hide beside it
 
 
 @dataclass(frozen=True)
@@ -99,6 +115,18 @@ class _Run:
         stale = tuple(stale_channels(prepared[0], outputs, criteria))
         return cls(
             given, sound[0], prepared[0], prepared[1], tuple(notes), tuple(faults), stale, effects, options, tell
+        )
+
+    def without_spikes(self, spikes: Spikes) -> "_Run":
+        """The same with the spikes of flights left out. spikes: by index of the flight, training ones first."""
+        count, flights = len(self.training), [*self.training, *self.holdout]
+        clean = [without_spikes(f, spikes.get(i, {})) for i, f in enumerate(flights)]
+        sound = [
+            without_spikes(f, spikes.get(i, {})) if len(f) == len(clean[i]) else f for i, f in enumerate(self.sound)
+        ]
+        notes = (*self.notes_after, *spikes_in_words(flights, spikes))
+        return replace(
+            self, sound=tuple(sound), training=tuple(clean[:count]), holdout=tuple(clean[count:]), notes_after=notes
         )
 
     def set_up(self, base: Model, keep_feedback: bool = False) -> tuple[Setting, Baseline]:
@@ -153,6 +181,11 @@ def run_gap(
         except GapError as error:
             model = _with_estimated_starts(model, run.training, error)
             setting, baseline = run.set_up(model)
+        for _ in range(SPIKE_PASSES):
+            if not (spikes := _spikes(baseline)):
+                break
+            run = run.without_spikes(spikes)
+            setting, baseline = run.set_up(model)
         if off := derivatives_off(setting, baseline):
             # the one that stands out is for the search, which has to confirm it
             outlier = outstanding(setting, baseline, off) if setting.commanded else None
@@ -180,6 +213,23 @@ def run_gap(
     sentences = (unmoved, answer.text, *remarks) if is_unknown else (answer.text, *remarks, unmoved)
     answer = replace(answer, text=" ".join(t for t in sentences if t))
     return _with_doubts(answer, doubts)
+
+
+def _spikes(baseline: Baseline) -> Spikes:
+    """Single values that a fit does not follow, on training and held-out flights."""
+    criteria, found = baseline.criteria, dict[int, dict[str, NDArray[np.bool_]]]()
+    fits = [(baseline.problem, baseline.fit), *([baseline.held_out] if baseline.held_out else [])]
+    for problem, model_fit in fits:
+        controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
+        for record, segment, residual in zip(problem.records, problem.coarse, model_fit.residuals, strict=True):
+            stepping = near_steps(segment.u[:, controls], criteria.surface_step)
+            columns = found.setdefault(record.flight, {})
+            for signal, values in zip(problem.model.outputs, residual.T, strict=True):
+                spikes = spikes_in(values, stepping, criteria.spike, MOST_WILD)
+                if spikes.any():
+                    count = baseline.prepared.samples[record.flight]
+                    columns.setdefault(signal.source, np.zeros(count, bool))[segment.rows] |= spikes
+    return {flight: columns for flight, columns in found.items() if columns}
 
 
 def _setting(

@@ -1,19 +1,33 @@
-"""Channels with a dead or stuck sensor: their values are no measurement, and the answer says so.
+"""Channels with a dead or stuck sensor, and single values with a spike: they are no measurement, and the answer says so.
 
 A fit silently ignores a dead output, and the answer reads as if all channels had been compared. A dead input cannot be
 replaced: the fit uses it as recorded, so the person has to know.
+
+A spike of a few standard deviations hardly bends a fit, but two of them in a second have an energy that no simulated flight with
+Gaussian noise has. Only the residuals of a fit show so small a spike.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from estimation.models.base import Model
-from groundstation.flight import Flight
+from groundstation.flight import Array, Flight
 from groundstation.flight.arrays import true_runs
 from groundstation.flight.quality.repeats import repeats
 
 FEWEST = 10  # values: fewer may be equal by chance
+BESIDE_PARABOLA = np.array([2.0, -3.0, -6.0, 14.0, -6.0, -3.0, 2.0]) / 14.0  # a value less the parabola through six around it
+BEFORE, BEHIND = 1, 3  # samples about a step of a control, where a residual may jump
+NEAR_STEPS = 1.5  # times as far: the path of a surface between samples makes 4 standard deviations, with very quiet gyros 10
+BESIDE_SPIKE = 0.7  # a spike alone shows in its neighbours as 0.43 of it
+SAID = 3  # times in a note
+GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
+
+Spikes = Mapping[int, Mapping[str, NDArray[np.bool_]]]
+"""Index of a flight -> column -> (N,) samples with a spike."""
 
 
 def without_stuck(flight: Flight, columns: Iterable[str]) -> Flight:
@@ -22,6 +36,54 @@ def without_stuck(flight: Flight, columns: Iterable[str]) -> Flight:
     stuck = {c: repeats(flight, c).stuck for c in columns if flight.measured(c)}
     changed = {c: np.where(mask, np.nan, flight[c]) for c, mask in stuck.items() if mask.any()}
     return flight.with_columns(**changed) if changed else flight
+
+
+def beside_neighbours(residual: Array) -> Array:
+    """(N,) a residual (N,) less a parabola through the three samples on either side, in its robust scatter; NaN where not
+    measured."""
+    rows = np.flatnonzero(np.isfinite(residual))
+    result = np.full(residual.size, np.nan)
+    if rows.size >= FEWEST:
+        away = np.convolve(np.pad(residual[rows], 3, mode="edge"), BESIDE_PARABOLA, "valid")
+        scatter = GAUSSIAN * float(np.median(np.abs(away)))
+        result[rows] = away / scatter if scatter > 0.0 else 0.0
+    return result
+
+
+def spikes_in(residual: Array, near_steps: NDArray[np.bool_], farthest: float, most: float) -> NDArray[np.bool_]:
+    """(N,) single samples of a residual (N,), NaN where not measured, that leave their neighbours by more than `farthest` standard
+    deviations. near_steps: (N,) samples near a step of a control, where a residual may jump: more there; none at all where more than the share `most` stand out, which is no accident."""
+    level = np.nan_to_num(np.abs(beside_neighbours(residual)))
+    neighbours = np.maximum(np.roll(level, 1), np.roll(level, -1))
+    spikes = (level > np.where(near_steps, NEAR_STEPS, 1.0) * farthest) & (neighbours < BESIDE_SPIKE * level)
+    return spikes if spikes.sum() <= max(2, most * np.isfinite(residual).sum()) else np.zeros_like(spikes)
+
+
+def near_steps(controls: Array, smallest: float) -> NDArray[np.bool_]:
+    """(N,) samples near a step of any of the controls (N, controls): a change larger than `smallest` times the scatter of all its
+    changes."""
+    change = np.abs(np.diff(controls, axis=0, append=controls[-1:]))
+    moves = (change > smallest * GAUSSIAN * np.median(change, axis=0)).any(axis=1)
+    return np.asarray(binary_dilation(moves, np.ones(BEFORE + BEHIND + 1, bool), origin=(BEFORE - BEHIND) // 2))
+
+
+def without_spikes(flight: Flight, spikes: Mapping[str, NDArray[np.bool_]]) -> Flight:
+    """The flight with NaN at the spikes of its columns."""
+    return flight.with_columns(**{c: np.where(mask, np.nan, flight[c]) for c, mask in spikes.items()})
+
+
+def spikes_in_words(flights: Sequence[Flight], spikes: Spikes) -> list[str]:
+    """A note on the spikes of every flight."""
+    notes = []
+    for index, columns in spikes.items():
+        flight = flights[index]
+        said = [
+            f"{column} at {', '.join(f'{t:.2f}' for t in flight.time[mask][:SAID])} s"
+            + (f" and {mask.sum() - SAID} more" if mask.sum() > SAID else "")
+            for column, mask in columns.items()
+        ]
+        notes.append(f"{flight.name}: single values far from their neighbours and from the model left out: {'; '.join(said)}")
+    return notes
 
 
 def stands_still(flight: Flight, column: str) -> bool:

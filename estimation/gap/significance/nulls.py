@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
+from scipy.stats import kurtosis
 
 from estimation.engine.kernel import Array, SegmentMotion
 from estimation.engine.simulate import Segment
@@ -17,11 +19,13 @@ from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import ON_FORCES, NoiseModel, NoisePart, NoiseSource, linear_motion
 from estimation.gap.fit.surface_steps import find_surface_steps
 from estimation.gap.random_streams import Stream
+from estimation.gap.records.broken import beside_neighbours, near_steps
 from estimation.gap.records.candidate_model import DISTURBANCE, RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.models.base import Model
 from estimation.signals.first_order import decaying_sum
 
+FEWEST = 300  # samples away from steps that show the tails of a channel's noise
 SMOOTHED = 0.25  # of a frequency, to either side: the spectrum of errors falls slowly
 
 
@@ -95,7 +99,8 @@ class Modelled:
 class NullFlyer:
     """Flies nulls of one fitted model. modelled: per record, None where the model runs away on it. jumps: per record sample,
     output column and standard deviation of the error next to a jump. states: disturbed state -> input column of its disturbance.
-    driven: per record, the inputs of the fit, with the middles between samples. intervals: per record, sample interval [s]."""
+    driven: per record, the inputs of the fit, with the middles between samples. intervals: per record, sample interval [s].
+    tails: per output, as of `heavy_tails`."""
 
     problem: LikelihoodProblem
     fit: ModelFit
@@ -105,6 +110,7 @@ class NullFlyer:
     states: Mapping[str, int]
     driven: tuple[Segment, ...]
     intervals: tuple[float, ...]
+    tails: tuple[Array | None, ...]
 
     @classmethod
     def build(
@@ -125,7 +131,8 @@ class NullFlyer:
         modelled = tuple(_modelled(problem, fit, i, errors[i]) for i in range(len(problem.records)))
         inputs = tuple(problem.driven(grid, fit.values) for grid in problem.grids)
         intervals = tuple(float(np.median(np.diff(segment.time))) for segment in problem.coarse)
-        return cls(problem, fit, noise, modelled, tuple(jumps), states, inputs, intervals)
+        tails = heavy_tails(problem, fit)
+        return cls(problem, fit, noise, modelled, tuple(jumps), states, inputs, intervals, tails)
 
     def fly(self, index: int, rng: np.random.Generator) -> Array | None:
         """(N, ny) residual of one null of one record at the fitted parameters; None where it diverges."""
@@ -161,9 +168,11 @@ class NullFlyer:
         """(N, ny) outputs of a motion of one record with the noise of the instruments, NaN where the record has none."""
         problem, coarse, interval = self.problem, self.problem.coarse[index], self.intervals[index]
         louder = problem.records[index].louder
-        noise = np.sqrt(self.noise.measurement * (1.0 if louder is None else louder)) * rng.standard_normal(
-            coarse.z.shape
-        )
+        white = rng.standard_normal(coarse.z.shape)
+        for column, quantiles in enumerate(self.tails):
+            if quantiles is not None:
+                white[:, column] = np.interp(ndtr(white[:, column]), np.linspace(0.0, 1.0, quantiles.size), quantiles)
+        noise = np.sqrt(self.noise.measurement * (1.0 if louder is None else louder)) * white
         self._wander(noise, interval, rng)
         samples, output, size = self.jumps[index]
         np.add.at(noise, (samples, output), size * rng.standard_normal(size.size))
@@ -210,6 +219,23 @@ class NullFlyer:
                 # strength counts per sample of the record (2 h); white noise sampled every h has variance density / h
                 disturbance = course if part.source is NoiseSource.TWIST else white[i] - course
                 u[:, self.states[part.of]] += np.sqrt(strength * 2.0) * disturbance
+
+
+def heavy_tails(problem: LikelihoodProblem, fit: ModelFit) -> tuple[Array | None, ...]:
+    """Per output the sorted values of its noise, of unit variance, where that has clearly heavier tails than Gaussian noise; else
+    None.
+
+    From residuals beside their neighbours, away from steps of the controls: what a model lacks is slower or follows a step.
+    """
+    controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
+    rest = [~near_steps(s.u[:, controls], problem.criteria.surface_step) for s in problem.coarse]
+    tails: list[Array | None] = []
+    for column in range(len(problem.model.outputs)):
+        parts = [beside_neighbours(r[:, column])[mask] for r, mask in zip(fit.residuals, rest, strict=True)]
+        values = np.concatenate([p[np.isfinite(p)] for p in parts])
+        heavy = values.size >= FEWEST and float(kurtosis(values)) > problem.criteria.heavy_tails
+        tails.append(np.sort((values - values.mean()) / values.std()) if heavy else None)
+    return tuple(tails)
 
 
 def _modelled(problem: LikelihoodProblem, fit: ModelFit, index: int, errors: InputErrors) -> Modelled | None:
