@@ -21,7 +21,6 @@ from groundstation.flight.quality.repeats import repeats
 FEWEST = 10  # values: fewer may be equal by chance
 BESIDE_PARABOLA = np.array([2.0, -3.0, -6.0, 14.0, -6.0, -3.0, 2.0]) / 14.0  # a value less the parabola through six around it
 BEFORE, BEHIND = 1, 3  # samples about a step of a control, where a residual may jump
-NEAR_STEPS = 1.5  # times as far: the path of a surface between samples makes 4 standard deviations, with very quiet gyros 10
 BESIDE_SPIKE = 0.7  # a spike alone shows in its neighbours as 0.43 of it
 SAID = 3  # times in a note
 GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
@@ -44,7 +43,7 @@ def beside_neighbours(residual: Array) -> Array:
     rows = np.flatnonzero(np.isfinite(residual))
     result = np.full(residual.size, np.nan)
     if rows.size >= FEWEST:
-        away = np.convolve(np.pad(residual[rows], 3, mode="edge"), BESIDE_PARABOLA, "valid")
+        away = np.convolve(np.pad(residual[rows], 3, mode="reflect"), BESIDE_PARABOLA, "valid")
         scatter = GAUSSIAN * float(np.median(np.abs(away)))
         result[rows] = away / scatter if scatter > 0.0 else 0.0
     return result
@@ -52,10 +51,13 @@ def beside_neighbours(residual: Array) -> Array:
 
 def spikes_in(residual: Array, near_steps: NDArray[np.bool_], farthest: float, most: float) -> NDArray[np.bool_]:
     """(N,) single samples of a residual (N,), NaN where not measured, that leave their neighbours by more than `farthest` standard
-    deviations. near_steps: (N,) samples near a step of a control, where a residual may jump: more there; none at all where more than the share `most` stand out, which is no accident."""
+    deviations. near_steps: (N,) samples near a step of a control, which are judged by their own scatter where that is larger; none
+    at all where more than the share `most` stand out, which is no accident."""
     level = np.nan_to_num(np.abs(beside_neighbours(residual)))
+    stepping = level[near_steps & np.isfinite(residual)]
+    wider = max(1.0, GAUSSIAN * float(np.median(stepping))) if stepping.size >= FEWEST else 1.0
     neighbours = np.maximum(np.roll(level, 1), np.roll(level, -1))
-    spikes = (level > np.where(near_steps, NEAR_STEPS, 1.0) * farthest) & (neighbours < BESIDE_SPIKE * level)
+    spikes = (level > np.where(near_steps, wider, 1.0) * farthest) & (neighbours < BESIDE_SPIKE * level)
     return spikes if spikes.sum() <= max(2, most * np.isfinite(residual).sum()) else np.zeros_like(spikes)
 
 
