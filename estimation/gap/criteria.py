@@ -82,9 +82,6 @@ class Criteria:
     curvature_spread: float = criterion(1.5, "monotone cubics",
         "prior width of the extra curvature of a surface between samples, beside that of a cubic",
         "widened from 0.5 with the first benchmark (2026-11-21), reason not on record")
-    curvature_limit: float = criterion(6.0, "monotone cubics",
-        "limit of that extra curvature",
-        "by hand: four prior widths")
 
     # ---- the noise of the residuals
     least_scatter: float = criterion(0.5, "scatter",
@@ -99,7 +96,6 @@ class Criteria:
     surface_step: float = criterion(4.0, "scatter of a control",
         "a smaller change from sample to sample is no step of a surface",
         "by hand: one in 15 000 samples of Gaussian noise alone is larger")
-    surface_steps_most: int = criterion(400, "steps a record", "the largest steps whose path between samples is left open", CHAIN)
     visible_jump: float = criterion(0.05, "rms of an output",
         "a smaller jump or kink is ignored",
         "by hand; leaving kinks open removed a needless second name from 3 of 4 sets (2026-11-21)")

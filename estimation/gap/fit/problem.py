@@ -25,6 +25,7 @@ from estimation.models.dependence import names_used
 from estimation.signals.curves import half_way, inner_slopes
 
 GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
+WIDTHS = 4.0  # prior widths to which the path of a surface between samples may go
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
 
 
@@ -304,9 +305,11 @@ class LikelihoodProblem:
 
     def limits(self, name: str) -> tuple[float, float]:
         if name in self.curvatures:
-            return -self.criteria.curvature_limit, self.criteria.curvature_limit
+            farthest = WIDTHS * self.criteria.curvature_spread
+            return -farthest, farthest
         if name in self.edges:
-            return -self.criteria.surface_freedom_most, self.criteria.surface_freedom_most
+            farthest = WIDTHS * self.criteria.surface_freedom
+            return -farthest, farthest
         p = self.model.parameter(name)
         return p.lower, p.upper
 

@@ -362,11 +362,11 @@ def test_a_step_of_four_times_the_scatter_is_one(times: float, found: int) -> No
     assert len(moved(u).name) == found
 
 
-def test_the_largest_forty_eight_steps_of_a_record_are_left_open() -> None:
-    u = np.cumsum(np.where(np.arange(600) % 10 == 0, 0.01 + 1e-5 * np.arange(600), 0.0))
+def test_the_largest_four_hundred_steps_of_a_record_are_left_open() -> None:
+    u = np.cumsum(np.where(np.arange(6000) % 10 == 0, 0.01 + 1e-6 * np.arange(6000), 0.0))
     steps = moved(u)
-    assert len(steps.name) == 48
-    assert min(steps.step) == pytest.approx(0.01 + 1e-5 * 120)
+    assert len(steps.name) == 400
+    assert min(steps.step) == pytest.approx(0.01 + 1e-6 * 2000)
 
 
 @pytest.mark.parametrize(("share", "found"), [(0.045, 0), (0.055, 2)])
