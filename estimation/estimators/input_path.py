@@ -25,10 +25,13 @@ from estimation.prepare.flight_data import FlightData
 from groundstation.flight.findings import Finding, FindingKind
 
 FEWEST_EDGES = 4  # for a judgement of their scatter: four random ones look alike in one case of fifty
+MANY_EDGES = 20  # their median and its deviation are known to a quarter
+GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
 ALIKE = 0.2  # scatter of the first share over its mean; 0.58 where edges come at any time within an interval
 FAST = 0.15  # first share from which the path between samples matters
 LARGE = 0.3  # of the largest edge of a control: smaller ones are steering, not a deliberate input
 REST = 0.05  # of an edge: a control that moves less was at rest before it
+AT_REST = 3.0 * np.sqrt(2.0)  # times the noise: one change between two samples of 370 is larger
 NOISY = 8.0  # times the noise: smaller edges do not count
 LONGEST = 8  # samples that one edge takes at most
 SERVO = 0.04  # s: lags of model servos lie between .02 and .06; a command is ahead of its surface by so much
@@ -50,7 +53,10 @@ def clocked_controls(model: Model, flights: Sequence[FlightData]) -> tuple[str, 
         if not signal.control:
             continue
         noise = max((f.noise.get(signal.name, (0.0, 0.0))[0] for f in flights), default=0.0)
-        edges = np.concatenate([_edges_from_rest(s.u[:, i], noise) for f in flights for s in f.segments])
+        # what is used as measured moves by its noise before an edge, too
+        unrest = [AT_REST * noise if signal.name in f.restless else 0.0 for f in flights]
+        pairs = [(s.u[:, i], still) for f, still in zip(flights, unrest, strict=True) for s in f.segments]
+        edges = np.concatenate([_edges_from_rest(u, noise, still) for u, still in pairs])
         if signal.name in commands or _alike(edges):
             clocked.append(signal.name)
     return tuple(clocked)
@@ -61,11 +67,18 @@ def _alike(edges: Array) -> bool:
     if not len(edges):
         return False
     share = edges[edges[:, 0] >= LARGE * edges[:, 0].max(), 1]
-    return share.size >= FEWEST_EDGES and bool(share.mean() >= FAST and share.std(ddof=1) <= ALIKE * share.mean())
+    if share.size < FEWEST_EDGES:
+        return False
+    middle, scatter = float(share.mean()), float(share.std(ddof=1))
+    if share.size >= MANY_EDGES:  # among so many some begin with a steering movement
+        middle = float(np.median(share))
+        scatter = GAUSSIAN * float(np.median(np.abs(share - middle)))
+    return middle >= FAST and scatter <= ALIKE * middle
 
 
-def _edges_from_rest(u: Array, noise: float) -> Array:
-    """(n, 2) size, and share of it in the first interval, of each edge of a control (N,) that starts from rest."""
+def _edges_from_rest(u: Array, noise: float, unrest: float = 0.0) -> Array:
+    """(n, 2) size, and share of it in the first interval, of each edge of a control (N,) that starts from rest. unrest: change
+    between two samples that is still rest."""
     step = np.diff(u)
     if step.size < 3:
         return np.zeros((0, 2))
@@ -73,12 +86,14 @@ def _edges_from_rest(u: Array, noise: float) -> Array:
     # largest size of an edge from the third step on, and a little more for rounding
     most = 1.001 * np.convolve(np.abs(step), np.ones(LONGEST))[LONGEST + 1 :]
     edges, end = [], 0
-    for k in (np.flatnonzero((before <= REST * most) & (most > NOISY * noise)) + 2).tolist():
+    rest = before <= np.maximum(REST * most, unrest)
+    starts = np.abs(step[2:]) > unrest
+    for k in (np.flatnonzero(rest & starts & (most > NOISY * noise)) + 2).tolist():
         rise = step[k : k + LONGEST] * np.sign(step[k])
         travel = rise[: int(np.argmax(rise <= 0.0)) if (rise <= 0.0).any() else rise.size]
         size = float(travel.sum())
         large = size > max(NOISY * noise, 0.0) and travel[0] > REST * size
-        if k >= end and large and before[k - 2] <= REST * size:
+        if k >= end and large and before[k - 2] <= max(REST * size, unrest):
             edges.append((size, float(travel[0]) / size))
             end = k + travel.size
     return np.array(edges).reshape(-1, 2)

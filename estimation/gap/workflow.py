@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from estimation.errors import EstimationError
 from estimation.estimators.output_error import output_error
@@ -64,7 +65,6 @@ from estimation.models.base import Model
 from estimation.models.dependence import force_states
 from estimation.prepare.plausible import MOST_WILD
 from groundstation.flight import Flight
-
 
 SPIKE_PASSES = 2  # a large spike bends the first fit, so that others hide beside it
 
@@ -218,14 +218,16 @@ def run_gap(
 def _spikes(baseline: Baseline) -> Spikes:
     """Single values that a fit does not follow, on training and held-out flights."""
     criteria, found = baseline.criteria, dict[int, dict[str, NDArray[np.bool_]]]()
+    values = sum(np.isfinite(r.z).sum() for r in baseline.prepared.records)
+    farthest = float(norm.isf(0.5 * (1.0 - criteria.null_level) / values))  # of any of them, were they Gaussian noise
     fits = [(baseline.problem, baseline.fit), *([baseline.held_out] if baseline.held_out else [])]
     for problem, model_fit in fits:
         controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
         for record, segment, residual in zip(problem.records, problem.coarse, model_fit.residuals, strict=True):
             stepping = near_steps(segment.u[:, controls], criteria.surface_step)
             columns = found.setdefault(record.flight, {})
-            for signal, values in zip(problem.model.outputs, residual.T, strict=True):
-                spikes = spikes_in(values, stepping, criteria.spike, MOST_WILD)
+            for signal, course in zip(problem.model.outputs, residual.T, strict=True):
+                spikes = spikes_in(course, stepping, farthest, MOST_WILD)
                 if spikes.any():
                     count = baseline.prepared.samples[record.flight]
                     columns.setdefault(signal.source, np.zeros(count, bool))[segment.rows] |= spikes

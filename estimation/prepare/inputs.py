@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from estimation.models.base import Model, Signal
 from estimation.prepare.columns import DERIVED, bridge_gaps, derive_column
 from estimation.prepare.conditioned import ConditionedFlight
-from estimation.prepare.flight_data import SHORTEST_SEGMENT, Preparation, draws_for
+from estimation.prepare.flight_data import FEWEST_DRAWS, SHORTEST_SEGMENT, Preparation, draws_for
 from estimation.signals.controls import STEP, ControlStretch, feedback_gains, near_steps, step_reach, with_feedback
 from estimation.signals.denoise import (
     QUIET,
@@ -158,14 +158,16 @@ def _denoise(
     levels: dict[int, list[tuple[float, float]]] = {i: [] for i in inputs}
     places = [(a, b, i, state.rows[i][k]) for k, (a, b) in enumerate(state.pieces) for i in inputs]
     measured = [state.u[rows, i] for _, _, i, rows in places]
-    smooth = denoise_many(measured, order=order, draws=errors.shape[2], rng=rng)
+    draws = errors.shape[2]
+    # whether a control stays as measured must not depend on how many draws are asked for
+    smooth = denoise_many(measured, order=order, draws=max(draws, FEWEST_DRAWS) if order == 1 else draws, rng=rng)
     restless = _restless(state, places, measured, smooth)
     for (a, b, i, rows), values, denoised in zip(places, measured, smooth, strict=True):
         if i in restless:
-            denoised = _as_measured(values, errors.shape[2], restless[i], i)
+            denoised = _as_measured(values, draws, restless[i], i)
         complete, samples = rows.size == b - a, np.arange(a, b)
         state.u[a:b, i] = denoised.values if complete else np.interp(samples, rows, denoised.values)
-        for k, error in enumerate(denoised.errors):
+        for k, error in enumerate(denoised.errors[:draws]):
             errors[a:b, i, k] = error if complete else np.interp(samples, rows, error)
         levels[i].append((denoised.noise, denoised.removed))
     for i in inputs:
@@ -176,7 +178,10 @@ def _denoise(
 
 
 def _restless(
-    state: PreparationState, places: Sequence[tuple[int, int, int, Index]], measured: Sequence[Array], smooth: Sequence[Denoised]
+    state: PreparationState,
+    places: Sequence[tuple[int, int, int, Index]],
+    measured: Sequence[Array],
+    smooth: Sequence[Denoised],
 ) -> dict[int, float]:
     """Control -> its noise, of those that would lose more signal than noise in most of their samples."""
     samples: dict[int, list[tuple[int, float, bool]]] = {}

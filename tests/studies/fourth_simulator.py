@@ -6,7 +6,7 @@ Shares no code with `firmware_sim`, `estimation` or the other truths. Body axes 
 aircraft has derivatives of its own, about those of a small flat-plate aeroplane.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import asin, atan2, cos, sin, sqrt
 from types import MappingProxyType
@@ -34,6 +34,7 @@ NOISE: Mapping[str, float] = MappingProxyType({
     "alpha": 0.3 * DEG, "beta": 0.25 * DEG, "V": 0.15, "delta_e": 0.07 * DEG, "delta_a": 0.07 * DEG, "delta_r": 0.07 * DEG,
     "thrust": 0.05,
 })  # fmt: skip
+SPIKE, MEASURED_BY_POT = 8.0, ("delta_e", "delta_a", "delta_r", "thrust")  # noises; channels without spikes
 RESOLUTION: Mapping[str, float] = MappingProxyType({
     "delta_e": 0.12 * DEG, "delta_a": 0.12 * DEG, "delta_r": 0.12 * DEG, "phi": 0.2 * DEG, "theta": 0.2 * DEG,
     "alpha": 0.35 * DEG, "beta": 0.35 * DEG, "p": 0.3 * DEG, "q": 0.3 * DEG, "r": 0.3 * DEG,
@@ -51,7 +52,9 @@ class Kind:
     """How one set is flown. rate: samples a second; noise: by what the usual noise of a channel is multiplied; hold, level: gains
     of the pilot on pitch attitude and rate, bank and rate; hidden_lag: of the elevator behind its potentiometer [s]; hidden:
     effects and their sizes in usual ones; fastest: a servo [rad/s]; gust: rms flow angle [rad]; quantised: by `RESOLUTION`;
-    attitude: `measured`, or an autopilot's with its values `held` or joined by `lines`; axes: those that are moved."""
+    attitude: `measured`, or an autopilot's with its values `held` or joined by `lines`; axes: those that are moved;
+    course: of the sticks, one of `COURSES`; spikes: of each channel, each of eight times its noise; tails: noise by Student's t
+    of three degrees of freedom, in usual noises."""
 
     rate: int = 20
     duration: float = 30.0
@@ -66,6 +69,9 @@ class Kind:
     quantised: bool = False
     attitude: str = "measured"
     axes: str = "longitudinal"
+    course: str = "multisteps"
+    spikes: int = 0
+    tails: float = 0.0
 
 
 def fly(seed: int, kind: Kind, speeds: Sequence[float]) -> tuple[Flight, ...]:
@@ -104,6 +110,45 @@ def inputs(time: Array, rng: np.random.Generator, steps: Sequence[Multistep] = E
             begin, size = begin + part * width, -size
         sign = -sign
     return course
+
+
+def _size(steps: Sequence[Multistep], unit: float) -> float:
+    return float(np.mean([0.5 * (low + high) for *_, low, high in steps])) * unit if steps else 0.0
+
+
+def multisine(time: Array, rng: np.random.Generator, steps: Sequence[Multistep], unit: float) -> Array:
+    """(N,) twelve sines of 0.1 to 2.5 Hz, of the multisteps' size."""
+    frequencies = rng.permutation(np.arange(0.1, 2.55, 0.1))[:12]
+    lines = [np.sin(2.0 * np.pi * f * time + rng.uniform(0.0, 2.0 * np.pi)) for f in frequencies]
+    course = np.sum(lines, axis=0)
+    return np.asarray(0.8 * _size(steps, unit) * course / np.std(course))
+
+
+def sweep(time: Array, rng: np.random.Generator, steps: Sequence[Multistep], unit: float) -> Array:
+    """(N,) one sweep from 0.2 to 3 Hz."""
+    start, lasts, rise = rng.uniform(0.0, 0.3) * time[-1], 0.6 * time[-1], np.log(3.0 / 0.2)
+    since = np.clip(time - start, 0.0, lasts)
+    phase = 2.0 * np.pi * 0.2 * lasts / rise * (np.exp(rise * since / lasts) - 1.0)
+    return np.asarray(1.2 * _size(steps, unit) * np.sin(phase) * (since > 0.0) * (since < lasts))
+
+
+def random_steps(time: Array, rng: np.random.Generator, steps: Sequence[Multistep], unit: float) -> Array:
+    """(N,) a random position every 0.3 s, on the clock of the samples."""
+    positions = rng.choice([-1.0, 0.0, 1.0], int(time[-1] / 0.3) + 2, p=[0.25, 0.5, 0.25])
+    return np.asarray(_size(steps, unit) * positions[(time / 0.3 + 1e-9).astype(int)])
+
+
+def steps_off_clock(time: Array, rng: np.random.Generator, steps: Sequence[Multistep], unit: float) -> Array:
+    """(N,) a random position every 0.3137 s, at any time between two samples."""
+    positions = rng.choice([-1.0, 0.0, 1.0], int(time[-1] / 0.3) + 3, p=[0.25, 0.5, 0.25])
+    return np.asarray(_size(steps, unit) * positions[((time + rng.uniform(0.0, 0.3)) / 0.3137).astype(int)])
+
+
+COURSES: Mapping[str, Callable[[Array, np.random.Generator, Sequence[Multistep], float], Array]] = MappingProxyType({
+    "multisteps": inputs, "multisine": multisine, "sweep": sweep, "random steps": random_steps,
+    "steps off the clock": steps_off_clock,
+})  # fmt: skip
+"""Kind of course of a stick -> its course."""
 
 
 def _gusts(count: int, size: float, rng: np.random.Generator) -> Array:
@@ -150,7 +195,8 @@ SEEN = (
 def _flown(name: str, d: Mapping[str, float], speed: float, kind: Kind, rng: np.random.Generator) -> Flight:
     count = round(kind.duration / STEP) + 1
     time = np.arange(count) * STEP
-    sticks = np.array([inputs(time, rng, s, 1.0 if s is THROTTLE else DEG) for s in MOVED[kind.axes]])
+    course = COURSES[kind.course]
+    sticks = np.array([course(time, rng, s, 1.0 if s is THROTTLE else DEG) for s in MOVED[kind.axes]])
     rows = _motion(d, speed, kind, sticks, _gusts(count, kind.gust * speed, rng), rng.standard_normal((4, count)))
     every = round(1.0 / (kind.rate * STEP))
     columns = _instruments({n: rows[:, i] for i, n in enumerate(SEEN)}, kind, every, rng)
@@ -251,6 +297,11 @@ def _instruments(motion: Mapping[str, Array], kind: Kind, every: int, rng: np.ra
         columns[name] = sampled + factors.get(name, 1.0) * NOISE.get(name, 0.6 * DEG) * rng.standard_normal(
             sampled.size
         )
+        if kind.tails and name in NOISE:
+            columns[name] += kind.tails * NOISE[name] * rng.standard_t(3, sampled.size)
+        if kind.spikes and name in NOISE and name not in MEASURED_BY_POT:
+            at = rng.integers(0, sampled.size, kind.spikes)
+            columns[name][at] += SPIKE * NOISE[name] * rng.choice([-1.0, 1.0], kind.spikes)
         if kind.quantised and name in RESOLUTION:
             columns[name] = RESOLUTION[name] * np.round(columns[name] / RESOLUTION[name])
     return columns

@@ -60,6 +60,16 @@ FOURTH: Mapping[str, fourth.Kind] = {
     "attitude at 10 Hz, lines": fourth.Kind(attitude="lines"),
     "attitude at 10 Hz, gusty": fourth.Kind(attitude="held", gust=GUST),
     "attitude at 10 Hz of 50": fourth.Kind(rate=50, attitude="held"),
+    "multisine": fourth.Kind(course="multisine"),
+    "multisine, surfaces without noise": fourth.Kind(course="multisine", noise=_times(SURFACES, 0.0)),
+    "sweep": fourth.Kind(course="sweep"),
+    "random steps": fourth.Kind(course="random steps"),
+    "random steps off the clock": fourth.Kind(course="steps off the clock"),
+    "spikes": fourth.Kind(spikes=3),
+    "heavy tails": fourth.Kind(tails=0.7),
+    "10 Hz": fourth.Kind(rate=10),
+    "flights of 15 s": fourth.Kind(duration=15.0),
+    "flights of 60 s": fourth.Kind(duration=60.0),
 }
 
 

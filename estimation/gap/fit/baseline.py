@@ -155,7 +155,10 @@ def whiteners_for(
         )
         for m, s, r in zip(motions, segments, records, strict=True)
     ]
-    steps = [find_surface_steps(model, m, s, criteria) for m, s in zip(motions, segments, strict=True)]
+    steps = [
+        find_surface_steps(model, m, s, criteria, r.restless)
+        for m, s, r in zip(motions, segments, records, strict=True)
+    ]
     if noise is None:
         parts = noise_parts(records, base.output_names, scatter, criteria)
         noise = estimated_noise(residuals, shapes, steps, *parts, earlier)

@@ -3,9 +3,9 @@
 Between two samples inputs follow a monotone cubic, of which the simulation uses the value half-way: servos round the steps of
 surfaces, and straight lines between samples bias the control and damping derivatives by some 2 % at 20 Hz.
 
-Steps of a sequence that a computer flies all begin at the same time after a sample. What the cubic lacks half-way is then the same
-share of every step. With a few steps that passes for the scatter that is allowed for; where a control never rests it adds up, and
-the share is an unknown (`edge_<control>`).
+Steps of a sequence that a computer flies all begin at the same time after a sample. What the cubic lacks half-way is then the
+same share of every step. With a few steps that passes for the scatter that is allowed for; where a control never rests it adds
+up, and the share is an unknown (`edge_<control>`).
 """
 
 from collections.abc import Mapping, Sequence

@@ -37,7 +37,7 @@ GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal
 SLIGHT = 1e-2  # whitened energy of a displacement below which it is ignored: it would change energies by at most 1 %
 RUNAWAY = 1e6  # a response that grows so far is no small motion any more
 SLOW = 0.5  # Hz, below which the error of a control is written as cosines
-MOST_STEPS = 400  # a record, the largest: memory and work grow with them; a sequence that never rests has 300 in 30 s
+MOST_STEPS = 400  # a record, of controls that never rest: memory and work grow with them; they have 300 in 30 s
 MOST = 40  # cosines for each control and record: a record that has more slow ones is long compared with its modes
 
 
@@ -69,9 +69,12 @@ class SurfaceSteps:
         return np.array([freedom.get(n, c.jump_freedom if n in self.jumping else c.surface_freedom) for n in self.name])
 
 
-def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria: Criteria) -> SurfaceSteps:
-    """The displacements at the largest steps of all controls in a record: half-way, and of outputs that jump or bend there."""
-    largest: list[tuple[float, str, int, float]] = []
+def find_surface_steps(
+    model: Model, linear: Linear, segment: Segment, criteria: Criteria, restless: frozenset[str] = frozenset()
+) -> SurfaceSteps:
+    """The displacements at the largest steps of all controls in a record, and at all of those that never rest (`restless`):
+    half-way, and of outputs that jump or bend there."""
+    found: list[tuple[float, str, int, float]] = []
     for j, signal in enumerate(model.inputs):
         if not signal.control or signal.name not in linear.controls:
             continue
@@ -79,8 +82,11 @@ def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria:
         scatter = GAUSSIAN * float(np.median(np.abs(step)))
         power = float(np.abs(linear.C @ linear.B[:, linear.controls.index(signal.name)] / linear.scale).max())
         for k in np.flatnonzero(np.abs(step) > criteria.surface_step * scatter):
-            largest.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))
-    largest = sorted(sorted(largest, reverse=True)[:MOST_STEPS], key=lambda e: (e[1], e[2]))
+            found.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))
+    found.sort(reverse=True)
+    resting = [e for e in found if e[1] not in restless][: criteria.surface_steps_most]
+    moving = [e for e in found if e[1] in restless][:MOST_STEPS]
+    largest = sorted([*resting, *moving], key=lambda e: (e[1], e[2]))
     N, ny = len(segment), linear.C.shape[0]
     responses = {c: _response(linear, linear.controls.index(c), N) for c in {e[1] for e in largest}}
     places = [(control, k, step) for _, control, k, step in largest]

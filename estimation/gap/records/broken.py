@@ -19,7 +19,9 @@ from groundstation.flight.arrays import true_runs
 from groundstation.flight.quality.repeats import repeats
 
 FEWEST = 10  # values: fewer may be equal by chance
-BESIDE_PARABOLA = np.array([2.0, -3.0, -6.0, 14.0, -6.0, -3.0, 2.0]) / 14.0  # a value less the parabola through six around it
+BESIDE_PARABOLA = (
+    np.array([2.0, -3.0, -6.0, 14.0, -6.0, -3.0, 2.0]) / 14.0
+)  # a value less the parabola through six around it
 BEFORE, BEHIND = 1, 3  # samples about a step of a control, where a residual may jump
 BESIDE_SPIKE = 0.7  # a spike alone shows in its neighbours as 0.43 of it
 SAID = 3  # times in a note
@@ -50,9 +52,9 @@ def beside_neighbours(residual: Array) -> Array:
 
 
 def spikes_in(residual: Array, near_steps: NDArray[np.bool_], farthest: float, most: float) -> NDArray[np.bool_]:
-    """(N,) single samples of a residual (N,), NaN where not measured, that leave their neighbours by more than `farthest` standard
-    deviations. near_steps: (N,) samples near a step of a control, which are judged by their own scatter where that is larger; none
-    at all where more than the share `most` stand out, which is no accident."""
+    """(N,) single samples of a residual (N,), NaN where not measured, that leave their neighbours by more than `farthest`
+    standard deviations. near_steps: (N,) samples near a step of a control, which are judged by their own scatter where that is
+    larger; none at all where more than the share `most` stand out, which is no accident."""
     level = np.nan_to_num(np.abs(beside_neighbours(residual)))
     stepping = level[near_steps & np.isfinite(residual)]
     wider = max(1.0, GAUSSIAN * float(np.median(stepping))) if stepping.size >= FEWEST else 1.0
@@ -84,7 +86,9 @@ def spikes_in_words(flights: Sequence[Flight], spikes: Spikes) -> list[str]:
             + (f" and {mask.sum() - SAID} more" if mask.sum() > SAID else "")
             for column, mask in columns.items()
         ]
-        notes.append(f"{flight.name}: single values far from their neighbours and from the model left out: {'; '.join(said)}")
+        notes.append(
+            f"{flight.name}: single values far from their neighbours and from the model left out: {'; '.join(said)}"
+        )
     return notes
 
 

@@ -126,9 +126,9 @@ def starting_state(model: Model, known: Mapping[str, float]) -> Array:
 
 @dataclass(frozen=True)
 class FlightRecords:
-    """Records of all flights for one base model. names, samples: of the flights; training, holdout: flight indices; available: symbols
-    that a form may use; stale: outputs that repeat their last value in many samples; keeps_feedback: whether
-    controls keep what follows the motion."""
+    """Records of all flights for one base model. names, samples: of the flights; training, holdout: flight indices; available:
+    symbols that a form may use; stale: outputs that repeat their last value in many samples; keeps_feedback: whether controls
+    keep what follows the motion."""
 
     base: Model
     names: tuple[str, ...]

@@ -122,9 +122,9 @@ class NullFlyer:
         states = {s: names.index(DISTURBANCE.format(s)) for s in sorted(disturbed) if DISTURBANCE.format(s) in names}
         jumps = []
         outputs = {n: i for i, n in enumerate(problem.model.output_names)}
-        for segment in problem.coarse:
+        for record, segment in zip(problem.records, problem.coarse, strict=True):
             linear = linear_motion(problem.model, problem.simulator, segment, fit.values)
-            steps = find_surface_steps(problem.model, linear, segment, problem.criteria)
+            steps = find_surface_steps(problem.model, linear, segment, problem.criteria, record.restless)
             is_jump = np.array([n in steps.jumping for n in steps.name], dtype=bool)
             column = np.array([outputs[n] for n in steps.name if n in steps.jumping], dtype=int)
             jumps.append((steps.at[is_jump], column, (steps.step * steps.spread(noise.freedom))[is_jump]))

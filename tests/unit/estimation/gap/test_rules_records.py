@@ -341,13 +341,13 @@ def test_what_says_how_a_control_moves_is_not_asked_where_it_only_follows() -> N
 
 
 # ------------------------------------------------------------------------------------------------ steps of surfaces
-def moved(u: Array, jump: float = 0.0, scale: float = 1.0) -> SurfaceSteps:
+def moved(u: Array, jump: float = 0.0, scale: float = 1.0, restless: frozenset[str] = frozenset()) -> SurfaceSteps:
     """Steps found in the course (N,) of one control that an output of rms `scale` shows by `jump` per radian."""
     one = Linear(
         np.array([[-1.0]]), np.array([[1e-9]]), np.eye(1), np.array([[jump]]), ("delta_a",), STEP, np.array([scale])
     )
     segment = Segment(0, STEP * np.arange(u.size), u[:, None], np.ones((u.size, 1)), np.zeros(1))
-    return find_surface_steps(ROLL, one, segment, AS_SET)
+    return find_surface_steps(ROLL, one, segment, AS_SET, restless)
 
 
 def jittery(count: int) -> Array:
@@ -362,9 +362,18 @@ def test_a_step_of_four_times_the_scatter_is_one(times: float, found: int) -> No
     assert len(moved(u).name) == found
 
 
-def test_the_largest_four_hundred_steps_of_a_record_are_left_open() -> None:
-    u = np.cumsum(np.where(np.arange(6000) % 10 == 0, 0.01 + 1e-6 * np.arange(6000), 0.0))
+def test_the_largest_forty_eight_steps_of_a_record_are_left_open() -> None:
+    u = np.cumsum(np.where(np.arange(600) % 10 == 0, 0.01 + 1e-5 * np.arange(600), 0.0))
     steps = moved(u)
+    assert len(steps.name) == 48
+    assert min(steps.step) == pytest.approx(0.01 + 1e-5 * 120)
+
+
+def test_all_steps_of_a_control_that_never_rests_are_left_open_but_for_four_hundred() -> None:
+    u = np.cumsum(np.where(np.arange(6000) % 10 == 0, 0.01 + 1e-6 * np.arange(6000), 0.0))
+    restless = frozenset({"delta_a"})
+    assert len(moved(u[:600], restless=restless).name) == 59
+    steps = moved(u, restless=restless)
     assert len(steps.name) == 400
     assert min(steps.step) == pytest.approx(0.01 + 1e-6 * 2000)
 

@@ -81,18 +81,41 @@ def test_with_an_unknown_at_its_limit_the_others_are_at_their_best() -> None:
     assert found.cost > 10.0, "the limit is felt"
 
 
-def test_paths_between_samples_are_columns_of_the_same_run() -> None:
-    """The derivative by the curvature of a control's path against a central difference of whole motions."""
+@pytest.mark.parametrize("path", ["curvature_delta_a", "edge_delta_a"])
+def test_paths_between_samples_are_columns_of_the_same_run(path: str) -> None:
+    """The derivative by an unknown of a control's path against a central difference of whole motions."""
     bound = problem()
-    values = {**bound.starts(), "L_p": -6.0, "L_a": 40.0, "curvature_delta_a": 0.4}
+    bound = replace(bound, records=tuple(replace(r, restless=frozenset({"delta_a"})) for r in bound.records))
+    values = {**bound.starts(), "L_p": -6.0, "L_a": 40.0, path: 0.4}
     local = bound.starting_locals()[0]
     _, dy = bound.linearised(0, values, local) or (None, np.zeros(0))
-    at = bound.free.index("curvature_delta_a")
-    ends = [bound.residual(0, {**values, "curvature_delta_a": 0.4 + h}, local) for h in (0.01, -0.01)]
+    at = bound.free.index(path)
+    ends = [bound.residual(0, {**values, path: 0.4 + h}, local) for h in (0.01, -0.01)]
     assert ends[0] is not None
     assert ends[1] is not None
     np.testing.assert_allclose(dy[:, :, at], (ends[1] - ends[0]) / 0.02, atol=1e-9)
     assert np.abs(dy[:, :, at]).max() > 1e-3
+
+
+def test_a_control_that_rests_has_no_unknown_edges() -> None:
+    bound = problem()
+    assert bound.edges == {}
+    restless = replace(bound, records=tuple(replace(r, restless=frozenset({"delta_a"})) for r in bound.records))
+    assert restless.prior("edge_delta_a") == (0.0, AS_SET.surface_freedom)
+    assert restless.limits("edge_delta_a") == (-0.8, 0.8)
+    assert restless.nuisance("edge_delta_a")
+
+
+def test_an_edge_is_the_steepest_interval_of_a_step() -> None:
+    """A servo that starts on a sample: 0.76 of a step in the first interval, then 0.18."""
+    u = np.zeros(40)
+    u[11:] = 1.0 - np.exp(-np.arange(1, 30) / 0.7)
+    u[31:] -= 1.0 - np.exp(-np.arange(1, 10) / 0.7)
+    u += 1e-3 * np.cos(np.arange(40.0))
+    segment = Segment(0, 0.05 * np.arange(40), u[:, None], np.zeros((40, 1)), np.zeros(1))
+    edges = fine_grid(segment).edges(0, AS_SET.surface_step)
+    assert np.flatnonzero(edges).tolist() == [21, 61]
+    np.testing.assert_allclose(edges[[21, 61]], np.diff(u)[[10, 30]])
 
 
 def test_a_small_change_of_an_input_is_followed_to_the_outputs() -> None:

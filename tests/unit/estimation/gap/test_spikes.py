@@ -1,0 +1,143 @@
+"""Single values that only a fit shows to be no measurement, and noise with heavy tails in the nulls."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.stats import kurtosis
+
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment
+from estimation.gap.criteria import AS_SET
+from estimation.gap.effects import catalogue
+from estimation.gap.records.broken import (
+    beside_neighbours,
+    near_steps,
+    spikes_in,
+    spikes_in_words,
+    without_spikes,
+)
+from estimation.gap.significance.nulls import heavy_tails
+from estimation.gap.workflow import Options, run_gap
+from estimation.models.load import load_model
+from groundstation.flight import Flight
+from tests.studies import fourth_simulator as fourth
+from tests.studies.gap_benchmark import outcome
+from tests.unit.estimation.gap.roll import ROLL
+
+COUNT = 600
+NOWHERE = np.zeros(COUNT, bool)
+MOST, FARTHEST = 0.01, 4.9
+
+
+def noise(seed: int = 1) -> Array:
+    return np.random.default_rng(seed).standard_normal(COUNT)
+
+
+def with_level(sample: int, level: float) -> Array:
+    """White noise of which one sample is `level` standard deviations from its neighbours."""
+    residual = noise()
+    change = np.sign(beside_neighbours(residual)[sample])
+    for _ in range(200):
+        missing = level - abs(beside_neighbours(residual)[sample])
+        residual[sample] += 0.5 * change * missing
+    return residual
+
+
+@pytest.mark.parametrize(("level", "found"), [(4.7, []), (5.1, [250])])
+def test_a_single_value_far_from_its_neighbours_is_a_spike(level: float, found: list[int]) -> None:
+    spikes = spikes_in(with_level(250, level), NOWHERE, FARTHEST, MOST)
+    assert np.flatnonzero(spikes).tolist() == found
+
+
+def test_noise_and_slow_motion_have_no_spike_and_gaps_are_none() -> None:
+    slow = 30.0 * np.sin(0.15 * np.arange(COUNT))
+    assert not any(spikes_in(noise(seed) + slow, NOWHERE, FARTHEST, MOST).any() for seed in range(20))
+    broken = noise()
+    broken[100:103] = np.nan
+    broken[400] += 9.0
+    assert np.flatnonzero(spikes_in(broken, NOWHERE, FARTHEST, MOST)).tolist() == [400]
+    assert not spikes_in(np.full(COUNT, np.nan), NOWHERE, FARTHEST, MOST).any()
+    assert not spikes_in(np.zeros(COUNT), NOWHERE, FARTHEST, MOST).any()
+
+
+@pytest.mark.parametrize("sample", [0, COUNT - 1])
+def test_a_spike_at_an_end_is_one(sample: int) -> None:
+    residual = noise()
+    residual[sample] += 12.0
+    assert np.flatnonzero(spikes_in(residual, NOWHERE, FARTHEST, MOST)).tolist() == [sample]
+
+
+def test_two_values_in_a_row_are_no_accident_and_neither_are_many() -> None:
+    residual = noise()
+    residual[300:302] += 20.0
+    assert not spikes_in(residual, NOWHERE, FARTHEST, MOST).any()
+    residual = noise()
+    residual[20::80] += 20.0
+    assert spikes_in(residual, NOWHERE, FARTHEST, 0.02).sum() == 8
+    assert not spikes_in(residual, NOWHERE, FARTHEST, MOST).any()
+
+
+def test_near_steps_values_are_judged_by_their_scatter_there() -> None:
+    control = np.where(np.arange(COUNT) % 60 < 30, 0.0, 0.1)[:, None]
+    stepping = near_steps(control, AS_SET.surface_step)
+    assert stepping.sum() == 5 * 19
+    assert stepping[28:33].all()
+    assert not stepping[[27, 33]].any()
+    residual = noise() * np.where(stepping, 5.0, 1.0)
+    jump, calm = 29, 440
+    residual[[jump, calm]] += 12.0
+    assert not spikes_in(residual, stepping, FARTHEST, MOST)[jump]
+    assert spikes_in(residual, stepping, FARTHEST, MOST)[calm - 3 : calm + 3].any()
+    residual[jump] += 40.0
+    assert spikes_in(residual, stepping, FARTHEST, MOST)[jump]
+
+
+def test_spikes_are_taken_out_and_their_times_said() -> None:
+    flight = Flight.build("f", 0.05 * np.arange(COUNT), {"p": noise(), "r": noise(2)})
+    at = np.zeros(COUNT, bool)
+    at[[10, 20, 30, 40]] = True
+    clean = without_spikes(flight, {"p": at})
+    assert np.isnan(clean["p"]).sum() == 4
+    np.testing.assert_array_equal(clean["r"], flight["r"])
+    assert spikes_in_words([flight], {0: {"p": at}}) == [
+        "f: single values far from their neighbours and from the model left out: p at 0.50, 1.00, 1.50 s and 1 more"
+    ]
+
+
+def tails_of(values: Array) -> tuple[Array | None, ...]:
+    segment = Segment(0, 0.05 * np.arange(COUNT), np.zeros((COUNT, 1)), np.zeros((COUNT, 1)), np.zeros(1))
+    problem = SimpleNamespace(model=ROLL, coarse=[segment], criteria=AS_SET)
+    return heavy_tails(cast(Any, problem), cast(Any, SimpleNamespace(residuals=[values[:, None]])))
+
+
+def with_kurtosis(wanted: float) -> Array:
+    """Noise whose distances from its neighbours have an excess kurtosis."""
+    white, low, high = noise(3), 0.0, 1.0
+    for _ in range(60):
+        bend = 0.5 * (low + high)
+        values = white + bend * white**3
+        low, high = (bend, high) if kurtosis(beside_neighbours(values)) < wanted else (low, bend)
+    return values
+
+
+@pytest.mark.parametrize(("tails", "heavy"), [(0.85, False), (1.15, True)])
+def test_noise_of_heavy_tails_is_simulated_with_them(tails: float, heavy: bool) -> None:
+    (quantiles,) = tails_of(with_kurtosis(tails))
+    assert (quantiles is not None) is heavy
+    if quantiles is not None:
+        assert np.std(quantiles) == pytest.approx(1.0)
+        assert kurtosis(quantiles) == pytest.approx(tails, abs=0.01)
+
+
+def test_flights_with_spikes_have_no_gap_and_say_what_was_left_out() -> None:
+    """Two spikes of eight standard deviations on every channel; with them left in the remainder is 6.0."""
+    flown = fourth.fly(3232, fourth.Kind(axes="lateral", duration=15.0, spikes=2), (14.5, 16.5, 19.0, 17.0))
+    base = load_model("lateral", "cdfp")
+    answer = run_gap(base, flown[:3], flown[3:], catalogue(model=base), Options(seed=1, nulls=20))
+    assert answer.verdict.value == "no_gap"
+    assert outcome(answer)["left"][0] < 5.0
+    said = [note for note in answer.notes if "single values far from their neighbours" in note]
+    assert {note.split(":")[0] for note in said} == {f.name for f in flown}
+    assert "beta at 3.35, 13.50 s" in said[0]
