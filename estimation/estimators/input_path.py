@@ -22,11 +22,11 @@ from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import Estimate, Result, finite_or_none, judge_status
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
 from estimation.prepare.flight_data import FlightData
+from groundstation.flight.arrays import MAD_TO_SIGMA
 from groundstation.flight.findings import Finding, FindingKind
 
 FEWEST_EDGES = 4  # for a judgement of their scatter: four random ones look alike in one case of fifty
 MANY_EDGES = 20  # their median and its deviation are known to a quarter
-GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
 ALIKE = 0.2  # scatter of the first share over its mean; 0.58 where edges come at any time within an interval
 FAST = 0.15  # first share from which the path between samples matters
 LARGE = 0.3  # of the largest edge of a control: smaller ones are steering, not a deliberate input
@@ -72,7 +72,7 @@ def _alike(edges: Array) -> bool:
     middle, scatter = float(share.mean()), float(share.std(ddof=1))
     if share.size >= MANY_EDGES:  # among so many some begin with a steering movement
         middle = float(np.median(share))
-        scatter = GAUSSIAN * float(np.median(np.abs(share - middle)))
+        scatter = MAD_TO_SIGMA * float(np.median(np.abs(share - middle)))
     return middle >= FAST and scatter <= ALIKE * middle
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from estimation.errors import EstimationError
 from estimation.estimators.output_error import output_error
@@ -219,7 +219,7 @@ def _spikes(baseline: Baseline) -> Spikes:
     """Single values that a fit does not follow, on training and held-out flights."""
     criteria, found = baseline.criteria, dict[int, dict[str, NDArray[np.bool_]]]()
     values = sum(np.isfinite(r.z).sum() for r in baseline.prepared.records)
-    farthest = float(norm.isf(0.5 * (1.0 - criteria.null_level) / values))  # of any of them, were they Gaussian noise
+    farthest = -float(ndtri(0.5 * (1.0 - criteria.null_level) / values))  # of any of them, were they Gaussian noise
     fits = [(baseline.problem, baseline.fit), *([baseline.held_out] if baseline.held_out else [])]
     for problem, model_fit in fits:
         controls = [i for i, s in enumerate(problem.model.inputs) if s.control]

@@ -23,8 +23,8 @@ from estimation.gap.records.flight_records import FlightRecord, starting_state
 from estimation.models.base import Model, ParameterRole
 from estimation.models.dependence import names_used
 from estimation.signals.curves import half_way, inner_slopes
+from groundstation.flight.arrays import MAD_TO_SIGMA
 
-GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
 WIDTHS = 4.0  # prior widths to which the path of a surface between samples may go
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
 
@@ -49,7 +49,7 @@ class MidSampleGrid:
         change = np.diff(self.segment.u[::2, column])
         size = np.pad(np.abs(change), 1)
         steepest = (size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])
-        edge = steepest & (size[1:-1] > smallest * GAUSSIAN * float(np.median(np.abs(change))))
+        edge = steepest & (size[1:-1] > smallest * MAD_TO_SIGMA * float(np.median(np.abs(change))))
         result = np.zeros(len(self.rounding))
         result[1::2] = np.where(edge, change, 0.0)
         return result

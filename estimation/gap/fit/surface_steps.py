@@ -32,8 +32,8 @@ from estimation.gap.fit.spectra import Linear, NoiseSource, Shapes
 from estimation.gap.fit.whitener import Slack, Whitener, spectrum_of
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
+from groundstation.flight.arrays import MAD_TO_SIGMA
 
-GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
 SLIGHT = 1e-2  # whitened energy of a displacement below which it is ignored: it would change energies by at most 1 %
 RUNAWAY = 1e6  # a response that grows so far is no small motion any more
 SLOW = 0.5  # Hz, below which the error of a control is written as cosines
@@ -79,7 +79,7 @@ def find_surface_steps(
         if not signal.control or signal.name not in linear.controls:
             continue
         step = np.diff(segment.u[:, j])
-        scatter = GAUSSIAN * float(np.median(np.abs(step)))
+        scatter = MAD_TO_SIGMA * float(np.median(np.abs(step)))
         power = float(np.abs(linear.C @ linear.B[:, linear.controls.index(signal.name)] / linear.scale).max())
         for k in np.flatnonzero(np.abs(step) > criteria.surface_step * scatter):
             found.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))

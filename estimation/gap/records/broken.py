@@ -15,7 +15,7 @@ from scipy.ndimage import binary_dilation
 
 from estimation.models.base import Model
 from groundstation.flight import Array, Flight
-from groundstation.flight.arrays import true_runs
+from groundstation.flight.arrays import MAD_TO_SIGMA, true_runs
 from groundstation.flight.quality.repeats import repeats
 
 FEWEST = 10  # values: fewer may be equal by chance
@@ -25,7 +25,6 @@ BESIDE_PARABOLA = (
 BEFORE, BEHIND = 1, 3  # samples about a step of a control, where a residual may jump
 BESIDE_SPIKE = 0.7  # a spike alone shows in its neighbours as 0.43 of it
 SAID = 3  # times in a note
-GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
 
 Spikes = Mapping[int, Mapping[str, NDArray[np.bool_]]]
 """Index of a flight -> column -> (N,) samples with a spike."""
@@ -46,7 +45,7 @@ def beside_neighbours(residual: Array) -> Array:
     result = np.full(residual.size, np.nan)
     if rows.size >= FEWEST:
         away = np.convolve(np.pad(residual[rows], 3, mode="reflect"), BESIDE_PARABOLA, "valid")
-        scatter = GAUSSIAN * float(np.median(np.abs(away)))
+        scatter = MAD_TO_SIGMA * float(np.median(np.abs(away)))
         result[rows] = away / scatter if scatter > 0.0 else 0.0
     return result
 
@@ -57,7 +56,7 @@ def spikes_in(residual: Array, near_steps: NDArray[np.bool_], farthest: float, m
     larger; none at all where more than the share `most` stand out, which is no accident."""
     level = np.nan_to_num(np.abs(beside_neighbours(residual)))
     stepping = level[near_steps & np.isfinite(residual)]
-    wider = max(1.0, GAUSSIAN * float(np.median(stepping))) if stepping.size >= FEWEST else 1.0
+    wider = max(1.0, MAD_TO_SIGMA * float(np.median(stepping))) if stepping.size >= FEWEST else 1.0
     neighbours = np.maximum(np.roll(level, 1), np.roll(level, -1))
     spikes = (level > np.where(near_steps, wider, 1.0) * farthest) & (neighbours < BESIDE_SPIKE * level)
     return spikes if spikes.sum() <= max(2, most * np.isfinite(residual).sum()) else np.zeros_like(spikes)
@@ -67,7 +66,7 @@ def near_steps(controls: Array, smallest: float) -> NDArray[np.bool_]:
     """(N,) samples near a step of any of the controls (N, controls): a change larger than `smallest` times the scatter of all its
     changes."""
     change = np.abs(np.diff(controls, axis=0, append=controls[-1:]))
-    moves = (change > smallest * GAUSSIAN * np.median(change, axis=0)).any(axis=1)
+    moves = (change > smallest * MAD_TO_SIGMA * np.median(change, axis=0)).any(axis=1)
     return np.asarray(binary_dilation(moves, np.ones(BEFORE + BEHIND + 1, bool), origin=(BEFORE - BEHIND) // 2))
 
 

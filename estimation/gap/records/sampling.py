@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 from estimation.gap.criteria import Criteria
 from estimation.prepare.pipeline import LONGEST_BRIDGE
 from groundstation.flight import Flight
-from groundstation.flight.arrays import true_runs
+from groundstation.flight.arrays import MAD_TO_SIGMA, true_runs
 from groundstation.flight.quality.repeats import repeats, span_of
 
 Array = NDArray[np.float64]
 
-GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
 OFF_GRID = 0.25  # of the clock's step: a row farther off is not on the grid
 ON_GRID = 0.95  # of the rows, for a grid to exist: clocks are late now and then
 FINER = (1, 2, 3)  # clock steps in the usual interval: one or two of three rows may always be lost
@@ -118,7 +117,7 @@ def unseen_moves(control: Array, criteria: Criteria) -> NDArray[np.bool_]:
     measured = control[np.isfinite(control)]
     if measured.size < 2:
         return unseen
-    limit = criteria.surface_step * GAUSSIAN * float(np.median(np.abs(np.diff(measured))))
+    limit = criteria.surface_step * MAD_TO_SIGMA * float(np.median(np.abs(np.diff(measured))))
     for a, b in true_runs(~np.isfinite(control)):
         bridged = a > 0 and b < control.size and b - a <= LONGEST_BRIDGE
         if bridged and abs(control[b] - control[a - 1]) > limit:
