@@ -38,6 +38,7 @@ CLIP = 2.5  # standard deviations: one in 80 differences of noise alone is large
 CLIPPED_VARIANCE = 1.0 - 2.0 * CLIP * exp(-0.5 * CLIP**2) / sqrt(2.0 * pi) / erf(
     CLIP / sqrt(2.0)
 )  # of a standard normal
+MOVES, NEAR_MOVE = 4.0, 3  # times the noise, samples: of `moving_share`
 CLIPPINGS = 30  # usual: 5 to 10
 BLOCK = 640  # samples of a long signal treated at once
 RESCALE = 12  # steps between rescalings of the recursions
@@ -90,6 +91,12 @@ def _clipped_level(values: Array) -> float:
         if abs(level - before) <= 1e-3 * before:
             break
     return level
+
+
+def moving_share(values: Array, level: float) -> float:
+    """Share of the samples of a signal (N,) within three of a change of more than four times its noise `level`."""
+    moves = np.abs(np.diff(values, append=values[-1:])) > MOVES * level
+    return float(np.mean(np.convolve(moves, np.ones(2 * NEAR_MOVE + 1), "same") > 0.5))
 
 
 def worth_denoising(denoised: Denoised, level: float) -> bool:

@@ -10,7 +10,13 @@ from estimation.engine.kernel import Array
 from estimation.estimators.input_path import clocked_controls
 from estimation.prepare.flight_data import Preparation
 from estimation.prepare.pipeline import prepare
-from estimation.signals.denoise import denoise_many, finest_noise_level, noise_level, worth_denoising
+from estimation.signals.denoise import (
+    denoise_many,
+    finest_noise_level,
+    moving_share,
+    noise_level,
+    worth_denoising,
+)
 from groundstation.flight import Flight
 from tests.unit.estimation.gap.roll import ROLL
 
@@ -71,6 +77,25 @@ def test_de_noising_is_worth_it_where_it_comes_nearer_the_truth(kind: str) -> No
         nearer = np.mean((denoised.values - true) ** 2) < np.mean((measured - true) ** 2)
         assert nearer is np.bool_(kind == "doublets")
         assert worth_denoising(denoised, finest_noise_level(measured)) == nearer
+
+
+def test_a_control_that_rests_between_its_moves_does_so_in_half_of_its_samples() -> None:
+    rng = np.random.default_rng(9)
+    shares = {kind: moving_share(course(kind, rng) + NOISE * rng.standard_normal(TIME.size), NOISE) for kind in KINDS}
+    assert shares["doublets"] < 0.45
+    assert shares["random steps"] > 0.6
+    assert shares["multisine"] > 0.95
+
+
+def test_doublets_whose_noise_was_filtered_on_the_way_are_not_restless() -> None:
+    """Filtered noise looks smaller than it is, and de-noising worse than nothing."""
+    rng = np.random.default_rng(4)
+    white = rng.standard_normal(TIME.size + 1)
+    coloured = NOISE * (white[:-1] + white[1:]) / 2.0**0.5
+    measured = course("doublets", rng) + coloured
+    (denoised,) = denoise_many([measured], draws=24, rng=rng)
+    assert not worth_denoising(denoised, finest_noise_level(measured))
+    assert prepare(ROLL, flown("doublets").with_columns(delta_a=np.radians(measured))).restless == frozenset()
 
 
 def flown(kind: str) -> Flight:
