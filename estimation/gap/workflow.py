@@ -34,9 +34,9 @@ from estimation.gap.records.attitudes import with_attitudes_between
 from estimation.gap.records.broken import (
     Spikes,
     broken_in_words,
-    near_steps,
     spikes_in,
     spikes_in_words,
+    stepping_samples,
     unmoved_in_words,
     without_spikes,
     without_stuck,
@@ -224,7 +224,7 @@ def _spikes(baseline: Baseline) -> Spikes:
     for problem, model_fit in fits:
         controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
         for record, segment, residual in zip(problem.records, problem.coarse, model_fit.residuals, strict=True):
-            stepping = near_steps(segment.u[:, controls], criteria.surface_step)
+            stepping = stepping_samples(segment.u[:, controls], criteria.surface_step)
             columns = found.setdefault(record.flight, {})
             for signal, course in zip(problem.model.outputs, residual.T, strict=True):
                 spikes = spikes_in(course, stepping, farthest, MOST_WILD)

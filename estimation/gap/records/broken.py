@@ -62,7 +62,7 @@ def spikes_in(residual: Array, near_steps: NDArray[np.bool_], farthest: float, m
     return spikes if spikes.sum() <= max(2, most * np.isfinite(residual).sum()) else np.zeros_like(spikes)
 
 
-def near_steps(controls: Array, smallest: float) -> NDArray[np.bool_]:
+def stepping_samples(controls: Array, smallest: float) -> NDArray[np.bool_]:
     """(N,) samples near a step of any of the controls (N, controls): a change larger than `smallest` times the scatter of all its
     changes."""
     change = np.abs(np.diff(controls, axis=0, append=controls[-1:]))

@@ -18,12 +18,13 @@ from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import ON_FORCES, NoiseModel, NoisePart, NoiseSource, linear_motion
 from estimation.gap.fit.surface_steps import find_surface_steps
 from estimation.gap.random_streams import Stream
-from estimation.gap.records.broken import beside_neighbours, near_steps
+from estimation.gap.records.broken import beside_neighbours, stepping_samples
 from estimation.gap.records.candidate_model import DISTURBANCE, RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.models.base import Model
 from estimation.signals.first_order import decaying_sum
 
+KURTOSIS = 3.0  # of Gaussian noise
 FEWEST = 300  # samples away from steps that show the tails of a channel's noise
 SMOOTHED = 0.25  # of a frequency, to either side: the spectrum of errors falls slowly
 
@@ -227,13 +228,14 @@ def heavy_tails(problem: LikelihoodProblem, fit: ModelFit) -> tuple[Array | None
     From residuals beside their neighbours, away from steps of the controls: what a model lacks is slower or follows a step.
     """
     controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
-    rest = [~near_steps(s.u[:, controls], problem.criteria.surface_step) for s in problem.coarse]
+    rest = [~stepping_samples(s.u[:, controls], problem.criteria.surface_step) for s in problem.coarse]
     tails: list[Array | None] = []
     for column in range(len(problem.model.outputs)):
         parts = [beside_neighbours(r[:, column])[mask] for r, mask in zip(fit.residuals, rest, strict=True)]
         values = np.concatenate([p[np.isfinite(p)] for p in parts])
         unit = (values - values.mean()) / values.std() if values.size >= FEWEST and values.any() else np.zeros(1)
-        tails.append(np.sort(unit) if np.mean(unit**4) - 3.0 > problem.criteria.heavy_tails else None)
+        excess = float(np.mean(unit**4)) - KURTOSIS
+        tails.append(np.sort(unit) if excess > problem.criteria.heavy_tails else None)
     return tuple(tails)
 
 

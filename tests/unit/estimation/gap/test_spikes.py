@@ -13,9 +13,9 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.records.broken import (
     beside_neighbours,
-    near_steps,
     spikes_in,
     spikes_in_words,
+    stepping_samples,
     without_spikes,
 )
 from estimation.gap.significance.nulls import heavy_tails
@@ -81,7 +81,7 @@ def test_two_values_in_a_row_are_no_accident_and_neither_are_many() -> None:
 
 def test_near_steps_values_are_judged_by_their_scatter_there() -> None:
     control = np.where(np.arange(COUNT) % 60 < 30, 0.0, 0.1)[:, None]
-    stepping = near_steps(control, AS_SET.surface_step)
+    stepping = stepping_samples(control, AS_SET.surface_step)
     assert stepping.sum() == 5 * 19
     assert stepping[28:33].all()
     assert not stepping[[27, 33]].any()
