@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from estimation.errors import EstimationError
@@ -217,21 +216,20 @@ def run_gap(
 
 def _spikes(baseline: Baseline) -> Spikes:
     """Single values that a fit does not follow, on training and held-out flights."""
-    criteria, found = baseline.criteria, dict[int, dict[str, NDArray[np.bool_]]]()
+    criteria, found = baseline.criteria, dict[int, dict[str, list[int]]]()
     values = sum(np.isfinite(r.z).sum() for r in baseline.prepared.records)
     farthest = -float(ndtri(0.5 * (1.0 - criteria.null_level) / values))  # of any of them, were they Gaussian noise
     fits = [(baseline.problem, baseline.fit), *([baseline.held_out] if baseline.held_out else [])]
     for problem, model_fit in fits:
         controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
         for record, segment, residual in zip(problem.records, problem.coarse, model_fit.residuals, strict=True):
-            stepping = stepping_samples(segment.u[:, controls], criteria.surface_step)
+            stepping = stepping_samples(segment.u[:, controls], criteria)
             columns = found.setdefault(record.flight, {})
             for signal, course in zip(problem.model.outputs, residual.T, strict=True):
-                spikes = spikes_in(course, stepping, farthest, MOST_WILD)
-                if spikes.any():
-                    count = baseline.prepared.samples[record.flight]
-                    columns.setdefault(signal.source, np.zeros(count, bool))[segment.rows] |= spikes
-    return {flight: columns for flight, columns in found.items() if columns}
+                at = segment.first + np.flatnonzero(spikes_in(course, stepping, farthest, MOST_WILD))
+                if at.size:
+                    columns.setdefault(signal.source, []).extend(at.tolist())
+    return {flight: {c: np.array(at) for c, at in columns.items()} for flight, columns in found.items() if columns}
 
 
 def _setting(

@@ -31,13 +31,11 @@ QUIET = 3e-4  # of the range of a signal: noise below this stays
 ROUNDING = 1e-12  # of the size of a signal: a filtered constant has only rounding, which must not use up random numbers
 NORMAL_MEDIAN = 0.6744897501960817  # median of |x| of a standard normal x
 THIRD_DIFFERENCE = 20.0  # variance of the third difference of unit white noise: squares of 1 -3 3 -1
-ORDERS = range(
-    1, 9
-)  # of differences: first ones see through many edges, eighth ones through a sine of an eighth of the rate
+ORDERS = range(1, 9)
+"""Of differences: first ones see through many edges, eighth ones through a sine of an eighth of the rate."""
 CLIP = 2.5  # standard deviations: one in 80 differences of noise alone is larger; edges mostly are
-CLIPPED_VARIANCE = 1.0 - 2.0 * CLIP * exp(-0.5 * CLIP**2) / sqrt(2.0 * pi) / erf(
-    CLIP / sqrt(2.0)
-)  # of a standard normal
+CLIPPED_VARIANCE = 1.0 - 2.0 * CLIP * exp(-0.5 * CLIP**2) / sqrt(2.0 * pi) / erf(CLIP / sqrt(2.0))
+"""Of a standard normal variable within CLIP."""
 MOVES, NEAR_MOVE = 4.0, 3  # times the noise, samples: of `moving_share`
 CLIPPINGS = 30  # usual: 5 to 10
 BLOCK = 640  # samples of a long signal treated at once

@@ -20,10 +20,10 @@ from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.whitener import Whitener
 from estimation.gap.records.flight_records import FlightRecord, starting_state
+from estimation.gap.records.sampling import smallest_step
 from estimation.models.base import Model, ParameterRole
 from estimation.models.dependence import names_used
 from estimation.signals.curves import half_way, inner_slopes
-from groundstation.flight.arrays import MAD_TO_SIGMA
 
 WIDTHS = 4.0  # prior widths to which the path of a surface between samples may go
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
@@ -43,13 +43,12 @@ class MidSampleGrid:
         _fill(self.segment.time[::2], u, values, rounding, changed)
         return MidSampleGrid(replace(self.segment, u=values), rounding)
 
-    def edges(self, column: int, smallest: float) -> Array:
-        """(2N - 1,) half-way in the steepest interval of every edge of an input the change over that interval, else zero.
-        smallest: change of an edge, in the scatter of all changes."""
+    def edges(self, column: int, criteria: Criteria) -> Array:
+        """(2N - 1,) half-way in the steepest interval of every edge of an input the change over that interval, else zero."""
         change = np.diff(self.segment.u[::2, column])
         size = np.pad(np.abs(change), 1)
         steepest = (size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])
-        edge = steepest & (size[1:-1] > smallest * MAD_TO_SIGMA * float(np.median(np.abs(change))))
+        edge = steepest & (size[1:-1] > smallest_step(change, criteria))
         result = np.zeros(len(self.rounding))
         result[1::2] = np.where(edge, change, 0.0)
         return result
@@ -185,7 +184,7 @@ class LikelihoodProblem:
     def _path(self, grid: MidSampleGrid, name: str) -> Array:
         """(2N - 1,) change of an input by one unit of the unknown `name` of its path."""
         column = self.paths[name]
-        return grid.rounding[:, column] if name in self.curvatures else grid.edges(column, self.criteria.surface_step)
+        return grid.rounding[:, column] if name in self.curvatures else grid.edges(column, self.criteria)
 
     @cached_property
     def used_names(self) -> frozenset[str]:
@@ -304,12 +303,8 @@ class LikelihoodProblem:
         return name in self.paths or self.model.parameter(name).role is ParameterRole.NUISANCE
 
     def limits(self, name: str) -> tuple[float, float]:
-        if name in self.curvatures:
-            farthest = WIDTHS * self.criteria.curvature_spread
-            return -farthest, farthest
-        if name in self.edges:
-            farthest = WIDTHS * self.criteria.surface_freedom
-            return -farthest, farthest
+        if name in self.paths and (prior := self.prior(name)):
+            return -WIDTHS * prior[1], WIDTHS * prior[1]
         p = self.model.parameter(name)
         return p.lower, p.upper
 

@@ -30,9 +30,9 @@ from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.spectra import Linear, NoiseSource, Shapes
 from estimation.gap.fit.whitener import Slack, Whitener, spectrum_of
+from estimation.gap.records.sampling import smallest_step
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
-from groundstation.flight.arrays import MAD_TO_SIGMA
 
 SLIGHT = 1e-2  # whitened energy of a displacement below which it is ignored: it would change energies by at most 1 %
 RUNAWAY = 1e6  # a response that grows so far is no small motion any more
@@ -79,9 +79,8 @@ def find_surface_steps(
         if not signal.control or signal.name not in linear.controls:
             continue
         step = np.diff(segment.u[:, j])
-        scatter = MAD_TO_SIGMA * float(np.median(np.abs(step)))
         power = float(np.abs(linear.C @ linear.B[:, linear.controls.index(signal.name)] / linear.scale).max())
-        for k in np.flatnonzero(np.abs(step) > criteria.surface_step * scatter):
+        for k in np.flatnonzero(np.abs(step) > smallest_step(step, criteria)):
             found.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))
     found.sort(reverse=True)
     resting = [e for e in found if e[1] not in restless][: criteria.surface_steps_most]

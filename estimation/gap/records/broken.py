@@ -11,23 +11,25 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
+from estimation.gap.criteria import Criteria
+from estimation.gap.records.sampling import smallest_step
 from estimation.models.base import Model
+from estimation.signals.controls import near_steps
 from groundstation.flight import Array, Flight
 from groundstation.flight.arrays import MAD_TO_SIGMA, true_runs
 from groundstation.flight.quality.repeats import repeats
 
 FEWEST = 10  # values: fewer may be equal by chance
-BESIDE_PARABOLA = (
-    np.array([2.0, -3.0, -6.0, 14.0, -6.0, -3.0, 2.0]) / 14.0
-)  # a value less the parabola through six around it
+BESIDE_PARABOLA = np.array([2.0, -3.0, -6.0, 14.0, -6.0, -3.0, 2.0]) / 14.0
+"""Weights of a value less the least-squares parabola through the three samples on either side."""
 BEFORE, BEHIND = 1, 3  # samples about a step of a control, where a residual may jump
 BESIDE_SPIKE = 0.7  # a spike alone shows in its neighbours as 0.43 of it
 SAID = 3  # times in a note
 
-Spikes = Mapping[int, Mapping[str, NDArray[np.bool_]]]
-"""Index of a flight -> column -> (N,) samples with a spike."""
+Index = NDArray[np.int64]
+Spikes = Mapping[int, Mapping[str, Index]]
+"""Index of a flight -> column -> samples with a spike."""
 
 
 def without_stuck(flight: Flight, columns: Iterable[str]) -> Flight:
@@ -50,29 +52,32 @@ def beside_neighbours(residual: Array) -> Array:
     return result
 
 
-def spikes_in(residual: Array, near_steps: NDArray[np.bool_], farthest: float, most: float) -> NDArray[np.bool_]:
+def spikes_in(residual: Array, stepping: NDArray[np.bool_], farthest: float, most: float) -> NDArray[np.bool_]:
     """(N,) single samples of a residual (N,), NaN where not measured, that leave their neighbours by more than `farthest`
-    standard deviations. near_steps: (N,) samples near a step of a control, which are judged by their own scatter where that is
+    standard deviations. stepping: (N,) samples near a step of a control, which are judged by their own scatter where that is
     larger; none at all where more than the share `most` stand out, which is no accident."""
     level = np.nan_to_num(np.abs(beside_neighbours(residual)))
-    stepping = level[near_steps & np.isfinite(residual)]
-    wider = max(1.0, MAD_TO_SIGMA * float(np.median(stepping))) if stepping.size >= FEWEST else 1.0
+    at_steps = level[stepping & np.isfinite(residual)]
+    wider = max(1.0, MAD_TO_SIGMA * float(np.median(at_steps))) if at_steps.size >= FEWEST else 1.0
     neighbours = np.maximum(np.roll(level, 1), np.roll(level, -1))
-    spikes = (level > np.where(near_steps, wider, 1.0) * farthest) & (neighbours < BESIDE_SPIKE * level)
+    spikes = (level > np.where(stepping, wider, 1.0) * farthest) & (neighbours < BESIDE_SPIKE * level)
     return spikes if spikes.sum() <= max(2, most * np.isfinite(residual).sum()) else np.zeros_like(spikes)
 
 
-def stepping_samples(controls: Array, smallest: float) -> NDArray[np.bool_]:
-    """(N,) samples near a step of any of the controls (N, controls): a change larger than `smallest` times the scatter of all its
-    changes."""
-    change = np.abs(np.diff(controls, axis=0, append=controls[-1:]))
-    moves = (change > smallest * MAD_TO_SIGMA * np.median(change, axis=0)).any(axis=1)
-    return np.asarray(binary_dilation(moves, np.ones(BEFORE + BEHIND + 1, bool), origin=(BEFORE - BEHIND) // 2))
+def stepping_samples(controls: Array, criteria: Criteria) -> NDArray[np.bool_]:
+    """(N,) samples near a step of any of the controls (N, controls)."""
+    stepping = np.zeros(len(controls), bool)
+    for u in controls.T:
+        stepping |= near_steps(u, smallest_step(np.diff(u), criteria), 1.0, range(-BEFORE, BEHIND + 1))
+    return stepping
 
 
-def without_spikes(flight: Flight, spikes: Mapping[str, NDArray[np.bool_]]) -> Flight:
+def without_spikes(flight: Flight, spikes: Mapping[str, Index]) -> Flight:
     """The flight with NaN at the spikes of its columns."""
-    return flight.with_columns(**{c: np.where(mask, np.nan, flight[c]) for c, mask in spikes.items()})
+    columns = {c: flight[c].copy() for c in spikes}
+    for column, at in spikes.items():
+        columns[column][at] = np.nan
+    return flight.with_columns(**columns)
 
 
 def spikes_in_words(flights: Sequence[Flight], spikes: Spikes) -> list[str]:
@@ -80,15 +85,16 @@ def spikes_in_words(flights: Sequence[Flight], spikes: Spikes) -> list[str]:
     notes = []
     for index, columns in spikes.items():
         flight = flights[index]
-        said = [
-            f"{column} at {', '.join(f'{t:.2f}' for t in flight.time[mask][:SAID])} s"
-            + (f" and {mask.sum() - SAID} more" if mask.sum() > SAID else "")
-            for column, mask in columns.items()
-        ]
+        said = [f"{column} at {_times(flight.time[at])}" for column, at in columns.items()]
         notes.append(
             f"{flight.name}: single values far from their neighbours and from the model left out: {'; '.join(said)}"
         )
     return notes
+
+
+def _times(times: Array) -> str:
+    more = f" and {times.size - SAID} more" if times.size > SAID else ""
+    return f"{', '.join(f'{t:.2f}' for t in times[:SAID])} s{more}"
 
 
 def stands_still(flight: Flight, column: str) -> bool:

@@ -126,13 +126,12 @@ def starting_state(model: Model, known: Mapping[str, float]) -> Array:
 
 @dataclass(frozen=True)
 class FlightRecords:
-    """Records of all flights for one base model. names, samples: of the flights; training, holdout: flight indices; available:
+    """Records of all flights for one base model. names: of the flights; training, holdout: flight indices; available:
     symbols that a form may use; stale: outputs that repeat their last value in many samples; keeps_feedback: whether controls
     keep what follows the motion."""
 
     base: Model
     names: tuple[str, ...]
-    samples: tuple[int, ...]
     records: tuple[FlightRecord, ...]
     training: tuple[int, ...]
     holdout: tuple[int, ...]
@@ -214,7 +213,6 @@ def prepare_flights(
     return FlightRecords(
         base=base,
         names=tuple(f.name for f in flights),
-        samples=tuple(len(f) for f in flights),
         records=with_own_noise(records, len(training), criteria),
         training=tuple(range(len(training))),
         holdout=tuple(range(len(training), len(flights))),

@@ -111,13 +111,18 @@ def without_unseen_moves(flight: Flight, controls: Sequence[str], outputs: Seque
     return flight.with_columns(**compared).with_notes(*notes)
 
 
+def smallest_step(changes: Array, criteria: Criteria) -> float:
+    """The change from sample to sample from which a control steps. changes: (N - 1,) its changes, in whose scatter it counts."""
+    return criteria.surface_step * MAD_TO_SIGMA * float(np.median(np.abs(changes)))
+
+
 def unseen_moves(control: Array, criteria: Criteria) -> NDArray[np.bool_]:
     """(N,) samples of short gaps in a control (N,) across which it changes by more than its scatter."""
     unseen = np.zeros(control.size, bool)
     measured = control[np.isfinite(control)]
     if measured.size < 2:
         return unseen
-    limit = criteria.surface_step * MAD_TO_SIGMA * float(np.median(np.abs(np.diff(measured))))
+    limit = smallest_step(np.diff(measured), criteria)
     for a, b in true_runs(~np.isfinite(control)):
         bridged = a > 0 and b < control.size and b - a <= LONGEST_BRIDGE
         if bridged and abs(control[b] - control[a - 1]) > limit:

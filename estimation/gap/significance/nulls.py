@@ -228,7 +228,7 @@ def heavy_tails(problem: LikelihoodProblem, fit: ModelFit) -> tuple[Array | None
     From residuals beside their neighbours, away from steps of the controls: what a model lacks is slower or follows a step.
     """
     controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
-    rest = [~stepping_samples(s.u[:, controls], problem.criteria.surface_step) for s in problem.coarse]
+    rest = [~stepping_samples(s.u[:, controls], problem.criteria) for s in problem.coarse]
     tails: list[Array | None] = []
     for column in range(len(problem.model.outputs)):
         parts = [beside_neighbours(r[:, column])[mask] for r, mask in zip(fit.residuals, rest, strict=True)]

@@ -113,7 +113,7 @@ def test_an_edge_is_the_steepest_interval_of_a_step() -> None:
     u[31:] -= 1.0 - np.exp(-np.arange(1, 10) / 0.7)
     u += 1e-3 * np.cos(np.arange(40.0))
     segment = Segment(0, 0.05 * np.arange(40), u[:, None], np.zeros((40, 1)), np.zeros(1))
-    edges = fine_grid(segment).edges(0, AS_SET.surface_step)
+    edges = fine_grid(segment).edges(0, AS_SET)
     assert np.flatnonzero(edges).tolist() == [21, 61]
     np.testing.assert_allclose(edges[[21, 61]], np.diff(u)[[10, 30]])
 

@@ -81,7 +81,7 @@ def test_two_values_in_a_row_are_no_accident_and_neither_are_many() -> None:
 
 def test_near_steps_values_are_judged_by_their_scatter_there() -> None:
     control = np.where(np.arange(COUNT) % 60 < 30, 0.0, 0.1)[:, None]
-    stepping = stepping_samples(control, AS_SET.surface_step)
+    stepping = stepping_samples(control, AS_SET)
     assert stepping.sum() == 5 * 19
     assert stepping[28:33].all()
     assert not stepping[[27, 33]].any()
@@ -96,8 +96,7 @@ def test_near_steps_values_are_judged_by_their_scatter_there() -> None:
 
 def test_spikes_are_taken_out_and_their_times_said() -> None:
     flight = Flight.build("f", 0.05 * np.arange(COUNT), {"p": noise(), "r": noise(2)})
-    at = np.zeros(COUNT, bool)
-    at[[10, 20, 30, 40]] = True
+    at = np.array([10, 20, 30, 40])
     clean = without_spikes(flight, {"p": at})
     assert np.isnan(clean["p"]).sum() == 4
     np.testing.assert_array_equal(clean["r"], flight["r"])
