@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.models.base import Model
+from estimation.signals.rounding import Grid
 from groundstation.flight import Array
 from groundstation.flight.findings import Finding
 
@@ -53,7 +54,7 @@ class FlightData:
     remaining errors of the inputs (from the posterior of the de-noising, or of noise that was not removed; zero outside the
     segments), or None where unknown; follows: (samples, nu) the part of each control that follows the motion, where it was
     looked for; commands: control that is a recorded command -> interval of its record [s]; restless: controls that stay as
-    measured, because de-noising would take more signal than noise."""
+    measured, because de-noising would take more signal than noise; grids: control that a converter has rounded -> its levels."""
 
     name: str
     samples: int
@@ -66,6 +67,7 @@ class FlightData:
     follows: Array | None = None
     commands: Mapping[str, float] = field(default_factory=dict)
     restless: frozenset[str] = frozenset()
+    grids: Mapping[str, Grid] = field(default_factory=dict)
 
     @property
     def used(self) -> int:

@@ -4,7 +4,7 @@ Controls of a model with pitch rate keep their part that follows the motion, and
 acts on a light and little damped motion, so what de-noising removes besides noise would bias pitch damping and the derivatives
 by the elevator far beyond their bounds (`estimation.signals.controls`). Lateral models need neither, but for very quiet gyros:
 there the noise of measured values costs as much as the rounding of steps. A control that moves so much that de-noising takes
-more signal than noise stays as measured.
+more signal than noise stays as measured. One that a converter of few bits has rounded keeps its error while it stays on a level.
 """
 
 from collections.abc import Sequence
@@ -27,12 +27,14 @@ from estimation.signals.denoise import (
     noise_level,
     worth_denoising,
 )
+from estimation.signals.rounding import Grid, draw_level_errors, grid_of
 from groundstation.flight import Array, Flight
 from groundstation.flight.findings import Finding, FindingKind
 
 SEED = 20  # of the draws: the same flight gives the same bound
 FEEDBACK_SEED = 22
 RESTLESS_SEED = 23
+ROUNDING_SEED = 24
 MOVING = 0.55
 """Of the samples of a control that never rests: multisines 1.0, random steps 0.65 to 0.8, doublets and multisteps 0.1 to 0.5. The
 estimated risk alone is not enough: noise that was filtered or interpolated on the way is no longer white, and looks smaller."""
@@ -47,8 +49,8 @@ class PreparationState:
     """A flight partly prepared for a model: argument and result of each step of the pipeline.
 
     pieces: [start, stop) of samples without a gap. rows: index of an input -> the measured samples of each piece. u, z, states:
-    as in `FlightData` and its segments, over all samples, NaN outside the pieces; errors, follows, noise, restless, absent as
-    there.
+    as in `FlightData` and its segments, over all samples, NaN outside the pieces; errors, follows, noise, restless, grids, absent
+    as there.
     """
 
     model: Model
@@ -64,6 +66,7 @@ class PreparationState:
     follows: Array | None = None
     noise: dict[str, tuple[float, float]] = field(default_factory=dict)
     restless: frozenset[str] = frozenset()
+    grids: dict[str, Grid] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
 
     @property
@@ -269,3 +272,19 @@ def _restore_feedback(
         u[a + step_rows, i] = part.values[step_rows]
         errors[a + step_rows, i] = level * rng.standard_normal((step_rows.size, draws))
     return np.concatenate([part.values - u[a:b, i] for (a, b), part in zip(pieces, parts, strict=True)])
+
+
+def rounding_errors_drawn(state: PreparationState) -> PreparationState:
+    """Draws of the errors of controls that a converter has rounded, where they stay on one level."""
+    for i, signal in enumerate(state.model.inputs):
+        column = state.flight.columns.get(signal.source)
+        if not signal.control or signal.name not in state.noise or column is None:
+            continue
+        grid = grid_of(column)
+        if grid is None:
+            continue
+        state.grids[signal.name] = grid
+        rng = np.random.default_rng([ROUNDING_SEED, i])
+        for a, b in state.pieces if state.errors is not None else ():
+            draw_level_errors(state.errors[a:b, i], column[a:b], grid, rng)
+    return state

@@ -14,7 +14,13 @@ from estimation.models.base import Model
 from estimation.prepare.columns import DERIVED, bridge_gaps, derive_column, require_columns, way_to
 from estimation.prepare.conditioned import ConditionedFlight, condition_columns
 from estimation.prepare.flight_data import AS_USUAL, SHORTEST_SEGMENT, FlightData, Preparation, Segment
-from estimation.prepare.inputs import PreparationState, feedback_restored, inputs_at_samples, inputs_without_noise
+from estimation.prepare.inputs import (
+    PreparationState,
+    feedback_restored,
+    inputs_at_samples,
+    inputs_without_noise,
+    rounding_errors_drawn,
+)
 from estimation.prepare.plausible import refuse_impossible
 from estimation.signals.denoise import denoise_many
 from groundstation.flight import Array, Flight
@@ -166,6 +172,7 @@ STEPS: tuple[Callable[[PreparationState], PreparationState], ...] = (
     outputs_compared,
     states_smoothed,
     feedback_restored,
+    rounding_errors_drawn,
 )
 
 
@@ -201,6 +208,7 @@ def _flight_data(state: PreparationState) -> FlightData:
         state.follows,
         commands,
         state.restless,
+        state.grids,
     )
 
 

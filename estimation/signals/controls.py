@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.signals.denoise import THIRD_DIFFERENCE, denoise_many
+from estimation.signals.rounding import rounding_noise
 from groundstation.flight.arrays import true_runs
 
 Array = NDArray[np.float64]
@@ -57,7 +58,9 @@ def noise_between_steps(values: Array, step_mask: NDArray[np.bool_], level: floa
     """
     third = np.diff(values, 3)
     calm = ~(step_mask[:-3] | step_mask[1:-2] | step_mask[2:-1] | step_mask[3:]) & np.isfinite(third)
-    return float(np.sqrt(np.mean(third[calm] ** 2) / THIRD_DIFFERENCE)) if np.count_nonzero(calm) >= FEWEST else level
+    if np.count_nonzero(calm) < FEWEST:
+        return level
+    return max(float(np.sqrt(np.mean(third[calm] ** 2) / THIRD_DIFFERENCE)), rounding_noise(values))
 
 
 def with_raw_steps(

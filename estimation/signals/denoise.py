@@ -7,7 +7,7 @@ Statistics and Computing 16, 203-213, with Gaussian noise of known variance). Ru
 edge gets a break with probability near one and stays where it was; a quiet stretch is averaged over its length.
 
 The noise level is estimated from the signal (`noise_level`), so nothing need be known of the sensor. A signal that a converter of
-few bits has rounded shows no noise from sample to sample, but the errors of its rounding are there (`rounding_step`).
+few bits has rounded shows none from sample to sample, but has the errors of its rounding (`estimation.signals.rounding`).
 
 A control that never rests (a multisine, a random sequence of steps) has curves and edges in most samples: its noise is overstated
 by third differences, and smoothing takes more signal than noise (0.134 deg of error for 0.071, simulated multisine of up to
@@ -21,6 +21,8 @@ from math import comb, erf, exp, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+
+from estimation.signals.rounding import rounding_noise
 
 Array = NDArray[np.float64]
 
@@ -39,11 +41,6 @@ CLIPPED_VARIANCE = 1.0 - 2.0 * CLIP * exp(-0.5 * CLIP**2) / sqrt(2.0 * pi) / erf
 """Of a standard normal variable within CLIP."""
 MOVES, NEAR_MOVE = 4.0, 3  # times the noise, samples: of `moving_share`
 CLIPPINGS = 30  # usual: 5 to 10
-FEWEST_LEVELS = 6  # distinct values that show a grid: a command of exact steps has fewer
-REPEATED = 0.5  # of the samples of a rounded signal at least have a value that others have too
-SAME_VALUE = 1e-6  # of the range of a signal: values as close differ by the rounding of arithmetic
-EVEN = 0.2  # of a step of a grid: a calibration may stretch it
-ROUNDING_VARIANCE = 1.0 / 12.0  # of an error that is uniform over one step
 BLOCK = 640  # samples of a long signal treated at once
 RESCALE = 12  # steps between rescalings of the recursions
 ROWS = 24  # blocks treated at once
@@ -76,26 +73,6 @@ def noise_level(values: Array) -> float:
     if third.size < LEAST:
         return 0.0
     return max(float(np.median(third) / NORMAL_MEDIAN / np.sqrt(THIRD_DIFFERENCE)), rounding_noise(values))
-
-
-def rounding_noise(values: Array) -> float:
-    """Standard deviation of the error of a rounded signal (N,), uniform over one step; zero where it is not rounded."""
-    return rounding_step(values) * sqrt(ROUNDING_VARIANCE)
-
-
-def rounding_step(values: Array) -> float:
-    """The step of the even grid on which a recorded signal (N,) lies; zero where there is none, or too few values show it.
-
-    A converter of ten bits over the travel of a potentiometer has steps of a quarter of a degree.
-    """
-    measured = np.sort(values[np.isfinite(values)])
-    gaps = np.diff(measured)
-    gaps = gaps[gaps > SAME_VALUE * (measured[-1] - measured[0])] if measured.size else gaps
-    if not FEWEST_LEVELS <= gaps.size + 1 <= REPEATED * measured.size:
-        return 0.0
-    step = float(np.median(gaps))
-    even = np.abs(gaps - step * np.maximum(np.round(gaps / step), 1.0)) <= EVEN * step
-    return step if even.all() else 0.0
 
 
 def finest_noise_level(values: Array) -> float:

@@ -26,6 +26,7 @@ from estimation.prepare.inputs import has_pitch_rate
 from estimation.prepare.pipeline import prepare
 from estimation.signals.controls import noise_between_steps, with_raw_steps
 from estimation.signals.denoise import noise_level
+from estimation.signals.rounding import Grid
 from groundstation.flight import Flight
 
 NEAR = 0.1  # of a stretch, to either side of an even cut, in which the best cut is sought
@@ -78,7 +79,8 @@ class FlightRecord:
     errors: input -> (draws, N) possible errors after its preparation; error_spectra: control -> (frequencies,) their variance per
     sample, once known. uncompared: (N, ny) measured outputs that are not compared, such as the repeats of a slow sensor; NaN
     elsewhere. states: (N, nx) measured states without their noise. follows: control -> (N,) the part of it that follows the
-    motion, which de-noising keeps. restless: controls that never rest on any training flight; of all records alike.
+    motion, which de-noising keeps. restless: controls that never rest on any training flight; of all records alike. grids: control
+    that a converter has rounded -> its levels.
     """
 
     flight: int
@@ -96,6 +98,7 @@ class FlightRecord:
     states: Array | None = None
     follows: Mapping[str, Array] = field(default_factory=dict)
     restless: frozenset[str] = frozenset()
+    grids: Mapping[str, Grid] = field(default_factory=dict)
 
     def as_measured(self, control: str) -> bool:
         """Whether a control is used as it was measured in all samples."""
@@ -208,6 +211,7 @@ def prepare_flights(
                     states=data.states[span],
                     follows={s.name: f for s, f in zip(probe.inputs, follows, strict=False) if f.any()},
                     restless=restless,
+                    grids=data.grids,
                 )
             )
     return FlightRecords(

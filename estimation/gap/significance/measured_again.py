@@ -199,7 +199,7 @@ class MeasuredAgain:
         true_inputs, measured = problem.coarse[index].u.copy(), problem.coarse[index].u.copy()
         for column, name, noise in self._noisy_controls(index):
             true_inputs[:, column] = course(record, name, true_inputs[:, column], noise, rng)
-            measured[:, column] = true_inputs[:, column] + noise * rng.standard_normal(len(true_inputs))
+            measured[:, column] = measured_control(record, name, true_inputs[:, column], noise, rng)
         driven = problem.driven(problem.grids[index].with_inputs(true_inputs), self.baseline.fit.values)
         return self._flyer.observed(index, rng, driven), measured
 
@@ -287,11 +287,17 @@ def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: 
     raw = record.raw.get(name)
     draws = record.errors.get(name)
     error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
-    if raw is None or not raw.any():
+    if raw is None or not raw.any() or name in record.grids:
         return np.asarray(prepared + error)
     follows = record.follows.get(name, 0.0)
     smooth = denoise_many([prepared - follows], noise=noise)[0].values + follows
     return np.where(raw, smooth, prepared + error)
+
+
+def measured_control(record: FlightRecord, name: str, true: Array, noise: float, rng: np.random.Generator) -> Array:
+    """(N,) a control as its potentiometer and converter may have recorded a true course. noise: of the recorded control."""
+    white, grid = rng.standard_normal(true.size), record.grids.get(name)
+    return true + noise * white if grid is None else grid.rounded(true + grid.noise_before(noise) * white)
 
 
 def prepared_again(

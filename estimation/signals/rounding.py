@@ -1,0 +1,69 @@
+"""Signals that a converter of few bits has rounded.
+
+Ten bits over the travel of a potentiometer are steps of a quarter of a degree. A control that stays on one level shows no noise
+from sample to sample, but it may be anywhere within the step, and stays there: its errors are neither absent nor white. Taken for
+exact, a potentiometer with steps of 0.35 deg and more looks like a late or sticking servo (12 of 14 simulated sets of flights).
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FEWEST_LEVELS = 6  # distinct values that show a grid: a command of exact steps has fewer
+REPEATED = 0.5  # of the samples of a rounded signal at least have a value that others have too
+SAME_VALUE = 1e-6  # of the range of a signal: values as close differ by the rounding of arithmetic
+EVEN = 0.2  # of a step: a calibration may stretch the grid
+UNIFORM = 1.0 / 12.0  # variance of an error that is uniform over one step
+STAYS = 5  # samples on one level: noise of a third of a step or more moves a control to the next before
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The even grid of a recorded signal. step, origin: in its unit."""
+
+    step: float
+    origin: float
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of an error that is uniform over one step."""
+        return self.step * sqrt(UNIFORM)
+
+    def rounded(self, values: Array) -> Array:
+        """(N,) values on the grid."""
+        return np.asarray(self.origin + self.step * np.round((values - self.origin) / self.step))
+
+    def noise_before(self, noise: float) -> float:
+        """Standard deviation of the noise before rounding of a signal that has `noise` after it."""
+        return sqrt(max(noise**2 - self.noise**2, 0.0))
+
+
+def grid_of(values: Array) -> Grid | None:
+    """The grid on which a recorded signal (N,) lies, NaN where not measured; None where there is none, or too few values show
+    it."""
+    measured = np.sort(values[np.isfinite(values)])
+    gaps = np.diff(measured)
+    gaps = gaps[gaps > SAME_VALUE * (measured[-1] - measured[0])] if measured.size else gaps
+    if not FEWEST_LEVELS <= gaps.size + 1 <= REPEATED * measured.size:
+        return None
+    step = float(np.median(gaps))
+    even = np.abs(gaps - step * np.maximum(np.round(gaps / step), 1.0)) <= EVEN * step
+    return Grid(step, float(measured[0])) if even.all() else None
+
+
+def rounding_noise(values: Array) -> float:
+    """Standard deviation of the error of a rounded signal (N,), NaN where not measured; zero where it is not rounded."""
+    grid = grid_of(values)
+    return grid.noise if grid else 0.0
+
+
+def draw_level_errors(errors: NDArray[np.float32], measured: Array, grid: Grid, rng: np.random.Generator) -> None:
+    """Replace draws of errors (N, draws), in place, where a signal (N,) stays on one level: it may be anywhere within the step."""
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(measured)) + 1, [measured.size]])
+    for a, b in zip(starts[:-1], starts[1:], strict=True):
+        if b - a >= STAYS:
+            errors[a:b] = grid.step * rng.uniform(-0.5, 0.5, errors.shape[1])
