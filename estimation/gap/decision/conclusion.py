@@ -318,7 +318,8 @@ def steps_in_words(
 def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) -> tuple[Histories, ...]:
     """Measured, before and after over time for every flight, training and held out."""
     nulls = np.concatenate([residuals for null in last.null_residuals[:BAND] for residuals in null])
-    band = np.array([np.nanstd(nulls[:, c]) for c in range(nulls.shape[1])])
+    compared = [column[np.isfinite(column)] for column in nulls.T]
+    band = np.array([column.std() if column.size else np.nan for column in compared])
     prepared, courses = setting.prepared, []
     pairs = [(before.problem, before.fit, after.fit, False)]
     held_before, held_after = before.held_out, after.held_out

@@ -20,17 +20,19 @@ SMALLEST_RANGE = 1e-9  # [unit of the channel] of one that never changes
 
 
 def channel_noise(records: Sequence[FlightRecord]) -> Array:
-    """(ny,) standard deviation of the white part of every output, median over the records."""
+    """(ny,) standard deviation of the white part of every output, median over the records; 1 of an output that none has
+    measured."""
     ny = records[0].z.shape[1]
     levels = np.zeros((len(records), ny))
-    span = np.zeros(ny)
+    span = np.full(ny, np.nan)
     for k, record in enumerate(records):
         for i in range(ny):
             measured = record.z[np.isfinite(record.z[:, i]), i]
             if measured.size:
                 levels[k, i] = noise_level(record.z[:, i])
-                span[i] = max(span[i], float(np.ptp(measured)))
-    return np.maximum(np.median(levels, axis=0), QUIETEST * np.maximum(span, SMALLEST_RANGE))
+                span[i] = np.fmax(span[i], float(np.ptp(measured)))
+    least = QUIETEST * np.maximum(span, SMALLEST_RANGE)
+    return np.where(np.isnan(span), 1.0, np.maximum(np.median(levels, axis=0), least))
 
 
 def filtered_attitudes(

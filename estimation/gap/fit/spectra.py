@@ -226,10 +226,10 @@ def as_seen(shapes: Shapes, measured: Array) -> Shapes:
     responses, which are correlated from sample to sample.
     """
     share = measured.mean(axis=0)
-    if (share[share > 0.0] == 1.0).all():
+    if (share == 1.0).all():
         return shapes
-    share = np.where(share > 0.0, share, 1.0)
-    louder = share if shapes.louder is None else shapes.louder * share
+    white = np.where(share > 0.0, share, 1.0)  # an output that is never measured has noise of its own alone: it shows nothing
+    louder = white if shapes.louder is None else shapes.louder * white
     return replace(shapes, parts={n: p * share for n, p in shapes.parts.items()}, louder=louder)
 
 

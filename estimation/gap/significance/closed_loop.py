@@ -52,10 +52,12 @@ def answer(disturbance: Array, linear: Linear, feedback: Mapping[str, Array]) ->
     step = expm(block * linear.dt)[:size]  # exact for controls held between samples
     answers, response = np.zeros((len(disturbance), len(linear.controls))), np.zeros(size)
     before = disturbance[0]
+    limit = RUNAWAY * np.abs(gains).sum(axis=1) * np.abs(disturbance).max()
     for k, course in enumerate(disturbance):
         motion = course + response[:count]
         answers[k] = gains @ np.concatenate([motion, before])
+        if not (np.abs(answers[k]) <= limit).all():
+            return np.zeros_like(answers)
         response = step @ np.concatenate([response, answers[k]])
         before = motion
-    limit = RUNAWAY * np.abs(gains).sum(axis=1) * np.abs(disturbance).max()
-    return answers if (np.abs(answers) <= limit).all() else np.zeros_like(answers)
+    return answers
