@@ -39,6 +39,7 @@ from estimation.signals.denoise import denoise_many
 RAN_AWAY = 3.0  # energies of the flights: with more the base did not follow its own flight, whose motion grows
 NOTHING = 1e-12  # smallest score
 FEWEST = 4  # simulated sets, for the scatter of a score
+SERVO = 0.04  # s: time constant of the servos of small aircraft
 REPEATS = 16  # simulated sets: their mean gain is known to a quarter of its scatter, some 4 of a gain of 40
 
 
@@ -283,15 +284,26 @@ def own_share(gain: float, without: float, freed: float, criteria: Criteria) -> 
 
 def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: np.random.Generator) -> Array:
     """(N,) a course that a control may have taken: as prepared, with one draw of its possible errors; near its steps, where the
-    prepared values are the measured ones, without their noise."""
+    prepared values are the measured ones, without their noise. One of a rounded control has no stairs."""
+    grid = record.grids.get(name)
+    if grid is not None:
+        return without_stairs(prepared, float(np.median(np.diff(record.time)))) + grid.step * rng.uniform(-0.5, 0.5)
     raw = record.raw.get(name)
     draws = record.errors.get(name)
     error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
-    if raw is None or not raw.any() or name in record.grids:
+    if raw is None or not raw.any():
         return np.asarray(prepared + error)
     follows = record.follows.get(name, 0.0)
     smooth = denoise_many([prepared - follows], noise=noise)[0].values + follows
     return np.where(raw, smooth, prepared + error)
+
+
+def without_stairs(values: Array, interval: float) -> Array:
+    """(N,) a rounded control, samples `interval` [s] apart, no rougher than a servo moves: rounded again, stairs would stay
+    stairs, and have no error from which a hypothesis that smooths could gain."""
+    reach = max(round(SERVO / interval), 1)
+    weights = 1.0 + reach - np.abs(np.arange(-reach, reach + 1))
+    return np.asarray(np.convolve(np.pad(values, reach, mode="edge"), weights / weights.sum(), "valid"))
 
 
 def measured_control(record: FlightRecord, name: str, true: Array, noise: float, rng: np.random.Generator) -> Array:
