@@ -27,7 +27,7 @@ from estimation.signals.denoise import (
     noise_level,
     worth_denoising,
 )
-from estimation.signals.rounding import Grid, draw_level_errors, grid_of
+from estimation.signals.rounding import Grid, draw_level_errors, grid_of, without_stairs
 from groundstation.flight import Array, Flight
 from groundstation.flight.findings import Finding, FindingKind
 
@@ -263,13 +263,15 @@ def _restore_feedback(
     ]
     feedback = feedback_gains(parts, level) if smooth_states else None
     rng = np.random.default_rng([FEEDBACK_SEED, i])
+    grid = grid_of(column)
     draws, reach = errors.shape[2], step_reach(state.flight.sample_interval)
     for (a, b), part in zip(pieces, parts, strict=True):
         if feedback is not None:
             u[a:b, i], error_draws = with_feedback(part, feedback, level, draws, rng)
             errors[a:b, i], state.follows[a:b, i] = error_draws.T, part.following(feedback)
         step_rows = np.flatnonzero(near_steps(part.smooth, level, STEP, reach))
-        u[a + step_rows, i] = part.values[step_rows]
+        values = part.values if grid is None else without_stairs(part.values, state.flight.sample_interval)
+        u[a + step_rows, i] = values[step_rows]
         errors[a + step_rows, i] = level * rng.standard_normal((step_rows.size, draws))
     return np.concatenate([part.values - u[a:b, i] for (a, b), part in zip(pieces, parts, strict=True)])
 

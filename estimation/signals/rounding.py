@@ -18,6 +18,7 @@ REPEATED = 0.5  # of the samples of a rounded signal at least have a value that 
 SAME_VALUE = 1e-6  # of the range of a signal: values as close differ by the rounding of arithmetic
 EVEN = 0.2  # of a step: a calibration may stretch the grid
 UNIFORM = 1.0 / 12.0  # variance of an error that is uniform over one step
+SMOOTH = 0.02  # s, half of the time constant of the servos of small aircraft
 STAYS = 5  # samples on one level: noise of a third of a step or more moves a control to the next before
 
 
@@ -67,3 +68,12 @@ def draw_level_errors(errors: NDArray[np.float32], measured: Array, grid: Grid, 
     for a, b in zip(starts[:-1], starts[1:], strict=True):
         if b - a >= STAYS:
             errors[a:b] = grid.step * rng.uniform(-0.5, 0.5, errors.shape[1])
+
+
+def without_stairs(values: Array, interval: float) -> Array:
+    """(N,) a rounded control, samples `interval` [s] apart, averaged over `SMOOTH` to either side with falling weights: no servo
+    moves in stairs. Unchanged where samples are farther apart, and next to missing values (NaN)."""
+    reach = round(SMOOTH / interval)
+    weights = 1.0 + reach - np.abs(np.arange(-reach, reach + 1))
+    smooth = np.convolve(np.pad(values, reach, mode="edge"), weights / weights.sum(), "valid")
+    return np.where(np.isfinite(smooth), smooth, values)

@@ -26,7 +26,7 @@ from estimation.prepare.inputs import has_pitch_rate
 from estimation.prepare.pipeline import prepare
 from estimation.signals.controls import noise_between_steps, with_raw_steps
 from estimation.signals.denoise import noise_level
-from estimation.signals.rounding import Grid
+from estimation.signals.rounding import Grid, without_stairs
 from groundstation.flight import Flight
 
 NEAR = 0.1  # of a stretch, to either side of an even cut, in which the best cut is sought
@@ -190,7 +190,7 @@ def prepare_flights(
             segment = replace(part, time=part.time[:length], u=part.u[:length], z=part.z[:length])
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
             controls_read = [s for s in base.inputs if s.name not in data.restless] if exact else ()
-            raw, step_noise = _raw_steps(controls_read, flight, segment.first, inputs, noise, criteria)
+            raw, step_noise = _raw_steps(controls_read, flight, segment.first, inputs, noise, criteria, data.grids)
             raw |= {n: np.ones(length, bool) for n in data.restless}
             level = {**noise, **step_noise}
             errors = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
@@ -291,6 +291,7 @@ def _raw_steps(
     inputs: dict[str, Array],
     noise: Mapping[str, float],
     criteria: Criteria,
+    grids: Mapping[str, Grid],
 ) -> tuple[dict[str, NDArray[np.bool_]], dict[str, float]]:
     """Put the measured values of the controls among `signals` near their steps into `inputs`. Returns for each control (N,)
     where, and the noise between the steps."""
@@ -299,10 +300,14 @@ def _raw_steps(
         level = noise.get(signal.name, 0.0)
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]
+            levels[signal.name] = 0.0
+            whole = measured
+            if signal.name in grids:
+                measured = without_stairs(measured, flight.sample_interval)
             inputs[signal.name], masks[signal.name] = with_raw_steps(
                 inputs[signal.name], measured, level, criteria.surface_step, flight.sample_interval
             )
-            levels[signal.name] = noise_between_steps(measured, masks[signal.name], level)
+            levels[signal.name] = noise_between_steps(whole, masks[signal.name], level)
     return masks, levels
 
 

@@ -35,11 +35,11 @@ from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model
 from estimation.signals.controls import with_raw_steps
 from estimation.signals.denoise import denoise_many
+from estimation.signals.rounding import without_stairs
 
 RAN_AWAY = 3.0  # energies of the flights: with more the base did not follow its own flight, whose motion grows
 NOTHING = 1e-12  # smallest score
 FEWEST = 4  # simulated sets, for the scatter of a score
-SERVO = 0.04  # s: time constant of the servos of small aircraft
 REPEATS = 16  # simulated sets: their mean gain is known to a quarter of its scatter, some 4 of a gain of 40
 
 
@@ -298,14 +298,6 @@ def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: 
     return np.where(raw, smooth, prepared + error)
 
 
-def without_stairs(values: Array, interval: float) -> Array:
-    """(N,) a rounded control, samples `interval` [s] apart, no rougher than a servo moves: rounded again, stairs would stay
-    stairs, and have no error from which a hypothesis that smooths could gain."""
-    reach = max(round(SERVO / interval), 1)
-    weights = 1.0 + reach - np.abs(np.arange(-reach, reach + 1))
-    return np.asarray(np.convolve(np.pad(values, reach, mode="edge"), weights / weights.sum(), "valid"))
-
-
 def measured_control(record: FlightRecord, name: str, true: Array, noise: float, rng: np.random.Generator) -> Array:
     """(N,) a control as its potentiometer and converter may have recorded a true course. noise: of the recorded control."""
     white, grid = rng.standard_normal(true.size), record.grids.get(name)
@@ -326,4 +318,6 @@ def prepared_again(
         return smooth
     interval = float(np.median(np.diff(record.time)))
     step = baseline.criteria.surface_step
+    if name in record.grids:
+        measured = [without_stairs(m, interval) for m in measured]
     return [with_raw_steps(s, m, noise, step, interval)[0] for s, m in zip(smooth, measured, strict=True)]
