@@ -140,7 +140,9 @@ def inputs_without_noise(state: PreparationState) -> PreparationState:
     restless = _denoise(state, controls, 1, errors, rng)
     _denoise(state, motion, 2, errors, rng)
     _derive_errors(state, errors)
-    return replace(state, errors=errors, restless=frozenset(inputs[i].name for i in restless))
+    grids, notes = _coarse_grids(state, controls)
+    restless_names = frozenset(inputs[i].name for i in restless)
+    return replace(state, errors=errors, restless=restless_names, grids=grids, notes=(*state.notes, *notes))
 
 
 def _draw_noise(
@@ -182,6 +184,21 @@ def _denoise(
             noise, removed = (float(np.median(values)) for values in zip(*levels[i], strict=True))
             state.noise[state.model.inputs[i].name] = (noise, removed)
     return list(restless)
+
+
+def _coarse_grids(state: PreparationState, controls: Sequence[int]) -> tuple[dict[str, Grid], list[Finding]]:
+    """Control -> its levels, of those whose noise is mostly their rounding; with a note on each."""
+    grids, notes = {}, list[Finding]()
+    for i in controls:
+        signal = state.model.inputs[i]
+        grid = grid_of(state.flight[signal.source])
+        if grid is not None and grid.is_coarse(state.noise[signal.name][0]):
+            grids[signal.name] = grid
+            in_degrees = signal.unit == "rad"
+            step, unit = (np.degrees(grid.step), "deg") if in_degrees else (grid.step, signal.unit)
+            text = f"{signal.source} is recorded in steps of {step:.2g} {unit}: between two it is not known"
+            notes.append(Finding(FindingKind.OTHER, text, columns=(signal.source,)))
+    return grids, notes
 
 
 def _restless(
@@ -263,7 +280,7 @@ def _restore_feedback(
     ]
     feedback = feedback_gains(parts, level) if smooth_states else None
     rng = np.random.default_rng([FEEDBACK_SEED, i])
-    grid = grid_of(column)
+    grid = state.grids.get(state.model.inputs[i].name)
     draws, reach = errors.shape[2], step_reach(state.flight.sample_interval)
     for (a, b), part in zip(pieces, parts, strict=True):
         if feedback is not None:
@@ -277,16 +294,11 @@ def _restore_feedback(
 
 
 def rounding_errors_drawn(state: PreparationState) -> PreparationState:
-    """Draws of the errors of controls that a converter has rounded, where they stay on one level."""
+    """Draws of the errors of coarsely rounded controls where they stay on one level."""
     for i, signal in enumerate(state.model.inputs):
-        column = state.flight.columns.get(signal.source)
-        if not signal.control or signal.name not in state.noise or column is None:
-            continue
-        grid = grid_of(column)
-        if grid is None:
-            continue
-        state.grids[signal.name] = grid
-        rng = np.random.default_rng([ROUNDING_SEED, i])
-        for a, b in state.pieces if state.errors is not None else ():
-            draw_level_errors(state.errors[a:b, i], column[a:b], grid, rng)
+        grid = state.grids.get(signal.name)
+        if grid is not None and state.errors is not None:
+            rng, column = np.random.default_rng([ROUNDING_SEED, i]), state.flight[signal.source]
+            for a, b in state.pieces:
+                draw_level_errors(state.errors[a:b, i], column[a:b], grid, rng)
     return state

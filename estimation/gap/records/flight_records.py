@@ -79,8 +79,8 @@ class FlightRecord:
     errors: input -> (draws, N) possible errors after its preparation; error_spectra: control -> (frequencies,) their variance per
     sample, once known. uncompared: (N, ny) measured outputs that are not compared, such as the repeats of a slow sensor; NaN
     elsewhere. states: (N, nx) measured states without their noise. follows: control -> (N,) the part of it that follows the
-    motion, which de-noising keeps. restless: controls that never rest on any training flight; of all records alike. grids: control
-    that a converter has rounded -> its levels.
+    motion, which de-noising keeps. restless: controls that never rest on any training flight; of all records alike. grids: coarsely
+    rounded control -> its levels.
     """
 
     flight: int
@@ -294,20 +294,18 @@ def _raw_steps(
     grids: Mapping[str, Grid],
 ) -> tuple[dict[str, NDArray[np.bool_]], dict[str, float]]:
     """Put the measured values of the controls among `signals` near their steps into `inputs`. Returns for each control (N,)
-    where, and the noise between the steps."""
+    where, and the noise between the steps. grids: of the coarsely rounded controls."""
     masks, levels = {}, {}
     for signal in signals:
         level = noise.get(signal.name, 0.0)
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]
-            levels[signal.name] = 0.0
-            whole = measured
-            if signal.name in grids:
-                measured = without_stairs(measured, flight.sample_interval)
+            interval = flight.sample_interval
+            near = without_stairs(measured, interval) if signal.name in grids else measured
             inputs[signal.name], masks[signal.name] = with_raw_steps(
-                inputs[signal.name], measured, level, criteria.surface_step, flight.sample_interval
+                inputs[signal.name], near, level, criteria.surface_step, interval
             )
-            levels[signal.name] = noise_between_steps(whole, masks[signal.name], level)
+            levels[signal.name] = noise_between_steps(measured, masks[signal.name], level)
     return masks, levels
 
 

@@ -284,10 +284,11 @@ def own_share(gain: float, without: float, freed: float, criteria: Criteria) -> 
 
 def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: np.random.Generator) -> Array:
     """(N,) a course that a control may have taken: as prepared, with one draw of its possible errors; near its steps, where the
-    prepared values are the measured ones, without their noise. One of a rounded control has no stairs."""
+    prepared values are the measured ones, without their noise. One of a coarsely rounded control has no stairs."""
     grid = record.grids.get(name)
     if grid is not None:
-        return without_stairs(prepared, float(np.median(np.diff(record.time)))) + grid.step * rng.uniform(-0.5, 0.5)
+        interval = float(np.median(np.diff(record.time)))
+        return without_stairs(prepared, interval, least=1) + grid.step * rng.uniform(-0.5, 0.5)
     raw = record.raw.get(name)
     draws = record.errors.get(name)
     error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
