@@ -61,7 +61,7 @@ class Denoised:
 
 
 def noise_level(values: Array) -> float:
-    """Standard deviation of the white part of a sampled signal, robust against edges and manoeuvres; at least that of its rounding.
+    """Standard deviation of the white part of a sampled signal, robust against edges and manoeuvres; at least its rounding.
 
     Median of absolute third differences, scaled for Gaussian noise; zero for a signal without noise. values: (N,), NaN where
     not measured. Where too few third differences are free of gaps, the measured samples count as consecutive.

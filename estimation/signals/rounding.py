@@ -57,7 +57,8 @@ def grid_of(values: Array) -> Grid | None:
     if not FEWEST_LEVELS <= gaps.size + 1 <= REPEATED * measured.size:
         return None
     step = float(np.median(gaps))
-    even = np.abs(gaps - step * np.maximum(np.round(gaps / step), 1.0)) <= EVEN * step
+    steps = np.maximum(np.round(gaps / step), 1.0)
+    even = np.abs(gaps - steps * step) <= EVEN * steps * step
     return Grid(step, float(measured[0])) if even.all() else None
 
 

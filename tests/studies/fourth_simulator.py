@@ -54,7 +54,7 @@ class Kind:
     effects and their sizes in usual ones; fastest: a servo [rad/s]; gust: rms flow angle [rad]; quantised: by `RESOLUTION`;
     attitude: `measured`, or an autopilot's with its values `held` or joined by `lines`; axes: those that are moved;
     course: of the sticks, one of `COURSES`; spikes: of each channel, each of eight times its noise; tails: noise by Student's t
-    of three degrees of freedom, in usual noises."""
+    of three degrees of freedom, in usual noises; pots: the step of the converter of the surfaces [rad], 0 for none."""
 
     rate: int = 20
     duration: float = 30.0
@@ -72,6 +72,7 @@ class Kind:
     course: str = "multisteps"
     spikes: int = 0
     tails: float = 0.0
+    pots: float = 0.0
 
 
 def fly(seed: int, kind: Kind, speeds: Sequence[float]) -> tuple[Flight, ...]:
@@ -302,6 +303,8 @@ def _instruments(motion: Mapping[str, Array], kind: Kind, every: int, rng: np.ra
         if kind.spikes and name in NOISE and name not in MEASURED_BY_POT:
             at = rng.integers(0, sampled.size, kind.spikes)
             columns[name][at] += SPIKE * NOISE[name] * rng.choice([-1.0, 1.0], kind.spikes)
+        if kind.pots and name in ("delta_e", "delta_a", "delta_r"):
+            columns[name] = kind.pots * np.round(columns[name] / kind.pots)
         if kind.quantised and name in RESOLUTION:
             columns[name] = RESOLUTION[name] * np.round(columns[name] / RESOLUTION[name])
     return columns

@@ -80,12 +80,12 @@ def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> Disagreemen
     outputs = problem.model.output_names
     squares = [(r / scatter) ** 2 for r in residuals]
     everything = np.concatenate(squares)
-    compared = np.isfinite(everything).any(axis=0)
+    compared = [(n, column[np.isfinite(column)]) for n, column in zip(outputs, everything.T, strict=True)]
     missing = tuple(missing_coefficients(problem, model_fit, i, r, scatter) for i, r in enumerate(residuals))
     return DisagreementView(
         stage=stage,
         gap=float(np.sqrt(np.nanmean(everything))),
-        channels={n: float(np.sqrt(np.nanmean(everything[:, c]))) for c, n in enumerate(outputs) if compared[c]},
+        channels={n: float(np.sqrt(np.mean(column))) for n, column in compared if column.size},
         times=tuple(
             (prepared.names[problem.records[i].flight], *window)
             for i, s in enumerate(squares)

@@ -11,13 +11,17 @@ from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.lineage import late_commands
 from estimation.gap.decision.unnamed import held_instrument, held_step
+from estimation.gap.fit.baseline import fit_baseline
+from estimation.gap.fit.channel_noise import channel_noise
 from estimation.gap.fit.spectra import NoisePart, NoiseSource, Shapes, as_seen, estimate_noise, whitener
 from estimation.gap.fit.whitener import spectrum_of
 from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.records.sampling import command_times, flown_apart
+from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight, Provenance
+from tests.studies import fourth_simulator as fourth
 from tests.studies import second_truth as truth
 from tests.unit.estimation.gap.candidates_by_hand import stub
 
@@ -62,9 +66,45 @@ def test_a_channel_measured_in_a_part_is_seen_in_a_part() -> None:
     part = as_seen(one, measured)
     assert part.louder == pytest.approx([1.0, 1.5])
     np.testing.assert_allclose(part.parts[GUST], one.parts[GUST] * (1.0, 0.75))
-    measured[:] = True
-    measured[:, 0] = False  # not measured on this flight at all: nothing is known, and nothing changed
-    assert as_seen(one, measured) is one
+
+
+def test_a_channel_that_was_never_measured_shows_nothing() -> None:
+    measured = np.ones((COUNT, 2), bool)
+    measured[:, 1] = False
+    absent = as_seen(replace(shapes(), louder=np.array([1.0, 2.0])), measured)
+    assert absent.louder == pytest.approx([1.0, 2.0])
+    assert not absent.parts[GUST].any()
+
+
+@pytest.mark.parametrize("column", ["ax", "az"])
+def test_flights_without_a_channel_are_fitted_like_a_model_without_its_output(column: str) -> None:
+    kind = fourth.Kind(axes="longitudinal", gust=0.3 * fourth.DEG, duration=15.0)
+    flights = [without(f, column) for f in fourth.fly(7, kind, (16.0, 18.0))]
+    base = load_model("longitudinal", "cdfp")
+    fits = []
+    for model in (base, base.without_outputs(column)):
+        prepared = prepare_flights(model, (), flights, (), AS_SET)
+        fits.append(fit_baseline(model, model, prepared, channel_noise(prepared.records)).fit)
+    absent, none = fits
+    bounds = none.std()
+    for name in none.free:
+        assert absent.values[name] == pytest.approx(none.values[name], abs=0.05 * bounds[name]), name
+
+
+def without(flight: Flight, column: str) -> Flight:
+    """A flight that lacks a column."""
+    columns = {n: v for n, v in flight.columns.items() if n != column}
+    return Flight.build(flight.name, flight.time, columns, provenance=flight.provenance)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_flights_without_accelerometers_along_two_axes_get_an_answer() -> None:
+    """Both were taken for measured without any noise: a singular matrix ended the run."""
+    kind = fourth.Kind(axes="longitudinal", duration=20.0)
+    flights = [without(without(f, "ax"), "az") for f in fourth.fly(7, kind, (15.0, 16.5, 18.0, 17.0))]
+    result = run_gap(load_model("longitudinal", "cdfp"), flights[:3], flights[3:], (), Options(seed=1, nulls=10))
+    assert not result.steps
+    assert {*result.views[0].channels} == {"V", "alpha", "theta", "q"}
 
 
 @pytest.mark.parametrize(("times", "told"), [(1.7, False), (2.3, True)])
