@@ -25,6 +25,7 @@ from estimation.signals.denoise import (
     finest_noise_level,
     moving_share,
     noise_level,
+    wiener,
     worth_denoising,
 )
 from estimation.signals.rounding import Grid, draw_level_errors, grid_of, without_stairs
@@ -173,7 +174,7 @@ def _denoise(
     restless = _restless(state, places, measured, smooth)
     for (a, b, i, rows), values, denoised in zip(places, measured, smooth, strict=True):
         if i in restless:
-            denoised = _as_measured(values, draws, restless[i], i)
+            denoised = wiener(values, restless[i], draws, np.random.default_rng([RESTLESS_SEED, i]))
         complete, samples = rows.size == b - a, np.arange(a, b)
         state.u[a:b, i] = denoised.values if complete else np.interp(samples, rows, denoised.values)
         for k, error in enumerate(denoised.errors[:draws]):
@@ -218,12 +219,6 @@ def _restless(
     return {i: float(np.median([level for _, level, _ in samples[i]])) for i, count in lost.items() if count > 0}
 
 
-def _as_measured(values: Array, draws: int, level: float, column: int) -> Denoised:
-    """A signal with its noise, and draws of that."""
-    rng = np.random.default_rng([RESTLESS_SEED, column])
-    return Denoised(values, level, 0.0, level * rng.standard_normal((draws, values.size)))
-
-
 def _derive_errors(state: PreparationState, errors: NDArray[np.float32]) -> None:
     """Errors of inputs that are slopes of other inputs, in place: slopes of their errors."""
     sources = [s.source for s in state.model.inputs]
@@ -255,7 +250,7 @@ def feedback_restored(state: PreparationState) -> PreparationState:
         level = state.noise.get(signal.name, (0.0, 0.0))[0]
         if not signal.control or signal.computed or not state.flight.measured(signal.source):
             continue
-        if signal.name in state.restless:  # nothing was taken off
+        if signal.name in state.restless:  # the filter took off no part that follows
             continue
         column = state.flight[signal.source]
         missing = ~np.isfinite(column) | state.conditioned.held(signal.source)

@@ -21,6 +21,7 @@ from math import comb, erf, exp, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct, idct
 
 from estimation.signals.rounding import rounding_noise
 
@@ -40,6 +41,8 @@ CLIP = 2.5  # standard deviations: one in 80 differences of noise alone is large
 CLIPPED_VARIANCE = 1.0 - 2.0 * CLIP * exp(-0.5 * CLIP**2) / sqrt(2.0 * pi) / erf(CLIP / sqrt(2.0))
 """Of a standard normal variable within CLIP."""
 MOVES, NEAR_MOVE = 4.0, 3  # times the noise, samples: of `moving_share`
+TINY = 1e-30  # power of a signal that is zero
+NEIGHBOURS = 3  # cosines to either side, whose mean power counts: a line of a multisine is as wide
 CLIPPINGS = 30  # usual: 5 to 10
 BLOCK = 640  # samples of a long signal treated at once
 RESCALE = 12  # steps between rescalings of the recursions
@@ -111,6 +114,23 @@ def worth_denoising(denoised: Denoised, level: float) -> bool:
         return True
     follows = float(np.mean(denoised.errors**2)) / denoised.noise**2
     return denoised.removed**2 + 2.0 * level**2 * follows < 2.0 * level**2
+
+
+def wiener(values: Array, level: float, draws: int = 0, rng: np.random.Generator | None = None) -> Denoised:
+    """Estimate of a signal that never rests, (N,), in white noise of standard deviation `level`, by Wiener's filter in cosines.
+
+    Each cosine keeps the share of its power that is not noise, so that the error of the estimate is not correlated with it: an
+    input with such an error biases no derivative by it, as one with its noise does.
+    """
+    cosines = dct(values, norm="ortho")
+    nearby = np.full(2 * NEIGHBOURS + 1, 1.0 / (2 * NEIGHBOURS + 1))
+    power = np.convolve(np.pad(cosines**2, NEIGHBOURS, mode="reflect"), nearby, "valid")
+    share = np.maximum(1.0 - level**2 / np.maximum(power, TINY), 0.0)
+    share[0] = 1.0  # the mean
+    smooth = idct(share * cosines, norm="ortho")
+    white = (rng or np.random.default_rng(0)).standard_normal((draws, values.size))
+    errors = idct(np.sqrt(share) * level * white, norm="ortho", axis=1) if draws else np.zeros((0, values.size))
+    return Denoised(smooth, level, float(np.sqrt(np.mean((values - smooth) ** 2))), errors)
 
 
 def denoise(values: Array, *, order: int = 1, noise: float | None = None) -> Denoised:

@@ -98,12 +98,8 @@ class FlightRecord:
     states: Array | None = None
     follows: Mapping[str, Array] = field(default_factory=dict)
     restless: frozenset[str] = frozenset()
+    filtered: frozenset[str] = frozenset()
     grids: Mapping[str, Grid] = field(default_factory=dict)
-
-    def as_measured(self, control: str) -> bool:
-        """Whether a control is used as it was measured in all samples."""
-        raw = self.raw.get(control)
-        return raw is not None and bool(raw.all())
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -191,7 +187,6 @@ def prepare_flights(
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
             controls_read = [s for s in base.inputs if s.name not in data.restless] if exact else ()
             raw, step_noise = _raw_steps(controls_read, flight, segment.first, inputs, noise, criteria, data.grids)
-            raw |= {n: np.ones(length, bool) for n in data.restless}
             level = {**noise, **step_noise}
             errors = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
             span = slice(segment.first, segment.first + length)
@@ -211,6 +206,7 @@ def prepare_flights(
                     states=data.states[span],
                     follows={s.name: f for s, f in zip(probe.inputs, follows, strict=False) if f.any()},
                     restless=restless,
+                    filtered=data.restless,
                     grids=data.grids,
                 )
             )

@@ -34,7 +34,7 @@ from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model
 from estimation.signals.controls import with_raw_steps
-from estimation.signals.denoise import denoise_many
+from estimation.signals.denoise import denoise_many, wiener
 from estimation.signals.rounding import without_stairs
 
 RAN_AWAY = 3.0  # energies of the flights: with more the base did not follow its own flight, whose motion grows
@@ -310,8 +310,8 @@ def prepared_again(
 ) -> list[Array]:
     """(N,) each: repeated measurements of a control, de-noised except for the part that follows the motion, and as measured near
     its steps where the record is."""
-    if record.as_measured(name):
-        return list(measured)
+    if name in record.filtered:
+        return [wiener(m, noise).values for m in measured]
     follows = record.follows.get(name, 0.0)
     smooth = [d.values + follows for d in denoise_many([m - follows for m in measured], noise=noise)]
     raw = record.raw.get(name)

@@ -74,8 +74,7 @@ def input_errors(record: FlightRecord, model: Model, rng: np.random.Generator) -
         sigma, draws = record.input_noise.get(signal.name, 0.0), record.errors.get(signal.name)
         if draws is None or (sigma <= 0.0 and not draws.any()):
             continue
-        drawn = record.as_measured(signal.name) or signal.name in record.grids
-        raw = record.raw.get(signal.name, np.zeros(draws.shape[1], dtype=bool)) & (not drawn)
+        raw = record.raw.get(signal.name, np.zeros(draws.shape[1], dtype=bool)) & (signal.name not in record.grids)
         bank[signal.name] = np.where(raw, sigma * rng.standard_normal(draws.shape), np.asarray(draws, float))
     return InputErrors(bank)
 
