@@ -53,7 +53,7 @@ def clocked_controls(model: Model, flights: Sequence[FlightData]) -> tuple[str, 
         if not signal.control:
             continue
         noise = max((f.noise.get(signal.name, (0.0, 0.0))[0] for f in flights), default=0.0)
-        # what is used as measured moves by its noise before an edge, too
+        # a control that never rests moves by its noise before an edge, too
         unrest = [AT_REST * noise if signal.name in f.restless else 0.0 for f in flights]
         pairs = [(s.u[:, i], still) for f, still in zip(flights, unrest, strict=True) for s in f.segments]
         edges = np.concatenate([_edges_from_rest(u, noise, still) for u, still in pairs])

@@ -53,8 +53,8 @@ class FlightData:
     is not measured; noise: input -> (standard deviation, rms removed by de-noising); errors: (samples, nu, draws) draws of the
     remaining errors of the inputs (from the posterior of the de-noising, or of noise that was not removed; zero outside the
     segments), or None where unknown; follows: (samples, nu) the part of each control that follows the motion, where it was
-    looked for; commands: control that is a recorded command -> interval of its record [s]; restless: controls that stay as
-    measured, because de-noising would take more signal than noise; grids: coarsely rounded control -> its levels."""
+    looked for; commands: control that is a recorded command -> interval of its record [s]; restless: controls that never
+    rest, so that de-noising would take more signal than noise; grids: coarsely rounded control -> its levels."""
 
     name: str
     samples: int

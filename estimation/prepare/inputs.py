@@ -4,7 +4,8 @@ Controls of a model with pitch rate keep their part that follows the motion, and
 acts on a light and little damped motion, so what de-noising removes besides noise would bias pitch damping and the derivatives
 by the elevator far beyond their bounds (`estimation.signals.controls`). Lateral models need neither, but for very quiet gyros:
 there the noise of measured values costs as much as the rounding of steps. A control that moves so much that de-noising takes
-more signal than noise stays as measured. One that a converter of few bits has rounded keeps its error while it stays on a level.
+more signal than noise is filtered by Wiener's filter. One that a converter of few bits has rounded keeps its error while it stays
+on a level.
 """
 
 from collections.abc import Sequence
@@ -163,13 +164,13 @@ def _draw_noise(
 def _denoise(
     state: PreparationState, inputs: Sequence[int], order: int, errors: NDArray[np.float32], rng: np.random.Generator
 ) -> list[int]:
-    """De-noise columns of `u` and draw their errors, in place. order: of the polynomials. Returns the controls that stay as
-    measured."""
+    """De-noise columns of `u` and draw their errors, in place. order: of the polynomials. Returns the controls that never
+    rest."""
     levels: dict[int, list[tuple[float, float]]] = {i: [] for i in inputs}
     places = [(a, b, i, state.rows[i][k]) for k, (a, b) in enumerate(state.pieces) for i in inputs]
     measured = [state.u[rows, i] for _, _, i, rows in places]
     draws = errors.shape[2]
-    # whether a control stays as measured must not depend on how many draws are asked for
+    # whether a control never rests must not depend on how many draws are asked for
     smooth = denoise_many(measured, order=order, draws=max(draws, FEWEST_DRAWS) if order == 1 else draws, rng=rng)
     restless = _restless(state, places, measured, smooth)
     for (a, b, i, rows), values, denoised in zip(places, measured, smooth, strict=True):

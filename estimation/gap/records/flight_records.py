@@ -79,8 +79,8 @@ class FlightRecord:
     errors: input -> (draws, N) possible errors after its preparation; error_spectra: control -> (frequencies,) their variance per
     sample, once known. uncompared: (N, ny) measured outputs that are not compared, such as the repeats of a slow sensor; NaN
     elsewhere. states: (N, nx) measured states without their noise. follows: control -> (N,) the part of it that follows the
-    motion, which de-noising keeps. restless: controls that never rest on any training flight; of all records alike. grids:
-    coarsely rounded control -> its levels.
+    motion, which de-noising keeps. restless: controls that never rest on any training flight; of all records alike.
+    filtered: controls that never rest on this flight. grids: coarsely rounded control -> its levels.
     """
 
     flight: int

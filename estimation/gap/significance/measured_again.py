@@ -309,7 +309,7 @@ def prepared_again(
     record: FlightRecord, name: str, measured: Sequence[Array], noise: float, baseline: Baseline
 ) -> list[Array]:
     """(N,) each: repeated measurements of a control, de-noised except for the part that follows the motion, and as measured near
-    its steps where the record is."""
+    its steps where the record is; one that never rests is filtered."""
     if name in record.filtered:
         return [wiener(m, noise).values for m in measured]
     follows = record.follows.get(name, 0.0)

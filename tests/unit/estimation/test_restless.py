@@ -15,6 +15,7 @@ from estimation.signals.denoise import (
     finest_noise_level,
     moving_share,
     noise_level,
+    wiener,
     worth_denoising,
 )
 from groundstation.flight import Flight
@@ -105,19 +106,44 @@ def flown(kind: str) -> Flight:
 
 
 @pytest.mark.parametrize("draws", [0, 24])
-def test_a_control_that_never_rests_is_used_as_measured(draws: int) -> None:
+def test_a_control_that_never_rests_is_filtered_in_cosines(draws: int) -> None:
     restless, resting = flown("multisine"), flown("doublets")
     data = prepare(ROLL, restless, Preparation(draws=draws))
     assert data.restless == {"delta_a"}
-    np.testing.assert_array_equal(data.segments[0].u[:, 0], restless["delta_a"])
-    assert data.noise["delta_a"][0] == pytest.approx(np.radians(NOISE), rel=0.1)
-    assert data.noise["delta_a"][1] == 0.0
+    found = data.noise["delta_a"][0]
+    np.testing.assert_array_equal(data.segments[0].u[:, 0], wiener(restless["delta_a"], found).values)
+    assert found == pytest.approx(np.radians(NOISE), rel=0.1)
     other = prepare(ROLL, resting, Preparation(draws=draws))
     assert other.restless == frozenset()
     assert other.noise["delta_a"][1] > 0.5 * np.radians(NOISE)
 
 
-def test_the_draws_of_its_error_are_its_noise() -> None:
+@pytest.mark.parametrize(("kind", "most"), [("multisine", 0.85), ("random steps", 1.02)])
+def test_the_filtered_control_is_nearer_the_truth_and_its_error_is_not_correlated_with_it(
+    kind: str, most: float
+) -> None:
+    """As noise does to a measured input, an error that is correlated with it would make every derivative by it too small."""
+    rng, errors, attenuation, drawn = np.random.default_rng(8), [], [], []
+    for _ in range(20):
+        true = course(kind, rng)
+        measured = true + 2.0 * NOISE * rng.standard_normal(true.size)
+        filtered = wiener(measured, 2.0 * NOISE, 24, rng)
+        errors.append(np.std(filtered.values - true) / np.std(measured - true))
+        attenuation.append((filtered.values - true) @ filtered.values / (filtered.values @ filtered.values))
+        drawn.append(np.std(filtered.errors) / np.std(filtered.values - true))
+    assert np.mean(errors) < most
+    noise_alone = (2.0 * NOISE) ** 2 / np.mean(measured**2)
+    assert abs(np.mean(attenuation)) < 0.2 * noise_alone
+    assert np.mean(drawn) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_signal_without_noise_or_motion_is_left_alone() -> None:
+    true = course("multisine", np.random.default_rng(1))
+    np.testing.assert_allclose(wiener(true, 0.0).values, true, atol=1e-12)
+    np.testing.assert_allclose(wiener(np.full(200, 3.0), 0.1).values, 3.0)
+
+
+def test_draws_of_the_error_of_a_prepared_control_have_its_size() -> None:
     data = prepare(ROLL, flown("random steps"), Preparation(draws=24))
     assert data.errors is not None
     assert np.std(data.errors[:, 0]) == pytest.approx(data.noise["delta_a"][0], rel=0.05)
