@@ -21,7 +21,7 @@ from estimation.models.base import Model
 from estimation.models.expressions import names_in, products_in
 
 FIRST_STEPS = 5  # from every start; then only the best goes on
-STEPS = 30  # in all: along a narrow valley (a slow servo against roll damping) twelve ended where rounding had led them
+STEPS = 60  # in all: along a narrow valley (a slow servo against roll damping) 30 ended where a processor's rounding had led them
 ENOUGH = 0.02  # of the log-likelihood: rivals differ by whole units of it
 NEAREST, FARTHEST = 0.3, 3.0  # usual sizes from no effect, between which a fit starts: a play of zero has no slope
 SHORTER = (0.3, 0.03)  # shares of the first start, tried where the motion runs away from it
