@@ -11,7 +11,7 @@ few bits has rounded shows none from sample to sample, but has the errors of its
 
 A control that never rests (a multisine, a random sequence of steps) has curves and edges in most samples: its noise is overstated
 by third differences, and smoothing takes more signal than noise (0.134 deg of error for 0.071, simulated multisine of up to
-2.5 Hz at 20 Hz). `worth_denoising` tells, by an unbiased estimate of the risk.
+2.5 Hz at 20 Hz). `worth_denoising` tells, by an unbiased estimate of the risk; `wiener` filters such a control.
 """
 
 from collections.abc import Sequence
