@@ -124,8 +124,8 @@ def _in_wrong_minimum(
 
 
 def _finished(trial: LikelihoodProblem, first_fit: ModelFit, hypothesis: Hypothesis, beyond: float) -> ModelFit:
-    """The fit continued from its first steps, unless these have ended it; that of a lag, delay or play as long as going on from its
-    end gains."""
+    """The fit continued from its first steps, unless these have ended it; that of a lag, delay or play as long as it gains from
+    its end."""
     best = first_fit
     for turn in range(TIMES if hypothesis.form.nonlinear or not first_fit.converged else 0):
         if best.diverged or best.abandoned:
