@@ -21,7 +21,6 @@ from math import comb, erf, exp, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct, idct
 
 from estimation.signals.rounding import rounding_noise
 
@@ -122,6 +121,8 @@ def wiener(values: Array, level: float, draws: int = 0, rng: np.random.Generator
     Each cosine keeps the share of its power that is not noise, so that the error of the estimate is not correlated with it: an
     input with such an error biases no derivative by it, as one with its noise does.
     """
+    from scipy.fft import dct, idct
+
     cosines = dct(values, norm="ortho")
     nearby = np.full(2 * NEIGHBOURS + 1, 1.0 / (2 * NEIGHBOURS + 1))
     power = np.convolve(np.pad(cosines**2, NEIGHBOURS, mode="reflect"), nearby, "valid")

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 FEWEST_LEVELS = 6  # distinct values that show a grid: a command of exact steps has fewer
 REPEATED = 0.5  # of the samples of a rounded signal at least have a value that others have too
 SAME_VALUE = 1e-6  # of the range of a signal: values as close differ by the rounding of arithmetic
+HELD = 0.25  # of its levels a rounded signal holds for two samples or more (0.34 to 0.88); exact ramps between steps hold few
 EVEN = 0.2  # of a step: a calibration may stretch the grid
 UNIFORM = 1.0 / 12.0  # variance of an error that is uniform over one step
 COARSE = 0.5  # of the noise: with less, noise moves a signal from level to level in most samples
@@ -51,7 +52,8 @@ class Grid:
 def grid_of(values: Array) -> Grid | None:
     """The grid on which a recorded signal (N,) lies, NaN where not measured; None where there is none, or too few values show
     it."""
-    measured = np.sort(values[np.isfinite(values)])
+    finite = values[np.isfinite(values)]
+    measured = np.sort(finite)
     gaps = np.diff(measured)
     gaps = gaps[gaps > SAME_VALUE * (measured[-1] - measured[0])] if measured.size else gaps
     if not FEWEST_LEVELS <= gaps.size + 1 <= REPEATED * measured.size:
@@ -59,7 +61,9 @@ def grid_of(values: Array) -> Grid | None:
     step = float(np.median(gaps))
     steps = np.maximum(np.round(gaps / step), 1.0)
     even = np.abs(gaps - steps * step) <= EVEN * steps * step
-    return Grid(step, float(measured[0])) if even.all() else None
+    levels = np.round((finite - measured[0]) / step)
+    held = np.unique(levels[1:][np.diff(levels) == 0.0]).size
+    return Grid(step, float(measured[0])) if even.all() and held >= HELD * np.unique(levels).size else None
 
 
 def rounding_noise(values: Array) -> float:

@@ -69,6 +69,7 @@ def test_the_grid_of_a_rounded_signal_is_found() -> None:
         np.zeros(50),
         np.zeros(0),
         np.resize([0.0, 2.0, -2.0, 1.0, -1.0], 600),  # exact steps of a command
+        np.interp(np.arange(600), np.arange(0, 601, 20), np.resize([0.0, 3.0, 3.0, -3.0, 0.0], 31)),  # exact ramps
         np.resize([0.0, 0.1, 0.25, 0.4, 0.7, 0.9, 1.3], 600),
     ],
 )

@@ -386,14 +386,24 @@ def test_a_fit_that_ends_above_the_base_it_holds_begins_nearer_to_no_effect(
 ) -> None:
     """A rudder with a degree of play: from four fifths of it and more another valley, from two thirds and less the right one."""
 
-    def begun(problem: Any, base: Any, hypothesis: Any, start: Any, beyond: float) -> Any:
-        cost, play = (3.0, 1.0) if start["play"] < 0.2 else end
-        values = {"play": play}
-        return problem, stub(
-            cost=cost, values=values, locals=[], converged=True, diverged=False, abandoned=False, model=None
+    costs = {1.0: 3.0, end[1]: end[0]}
+
+    def there(play: float) -> Any:
+        return stub(
+            cost=costs[play],
+            values={"play": play},
+            locals=[],
+            converged=True,
+            diverged=False,
+            abandoned=False,
+            model=None,
         )
 
+    def begun(problem: Any, base: Any, hypothesis: Any, start: Any, beyond: float) -> Any:
+        return problem, there(1.0 if start["play"] < 0.2 else end[1])
+
     monkeypatch.setattr(confirm, "_first_steps", begun)
+    monkeypatch.setattr(confirm, "fit", lambda trial, values, locals_, **_: there(values["play"]))
     hypothesis = stub(form=stub(parameters=(EffectParameter("play", "rad", 1.0, 0.0, 3.0),), nonlinear=True))
     _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(cost=20.0), hypothesis, {"play": 0.0})
     assert found.cost == kept
