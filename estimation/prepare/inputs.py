@@ -29,7 +29,7 @@ from estimation.signals.denoise import (
     wiener,
     worth_denoising,
 )
-from estimation.signals.rounding import Grid, draw_level_errors, grid_of, without_stairs
+from estimation.signals.rounding import Grid, draw_level_errors, grid_of, near_edges
 from groundstation.flight import Array, Flight
 from groundstation.flight.findings import Finding, FindingKind
 
@@ -283,8 +283,7 @@ def _restore_feedback(
             u[a:b, i], error_draws = with_feedback(part, feedback, level, draws, rng)
             errors[a:b, i], state.follows[a:b, i] = error_draws.T, part.following(feedback)
         step_rows = np.flatnonzero(near_steps(part.smooth, level, STEP, reach))
-        values = part.values if grid is None else without_stairs(part.values, state.flight.sample_interval)
-        u[a + step_rows, i] = values[step_rows]
+        u[a + step_rows, i] = near_edges(part.values, grid, state.flight.sample_interval)[step_rows]
         errors[a + step_rows, i] = level * rng.standard_normal((step_rows.size, draws))
     return np.concatenate([part.values - u[a:b, i] for (a, b), part in zip(pieces, parts, strict=True)])
 

@@ -130,7 +130,7 @@ def wiener(values: Array, level: float, draws: int = 0, rng: np.random.Generator
     share[0] = 1.0  # the mean
     smooth = idct(share * cosines, norm="ortho")
     white = (rng or np.random.default_rng(0)).standard_normal((draws, values.size))
-    errors = idct(np.sqrt(share) * level * white, norm="ortho", axis=1) if draws else np.zeros((0, values.size))
+    errors = idct(np.sqrt(share) * level * white, norm="ortho", axis=1)
     return Denoised(smooth, level, float(np.sqrt(np.mean((values - smooth) ** 2))), errors)
 
 

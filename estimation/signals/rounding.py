@@ -84,6 +84,11 @@ def draw_level_errors(errors: NDArray[np.float32], measured: Array, grid: Grid, 
             errors[a:b] = grid.step * rng.uniform(-0.5, 0.5, errors.shape[1])
 
 
+def near_edges(measured: Array, grid: Grid | None, interval: float) -> Array:
+    """(N,) a measured control, samples `interval` [s] apart, as it is used near its edges: a rounded one without stairs."""
+    return measured if grid is None else without_stairs(measured, interval)
+
+
 def without_stairs(values: Array, interval: float, least: int = 0) -> Array:
     """(N,) a rounded control, samples `interval` [s] apart, averaged over `SMOOTH` to either side, or over `least` samples, with
     falling weights: no servo moves in stairs. Unchanged where samples are farther apart, and next to missing values (NaN)."""

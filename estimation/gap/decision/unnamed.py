@@ -170,7 +170,7 @@ def find_held_instrument(baseline: Baseline, prepared: FlightRecords) -> HeldIns
     pairs = [
         (r, y) for r, y in zip(problem.records, modelled, strict=True) if y is not None and r.uncompared is not None
     ]
-    step = max(float(np.median(np.diff(r.time))) for r in problem.records)
+    step = max(r.interval for r in problem.records)
     instruments = []
     for c, signal in enumerate(problem.model.outputs):
         if signal.source in prepared.stale and pairs:

@@ -214,7 +214,7 @@ def noise_parts(
     filter follows the motion between two samples is not known to a hundredth of a degree.
     """
     filtered = filtered_attitudes(records, outputs, channel_noise(records), criteria)
-    step = float(np.median(np.diff(records[0].time)))
+    step = records[0].interval
     white = scatter.copy()
     strengths: dict[NoisePart, float] = {}
     for n in filtered:

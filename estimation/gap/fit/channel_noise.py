@@ -134,7 +134,7 @@ def _measured(record: FlightRecord, outputs: Sequence[str], name: str) -> Array:
 
 def sample_interval(records: Sequence[FlightRecord]) -> float:
     """Median over the records of their sample interval [s]."""
-    return float(np.median([np.median(np.diff(r.time)) for r in records]))
+    return float(np.median([r.interval for r in records]))
 
 
 def time_bound(std: float, interval: float, criteria: Criteria) -> float:

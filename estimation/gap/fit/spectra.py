@@ -228,9 +228,8 @@ def as_seen(shapes: Shapes, measured: Array) -> Shapes:
     share = measured.mean(axis=0)
     if (share == 1.0).all():
         return shapes
-    white = np.where(
-        share > 0.0, share, 1.0
-    )  # an output that is never measured has noise of its own alone: it shows nothing
+    # an output that is never measured has noise of its own alone, and so shows nothing
+    white = np.where(share > 0.0, share, 1.0)
     louder = white if shapes.louder is None else shapes.louder * white
     return replace(shapes, parts={n: p * share for n, p in shapes.parts.items()}, louder=louder)
 

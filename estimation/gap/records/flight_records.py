@@ -26,7 +26,7 @@ from estimation.prepare.inputs import has_pitch_rate
 from estimation.prepare.pipeline import prepare
 from estimation.signals.controls import noise_between_steps, with_raw_steps
 from estimation.signals.denoise import noise_level
-from estimation.signals.rounding import Grid, without_stairs
+from estimation.signals.rounding import Grid, near_edges
 from groundstation.flight import Flight
 
 NEAR = 0.1  # of a stretch, to either side of an even cut, in which the best cut is sought
@@ -103,6 +103,11 @@ class FlightRecord:
 
     def __len__(self) -> int:
         return int(self.time.size)
+
+    @property
+    def interval(self) -> float:
+        """Median interval of its samples [s]."""
+        return float(np.median(np.diff(self.time)))
 
     def segment(self, model: Model, base: Model) -> Segment:
         """This record for `model`, a descendant of `base`; inputs that the record lacks are zero."""
@@ -297,7 +302,7 @@ def _raw_steps(
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]
             interval = flight.sample_interval
-            near = without_stairs(measured, interval) if signal.name in grids else measured
+            near = near_edges(measured, grids.get(signal.name), interval)
             inputs[signal.name], masks[signal.name] = with_raw_steps(
                 inputs[signal.name], near, level, criteria.surface_step, interval
             )

@@ -57,7 +57,7 @@ def motion_regressors(record: FlightRecord) -> Array:
     if record.states is None:
         return line
     states = record.states[:, np.isfinite(record.states).all(axis=0)]
-    step = float(np.median(np.diff(record.time)))
+    step = record.interval
     delays = sorted({round(t / step) for t in LATE})
     delayed = [np.concatenate([states[:1].repeat(k, 0), states[: count - k]]) for k in delays]
     return np.column_stack([line, *delayed, np.cumsum(states - states.mean(axis=0), axis=0)])

@@ -35,7 +35,7 @@ from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model
 from estimation.signals.controls import with_raw_steps
 from estimation.signals.denoise import denoise_many, wiener
-from estimation.signals.rounding import without_stairs
+from estimation.signals.rounding import near_edges, without_stairs
 
 RAN_AWAY = 3.0  # energies of the flights: with more the base did not follow its own flight, whose motion grows
 NOTHING = 1e-12  # smallest score
@@ -287,8 +287,7 @@ def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: 
     prepared values are the measured ones, without their noise. One of a coarsely rounded control has no stairs."""
     grid = record.grids.get(name)
     if grid is not None:
-        interval = float(np.median(np.diff(record.time)))
-        return without_stairs(prepared, interval, least=1) + grid.step * rng.uniform(-0.5, 0.5)
+        return without_stairs(prepared, record.interval, least=1) + grid.step * rng.uniform(-0.5, 0.5)
     raw = record.raw.get(name)
     draws = record.errors.get(name)
     error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
@@ -317,8 +316,6 @@ def prepared_again(
     raw = record.raw.get(name)
     if raw is None or not raw.any():
         return smooth
-    interval = float(np.median(np.diff(record.time)))
-    step = baseline.criteria.surface_step
-    if name in record.grids:
-        measured = [without_stairs(m, interval) for m in measured]
-    return [with_raw_steps(s, m, noise, step, interval)[0] for s, m in zip(smooth, measured, strict=True)]
+    step, interval = baseline.criteria.surface_step, record.interval
+    near = [near_edges(m, record.grids.get(name), interval) for m in measured]
+    return [with_raw_steps(s, m, noise, step, interval)[0] for s, m in zip(smooth, near, strict=True)]

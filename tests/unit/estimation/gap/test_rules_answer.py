@@ -129,7 +129,7 @@ def test_the_bound_of_a_time_has_what_sampling_leaves_open_and_says_so(monkeypat
     """A lag of 40 ms in records of 20 Hz was 31 +- 2: how a surface moves between two samples is not known that well."""
     known = {"elevator_lag": (0.031, 0.002), "k": (1.0, 0.1)}
     monkeypatch.setattr(concluding, "estimates_of", lambda *_: known)
-    after = stub(criteria=AS_SET, problem=stub(records=[stub(time=np.arange(9) / 20.0)]))
+    after = stub(criteria=AS_SET, problem=stub(records=[stub(interval=0.05)]))
     late = replace(step("elevator_lag"), units={"elevator_lag": "s", "k": "1"})
     told = concluding.with_final_estimates(late, stub(round_=None, candidate=None), after)
     assert told.estimates["elevator_lag"] == (0.031, pytest.approx(np.hypot(0.002, 0.005)))

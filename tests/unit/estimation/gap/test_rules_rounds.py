@@ -277,7 +277,7 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     monkeypatch.setattr(searching, "material", lambda found, interval, noise, criteria: (*found, interval, noise))
     monkeypatch.setattr(searching, "better_rivals", better)
     monkeypatch.setattr(searching, "confirmed", confirmed)
-    record = stub(inputs=("delta_a",), input_noise={"delta_a": 0.002}, time=np.array([0.0, 0.05, 0.1]))
+    record = stub(inputs=("delta_a",), input_noise={"delta_a": 0.002}, interval=0.05)
     without = stub(problem=stub(records=[record]), criteria=AS_SET, clean=None, fit=stub(cost=1000.0))
     old = stub(candidate=rival("own", 200.0, 4.0), round_=round_of(9.0))
     found = searching._rival(stub(effects=(), prepared=stub(available=())), without, old, round_of(4.5), 100.0)
