@@ -90,6 +90,8 @@ class MeasuredAgain:
         """The records of every repeat with controls that answer gusts; none where these answers are small beside the noise of the
         controls."""
         repeats = range(1, REPEATS) if self.answers_gusts else ()
+        if any(n.startswith("followed_") for n in self.baseline.model.input_names):
+            return ()
         return self._near_the_base([self._first_answered, *map(self._answered_set, repeats)]) if repeats else ()
 
     @cached_property
