@@ -17,7 +17,6 @@ class Stream(IntEnum):
     KINEMATIC_INPUT_ERRORS = 49979687
     CLOSURE_NULLS = 86028121
     MEASURED_AGAIN = 122949823
-    CLOSED_LOOP = 141650939
 
     def generator(self, seed: int, *which: int) -> np.random.Generator:
         """The generator of one draw of this stream. which: indices of the draw, such as record and number."""

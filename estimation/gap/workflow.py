@@ -28,6 +28,7 @@ from estimation.gap.fit.channel_noise import (
     pitch_error,
     sample_interval,
 )
+from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.attitudes import with_attitudes_between
 from estimation.gap.records.broken import (
@@ -57,18 +58,13 @@ from estimation.gap.search.free_base import (
 )
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AS_USUAL, Options, ProgressCallback, Setting
-from estimation.gap.significance.followed import Feedback
 from estimation.gap.significance.kinematic_check import kinematic_check
-from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
 from estimation.models.dependence import force_states
 from estimation.prepare.plausible import MOST_WILD
 from groundstation.flight import Flight
 
-import os
-KEEP = bool(int(os.environ.get("KEEP","1")))
-FEEDBACK_PASSES = int(os.environ.get("PASSES","2"))
 SPIKE_PASSES = 2  # a large spike bends the first fit, so that others hide beside it
 
 
@@ -132,29 +128,34 @@ class _Run:
             self, sound=tuple(sound), training=tuple(clean[:count]), holdout=tuple(clean[count:]), notes_after=notes
         )
 
-    def set_up(self, base: Model, keep_feedback: bool = False, feedback: Feedback | None = None) -> tuple[Setting, Baseline]:
-        """What all rounds share and the first fit, for `base`. keep_feedback: controls keep what follows the motion; they also do
-        where the fit shows that they answer gusts."""
+    def set_up(self, base: Model) -> tuple[Setting, Baseline]:
+        """What all rounds share and the first fit, for `base`; with the closed loop in both where a control answers gusts."""
+        criteria, flights = self.options.criteria, [*self.training, *self.holdout]
+        setting, baseline = self._fitted(base)
+        loop = ClosedLoop.of(baseline, flights, feedback_of(baseline.problem.records, base))
+        if not loop.is_felt(baseline):
+            return setting, baseline
+        # de-noising takes off part of what follows the motion, unless asked to keep it
+        gains = feedback_of(prepare_flights(base, (), self.training, (), criteria, keep_feedback=True).records, base)
+        loop = replace(loop, gains=gains)
+        still = [loop.without_answers(i, f) for i, f in enumerate(flights)]
+        count = len(self.training)
+        return replace(self, training=tuple(still[:count]), holdout=tuple(still[count:]))._fitted(base, loop)
+
+    def _fitted(self, base: Model, loop: ClosedLoop | None = None) -> tuple[Setting, Baseline]:
+        """What all rounds share and the first fit. loop: of controls that answer gusts, whose answers the flights lack."""
         options = self.options
         candidates = tuple(self.effects) if self.effects is not None else catalogue(model=base)
         candidates += missing_derivatives(base, {e.name for e in candidates})
-        prepared = prepare_flights(base, candidates, self.training, self.holdout, options.criteria, keep_feedback)
+        exact = loop is not None
+        prepared = prepare_flights(base, candidates, self.training, self.holdout, options.criteria, exact)
         notes = (*self.notes_before, *prepared.notes, *self.notes_after)
         prepared = replace(prepared, notes=notes, stale=self.stale)
         attitude_intervals, commanded = stamped_attitudes(base, self.given), rare_commands(base, self.training)
         level_std = levels(base, self.given)
-        setting = _setting(prepared, candidates, level_std, attitude_intervals, commanded, options, self.tell, feedback)
+        setting = _setting(prepared, candidates, level_std, attitude_intervals, commanded, options, self.tell, loop)
         self.tell("fitting the baseline", 0.05)
-        baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
-        if feedback is None and not prepared.keeps_feedback and MeasuredAgain(baseline, options.seed).answers_gusts:
-            setting, baseline = self.set_up(base, keep_feedback=True)
-            flights, count = [*self.training, *self.holdout], len(self.training)
-            for _ in range(FEEDBACK_PASSES):
-                feedback = Feedback.of(baseline, flights)
-                still = [feedback.without_answers(i, f) for i, f in enumerate(flights)]
-                run = replace(self, training=tuple(still[:count]), holdout=tuple(still[count:]))
-                setting, baseline = run.set_up(base, KEEP, feedback)
-        return setting, baseline
+        return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
 
 
 def run_gap(
@@ -250,7 +251,7 @@ def _setting(
     commanded: Mapping[str, float],
     options: Options,
     tell: ProgressCallback,
-    feedback: Feedback | None = None,
+    loop: ClosedLoop | None = None,
 ) -> Setting:
     """What all rounds share: the base with nuisance parameters and all candidates dormant, and the errors of the inputs.
 
@@ -268,9 +269,9 @@ def _setting(
     noise = dict(zip(base.output_names, scatter, strict=True))
     levelled, interval = with_levels(base, level_std), sample_interval(records)
     clean = with_nuisance(levelled, noise, interval, options.criteria, filtered, attitude_intervals)
-    if feedback is not None:
-        clean = feedback.added_to(clean)
-        prepared = replace(prepared, records=tuple(feedback.followed(r) for r in prepared.records))
+    if loop is not None:
+        clean = loop.closed(clean)
+        prepared = replace(prepared, records=tuple(loop.with_followed(r) for r in prepared.records))
     working = with_dormant(clean, effects, prepared.available, force_states(base))
     streams = (Stream.INPUT_ERRORS.generator(options.seed, i) for i in range(len(prepared.records)))
     errors = tuple(input_errors(r, clean, rng) for r, rng in zip(prepared.records, streams, strict=True))

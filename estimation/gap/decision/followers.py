@@ -100,7 +100,7 @@ def settled_follower(follower: Follower | None, baseline: Baseline, seed: int) -
 def stands(follower: Follower, baseline: Baseline, model_fit: ModelFit, seed: int) -> bool:
     """Whether a fitted lag or swing is significant by its own share of its gain."""
     gain = 2.0 * (baseline.fit.cost - model_fit.cost)
-    share = MeasuredAgain(baseline, seed).share(gain, model_fit, follower.score)
+    share = MeasuredAgain(baseline, seed).share(gain, model_fit)
     return follower.score * math.sqrt(share) > follower.threshold
 
 

@@ -21,7 +21,6 @@ from estimation.gap.shapes.formulas import Plain
 from estimation.gap.shapes.search import CoefficientShape, SearchTask, ShapeSearch, find_shape
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measure import Floors, floors
-from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.omnibus import examine
 from estimation.gap.significance.screen import Hypothesis
 from estimation.gap.significance.transients import DetectedEvent, find_transients
@@ -109,15 +108,10 @@ def _unit(model: Model, variable: str) -> str:
 
 
 def events_in_time(setting: Setting, round_: Round) -> Happened | None:
-    """Events in time that leave nothing else to explain; None without events, and where something else is significant.
-
-    Where controls answer gusts, gusts are in all of the flight: a burst in it is no event, and where the answers have bent the
-    base its residuals look like bursts.
-    """
+    """Events in time that leave nothing else to explain; None without events, and where something else is significant."""
     setting.tell("what may have happened at one time", 0.94)
-    calm = not MeasuredAgain(round_.baseline, setting.options.seed).answers_gusts
     try:
-        transients = find_transients(round_, bursts=calm)
+        transients = find_transients(round_)
         if not transients.events or transients.cleared is None:
             return None
         rest = examine(transients.cleared)

@@ -42,7 +42,7 @@ def accept(
     for candidate in choice.candidates:
         if candidate.score < round_.threshold:
             break
-        score = candidate.score * math.sqrt(remeasured.share(candidate.gain, candidate.fit, candidate.score))
+        score = candidate.score * math.sqrt(remeasured.share(candidate.gain, candidate.fit))
         if score < round_.threshold:
             remainder = f"{score:.1f} of {round_.threshold:.1f} is left"
             reason = f"gains nearly as much without it, where controls are measured again or answer gusts ({remainder})"

@@ -162,7 +162,7 @@ def _best(
         measured: Measured | None = None
         if fitted.gain < criteria.named_share * term:
             reason = f"explains only {fitted.gain / term:.0%} of what a nameless term or swing does"
-        elif score * math.sqrt(remeasured.share(fitted.gain, fitted.fit, score)) < ranking.threshold:
+        elif score * math.sqrt(remeasured.share(fitted.gain, fitted.fit)) < ranking.threshold:
             reason = "gains nearly as much without it, where controls are measured again or answer gusts"
         elif not predicts_every_flight(predictions := holdout_predictions(baseline, fitted, motion), criteria):
             reason = "does not predict every training flight better than the base where that is left out"

@@ -10,9 +10,6 @@ without a fit. With a correct likelihood the hypothesis loses there what it gain
 the same quadratic form, seen from either end); a gain by preparation is a gain on both. Half the difference is the gain of the
 effect itself: the centred likelihood ratio of D. R. Cox, "Further results on tests of separate families of hypotheses", Journal
 of the Royal Statistical Society B 24 (1962), 406-424, eq. 8.
-
-Controls with feedback also follow gusts (`closed_loop`). For these, flights are simulated in which they do, and the score that a
-hypothesis has on the average on them, with the base projected out of each, is subtracted from its score on the real flights.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,17 +18,13 @@ from functools import cached_property
 
 import numpy as np
 
-from estimation.engine.kernel import Array, SegmentMotion
+from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, changes_by, freed_by
-from estimation.gap.fit.spectra import Linear, linear_motion
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, freed_by
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.flight_records import FlightRecord
-from estimation.gap.significance.closed_loop import answer, feedback_of
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
-from estimation.gap.significance.screen import Projected, gram_of
-from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model
 from estimation.signals.controls import with_raw_steps
 from estimation.signals.denoise import denoise_many, wiener
@@ -85,66 +78,6 @@ class MeasuredAgain:
         finite = (tuple(r for r in records if r is not None) for records in sets if None not in records)
         return tuple(f for f in finite if sum(r.energy for r in f) < limit)
 
-    @cached_property
-    def closed_loop(self) -> tuple[tuple[SimulatedRecord, ...], ...]:
-        """The records of every repeat with controls that answer gusts; none where these answers are small beside the noise of the
-        controls."""
-        repeats = range(1, REPEATS) if self.answers_gusts else ()
-        if any(n.startswith("followed_") for n in self.baseline.model.input_names):
-            return ()
-        return self._near_the_base([self._first_answered, *map(self._answered_set, repeats)]) if repeats else ()
-
-    @cached_property
-    def answers_gusts(self) -> bool:
-        """Whether a control moves by more than its noise when it answers gusts.
-
-        A missing effect of the base counts as gusts: one of usual size makes 0.8 of the noise with the pilot of the second truth,
-        gusts of 0.3 deg with a wing leveller make 1.3.
-        """
-        return any(self._is_felt(i, record) for i, record in enumerate(self._first_answered))
-
-    @cached_property
-    def _first_answered(self) -> list[SimulatedRecord | None]:
-        return self._answered_set(0)
-
-    @cached_property
-    def _feedback(self) -> dict[str, Array]:
-        return feedback_of(self.baseline.problem.records, self.baseline.problem.base)
-
-    def _answered_set(self, number: int) -> list[SimulatedRecord | None]:
-        rng, indices = Stream.CLOSED_LOOP.generator(self.seed, number), range(len(self.baseline.problem.records))
-        return [self._answered(index, rng) for index in indices] if self._feedback else []
-
-    def _is_felt(self, index: int, answered: SimulatedRecord | None) -> bool:
-        if answered is None:
-            return False
-        moved = np.std(answered.inputs - self.baseline.problem.coarse[index].u, axis=0)
-        return any(moved[column] > noise for column, _, noise in self._noisy_controls(index))
-
-    @cached_property
-    def _undisturbed(self) -> tuple[tuple[SegmentMotion, Linear], ...]:
-        """Per record the motion of the base in still air, and its linearisation."""
-        problem, values, flyer = self.baseline.problem, self.baseline.fit.values, self._flyer
-        return tuple(
-            (flyer.motion(i, driven), linear_motion(problem.model, problem.simulator, segment, values))
-            for i, (driven, segment) in enumerate(zip(flyer.driven, problem.coarse, strict=True))
-        )
-
-    def _answered(self, index: int, rng: np.random.Generator) -> SimulatedRecord | None:
-        """One record flown in gusts with controls that answer them, and known exactly; None where the motion runs away."""
-        problem, flyer, (still, linear) = self.baseline.problem, self._flyer, self._undisturbed[index]
-        driven, inputs = flyer.driven[index], problem.coarse[index].u.copy()
-        shaken = flyer.disturbed(index, rng, driven)
-        gusty = flyer.motion(index, replace(driven, u=shaken))
-        if not (still.finite and gusty.finite):
-            return None
-        states = [problem.model.state_names.index(n) for n in problem.base.state_names]
-        columns = [problem.model.input_names.index(n) for n in linear.controls]
-        inputs[:, columns] += answer((gusty.x - still.x)[:, states], linear, self._feedback)
-        answered = problem.driven(problem.grids[index].with_inputs(inputs), self.baseline.fit.values)
-        motion = flyer.motion(index, replace(answered, u=answered.u + shaken - driven.u))
-        return self._simulated_record(index, flyer.measured(index, rng, motion), inputs) if motion.finite else None
-
     def _simulated_record(self, index: int, outputs: Array | None, inputs: Array) -> SimulatedRecord | None:
         """One record with these outputs and inputs; None where it or the base runs away."""
         problem, fit = self.baseline.problem, self.baseline.fit
@@ -153,41 +86,26 @@ class MeasuredAgain:
             return None
         return SimulatedRecord(outputs, inputs, problem.whiteners[index].energy(outputs - modelled))
 
-    def share(self, gain: float, model_fit: ModelFit, score: float) -> float:
-        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1. score:
-        the same gain in units of its scatter on the nulls.
+    def share(self, gain: float, model_fit: ModelFit) -> float:
+        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
 
-        From its mean gain on simulated flights without the effect, as in `own_share`, and from its scores on those where controls
-        answer gusts. Gains by priors, such as those of times
+        From its mean gain on simulated flights without the effect, as in `own_share`. Gains by priors, such as those of times
         that the base need not shift any more, are the hypothesis' own: simulated flights are compared by their residuals alone.
         1 where these flights cannot be flown.
         """
-        if gain <= 0.0 or score <= 0.0:
+        if gain <= 0.0:
             return 1.0
         trial = replace(self.baseline.problem, model=model_fit.model)  # one for all repeats: it caches results
         gains = [g for simulated in self.sets if (g := _gain(trial, simulated, model_fit)) is not None]
         if not gains:
             return 1.0
         freed = freed_by(self.baseline.problem, self.baseline.fit, model_fit)
-        share = own_share(gain, float(np.mean(gains)), freed, self.baseline.criteria)
-        return share * self._share_without_feedback(model_fit, max(gain / score**2, 1.0))
+        return own_share(gain, float(np.mean(gains)), freed, self.baseline.criteria)
 
-    def _share_without_feedback(self, model_fit: ModelFit, inflation: float) -> float:
-        """The share of a gain that remains when the mean score on flights with feedback is subtracted, and their scatter counts
-        where it exceeds that of the nulls. inflation: variance of the score on these."""
-        scores = [score_of_size(problem, fit, model_fit) for problem, fit in self.problems(self.closed_loop)]
-        finite = np.array([s for s in scores if s is not None])
-        own = score_of_size(self.baseline.problem, self.baseline.fit, model_fit) if finite.size >= FEWEST else None
-        if own is None:
-            return 1.0
-        mean, std = chance_scores(finite[:, None], np.sign(own))
-        wider = max(float(std[0]) / np.sqrt(inflation), 1.0)
-        return float(own_shares(np.array([own]), mean)[0] / wider) ** 2
-
-    def problems(self, sets: Sequence[Sequence[SimulatedRecord]]) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
-        """Each of some simulated sets as flights: the base with the values found on the real flights, and its residuals."""
+    def problems(self) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
+        """Every simulated set as flights: the base with the values found on the real flights, and its residuals."""
         problem, model_fit = self.baseline.problem, self.baseline.fit
-        for simulated in sets:
+        for simulated in self.sets:
             pairs = list(zip(problem.records, simulated, strict=True))
             again = replace(problem, records=tuple(_recorded(problem.model, record, r) for record, r in pairs))
             modelled = [again.modelled(i, model_fit.values, local) for i, local in enumerate(model_fit.locals)]
@@ -242,27 +160,6 @@ def _gain(problem: LikelihoodProblem, simulated: Sequence[SimulatedRecord], mode
             return None
         total += record.energy - problem.whiteners[index].energy(record.outputs - outputs)
     return total
-
-
-def score_of_size(problem: LikelihoodProblem, base_fit: ModelFit, model_fit: ModelFit) -> float | None:
-    """Signed score of the change that a fitted hypothesis of its size makes about a base, with the base projected out; None where
-    the motion runs away. problem, base_fit: the flights on which it is scored, with residuals; positive where the change is in
-    them as it is in those of `model_fit`."""
-    trial = replace(problem, model=model_fit.model)
-    values = {**model_fit.model.starts(), **model_fit.values, **{n: base_fit.values[n] for n in problem.free}}
-    changes = changes_by(trial, base_fit, values)
-    if changes is None:
-        return None
-    tangent = Tangent(problem, base_fit, (base_fit.residuals,))
-    projected = Projected.of(gram_of(tangent, lambda i: [changes[i]]), len(problem.free), 1)
-    return float(projected.scores()[0, 1])
-
-
-def chance_scores(scores: Array, signs: Array) -> tuple[Array, Array]:
-    """(terms,) mean, towards `signs`, and standard deviation of scores (sets, terms) on flights without an effect, each larger by
-    its standard error: sixteen sets know them to a quarter and a sixth."""
-    std, count = scores.std(axis=0), len(scores)
-    return scores.mean(axis=0) + signs * std / np.sqrt(count), std * (1.0 + 1.0 / np.sqrt(2.0 * count))
 
 
 def own_shares(signed: Array, mean: Array) -> Array:

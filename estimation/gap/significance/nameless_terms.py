@@ -10,12 +10,13 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.measured_again import FEWEST, MeasuredAgain, SimulatedRecord, chance_scores, own_shares
+from estimation.gap.significance.measured_again import MeasuredAgain, own_shares
 from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent, is_door, output_changes
 
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
 TENTH = 0.1  # of an output's scatter: size of an addition to it, which does not change its score
+FEWEST = 4  # simulated sets, for the scatter of a score
 MEASURED_AGAIN_SEED = 1  # seed of the flights whose controls are measured again
 
 
@@ -117,20 +118,17 @@ def _scale_of_additions(problem: LikelihoodProblem, index: int) -> dict[str, flo
 
 
 def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> list[OmnibusSignal]:
-    """Terms with the part of their score that exceeds the noise of recorded controls, and their answers to gusts.
+    """Terms with the part of their score that exceeds the noise of recorded controls.
 
     That noise is in the motion that a term is made of and in the residual, which correlate with nothing hidden. Nulls do not show
     this, for their terms are made of the motion of the flights. Simulated flights without an effect whose controls are measured
-    again do, and those whose controls answer gusts (`closed_loop`): both mean scores are subtracted, and the larger scatter
-    counts where it exceeds that of the nulls. Unchanged where such flights cannot be flown.
+    again do: their mean score is subtracted, and their scatter counts where it exceeds that of the nulls. Unchanged where such
+    flights cannot be flown.
     """
-    again, signs = MeasuredAgain(round_.baseline, MEASURED_AGAIN_SEED), np.array([s.sign for s in signals])
-    mean, wider = np.zeros(len(signals)), np.ones(len(signals))
-    if len(scores := _scores(again, again.sets, signals)) >= FEWEST:
-        mean, wider = scores.mean(axis=0), np.maximum(scores.std(axis=0), wider)
-    if len(scores := _scores(again, again.closed_loop, signals)) >= FEWEST:
-        chance_mean, chance_std = chance_scores(scores, signs)
-        mean, wider = mean + chance_mean, np.maximum(chance_std, wider)
+    scores = _scores(MeasuredAgain(round_.baseline, MEASURED_AGAIN_SEED), signals)
+    if len(scores) < FEWEST:
+        return list(signals)
+    mean, wider = scores.mean(axis=0), np.maximum(scores.std(axis=0), 1.0)
     shares = own_shares(np.array([s.sign * np.sqrt(s.gain) for s in signals]), mean)
     return [
         replace(s, score=s.score * float(share / width), gain=s.gain * float(share) ** 2)
@@ -138,10 +136,10 @@ def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> lis
     ]
 
 
-def _scores(again: MeasuredAgain, sets: Sequence[Sequence[SimulatedRecord]], signals: Sequence[OmnibusSignal]) -> Array:
-    """(sets, terms) signed scores of nameless terms on simulated sets."""
+def _scores(again: MeasuredAgain, signals: Sequence[OmnibusSignal]) -> Array:
+    """(sets, terms) signed scores of nameless terms on flights whose controls are measured again."""
     keys = [s.key for s in signals]
-    tangents = (Tangent(problem, fit, (fit.residuals,)) for problem, fit in again.problems(sets))
+    tangents = (Tangent(problem, fit, (fit.residuals,)) for problem, fit in again.problems())
     return np.array([_projected(tangent, keys).scores()[:, 1] for tangent in tangents])
 
 

@@ -110,8 +110,8 @@ class PossibleEvents:
     columns: tuple[EventColumn, ...]
 
 
-def possible_events(problem: LikelihoodProblem, bursts: bool = True) -> PossibleEvents:
-    """Every event that these records could show. bursts: with those of the air."""
+def possible_events(problem: LikelihoodProblem) -> PossibleEvents:
+    """Every event that these records could show."""
     events: list[TransientEvent] = []
     members: list[tuple[int, ...]] = []
     columns: list[EventColumn] = []
@@ -130,7 +130,7 @@ def possible_events(problem: LikelihoodProblem, bursts: bool = True) -> Possible
             for start in np.arange(time[FEWEST], time[-FEWEST], SPACING):
                 span = (float(start), float(time[-1]))
                 add_event(TransientEvent(EventKind.SLIP, name, i, *span), [EventColumn(i, name, Course.STEP, *span)])
-    doors = [n for n in problem.model.input_names if is_door(n)] if bursts else []
+    doors = [n for n in problem.model.input_names if is_door(n)]
     for i, time in enumerate(times if doors else ()):
         for width in STRETCHES:
             for start in np.arange(time[0], time[-1] - width, width / 3.0):
@@ -235,10 +235,10 @@ class ProjectedColumns:
         return cls(products.raw - np.sum(cross * column_part.T, axis=1), across[:, n:] - cross @ residual_part, within)
 
 
-def find_transients(round_: Round, bursts: bool = True) -> Transients:
+def find_transients(round_: Round) -> Transients:
     """Events selected one after the other while one is significant, each projected out before the next search; events that are no
-    longer significant beside the later ones are dropped in the end. bursts: with those of the air."""
-    possible = possible_events(round_.baseline.problem, bursts)
+    longer significant beside the later ones are dropped in the end."""
+    possible = possible_events(round_.baseline.problem)
     products, criteria = Products.of(possible, round_.tangent), round_.criteria
     rows: dict[int, Array] = {}
     selected: list[int] = []
