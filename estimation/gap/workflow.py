@@ -65,6 +65,7 @@ from estimation.models.dependence import force_states
 from estimation.prepare.plausible import MOST_WILD
 from groundstation.flight import Flight
 
+LOOP_PASSES = 4  # fits about which the answers of the controls to gusts are found; two settle them in usual gusts
 SPIKE_PASSES = 2  # a large spike bends the first fit, so that others hide beside it
 
 
@@ -138,9 +139,19 @@ class _Run:
         # de-noising takes off part of what follows the motion, unless asked to keep it
         gains = feedback_of(prepare_flights(base, (), self.training, (), criteria, keep_feedback=True).records, base)
         loop = replace(loop, gains=gains)
+        for _ in range(LOOP_PASSES):
+            setting, baseline = self._without_answers(loop)._fitted(base, loop)
+            renewed = ClosedLoop.of(baseline, flights, gains)
+            if renewed.is_near(loop, baseline.problem.records):
+                break
+            loop = renewed
+        return setting, baseline
+
+    def _without_answers(self, loop: ClosedLoop) -> "_Run":
+        """The same with the controls of all flights as they would have been in still air."""
+        count, flights = len(self.training), [*self.training, *self.holdout]
         still = [loop.without_answers(i, f) for i, f in enumerate(flights)]
-        count = len(self.training)
-        return replace(self, training=tuple(still[:count]), holdout=tuple(still[count:]))._fitted(base, loop)
+        return replace(self, training=tuple(still[:count]), holdout=tuple(still[count:]))
 
     def _fitted(self, base: Model, loop: ClosedLoop | None = None) -> tuple[Setting, Baseline]:
         """What all rounds share and the first fit. loop: of controls that answer gusts, whose answers the flights lack."""

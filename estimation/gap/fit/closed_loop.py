@@ -10,7 +10,8 @@ So what a control answers to gusts is taken off its record: the gains by which i
 first fit leaves unexplained. What remains is what the control would have done in still air. The model then moves the control by
 the same gains times its own motion beside that of the first fit, so that derivatives, effects, noise and nulls act in the closed
 loop, as they did in flight. This is the two-stage method of P. M. J. Van den Hof and R. J. P. Schrama, Automatica 29 (1993)
-1523-1527. The first fit may be bent: its motion is subtracted in the control and added in the model.
+1523-1527. The first fit may be bent: its motion is subtracted in the control and added in the model. What is left of it, because
+a servo is late and the law of the model is not, goes with further passes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,9 +24,12 @@ from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.models.base import Model, Signal, renamed
-from estimation.signals.controls import ControlStretch, feedback_gains
+from estimation.signals.controls import ControlStretch, Gains, feedback_gains
 from groundstation.flight import Flight
 
+NEAR = 0.5  # of the noise of a control: a smaller change of its answers changes no derivative by a third of its bound
+PASSES = 3  # of gains and of the steps beside what they make the control do
+GAUSSIAN = 1.05  # times the median change between two samples is the noise: 1 / (0.6745 sqrt 2)
 FOLLOWED = "followed_{}"  # input: the part of a control that follows the motion of the first fit
 IN_LOOP = "{}_in_loop"  # the control as the model moves it
 
@@ -42,12 +46,26 @@ def feedback_of(records: Sequence[FlightRecord], base: Model) -> dict[str, Array
     for name in (s.name for s in base.inputs if s.control):
         noise = float(np.median([r.input_noise.get(name, 0.0) for r in records]))
         stretches = [ControlStretch(r.inputs[name], r.inputs[name], states[:, known]) for r, states in pieces]
-        fitted = feedback_gains(stretches, noise) if known and noise > 0.0 else None
+        fitted = _gains(stretches, noise) if known and noise > 0.0 else None
         if fitted is not None:
             gains = np.zeros((2, count))
             gains[:, known] = fitted.gains.reshape(2, len(known))
             feedback[name] = gains
     return feedback
+
+
+def _gains(stretches: Sequence[ControlStretch], noise: float) -> Gains | None:
+    """Gains by which a control follows the motion.
+
+    A change is a step where it is large beside the noise of the control and beside what the control usually does else than
+    follow: answers to gusts, by the gains of an earlier pass, are no steps.
+    """
+    fitted = None
+    for _ in range(PASSES):
+        alone = [s if fitted is None else replace(s, smooth=s.values - s.following(fitted)) for s in stretches]
+        usual = float(np.median(np.abs(np.concatenate([np.diff(s.smooth) for s in alone]))))
+        fitted = feedback_gains(alone, max(noise, GAUSSIAN * usual))
+    return fitted
 
 
 @dataclass(frozen=True)
@@ -86,15 +104,22 @@ class ClosedLoop:
         A missing effect of the base counts as gusts. With gusts of 0.3 deg and a wing leveller the answers are 1.1 to 2.9 times
         the noise, in calm air 0.2 to 0.5 times.
         """
-        records, scatter = baseline.problem.records, dict(zip(self.base.output_names, baseline.scatter, strict=True))
-        white = np.array([scatter.get(n, 0.0) for n in self.base.state_names]) ** 2
-        for name, gains in self.gains.items():
-            answers = [self.answers(r.flight, gains)[r.first : r.first + len(r)] for r in records]
-            by_sensors = float((gains**2).sum(axis=0) @ white)
-            noise = np.mean([r.input_noise.get(name, 0.0) ** 2 for r in records])
-            if np.mean([np.var(a) for a in answers]) - by_sensors > noise:
-                return True
-        return False
+        scatter = dict(zip(self.base.output_names, baseline.scatter, strict=True))
+        by_sensors = np.array([scatter.get(n, 0.0) for n in self.base.state_names]) ** 2
+        records = baseline.problem.records
+        return any(
+            np.mean([np.var(self.answers(r.flight, gains)) for r in records]) - (gains**2).sum(axis=0) @ by_sensors
+            > _variance(records, name)
+            for name, gains in self.gains.items()
+        )
+
+    def is_near(self, other: "ClosedLoop", records: Sequence[FlightRecord]) -> bool:
+        """Whether the answers of all controls to gusts are those of another fit, to less than half their noise."""
+        return all(
+            np.mean([np.var(self.answers(r.flight, g) - other.answers(r.flight, g)) for r in records])
+            < NEAR**2 * _variance(records, name)
+            for name, g in self.gains.items()
+        )
 
     def without_answers(self, index: int, flight: Flight) -> Flight:
         """A flight with its controls as they would have been in still air."""
@@ -118,6 +143,11 @@ class ClosedLoop:
         for name in self.gains:
             expression = renamed(expression, name, IN_LOOP.format(name))
         return expression
+
+
+def _variance(records: Sequence[FlightRecord], control: str) -> float:
+    """Mean variance of the noise of a control."""
+    return float(np.mean([r.input_noise.get(control, 0.0) ** 2 for r in records]))
 
 
 def _law(control: str, gains: Array, base: Model) -> str:

@@ -1,21 +1,19 @@
-"""Controls that answer gusts: their gains, their answers, and what an effect seems to gain by them."""
+"""Controls that answer gusts: their gains, what they would have done in still air, and the loop that the model closes."""
 
 import numpy as np
 import pytest
 
+from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.fit.baseline import Baseline, fit_baseline
-from estimation.gap.fit.spectra import Linear
+from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of
 from estimation.gap.records.flight_records import prepare_flights
-from estimation.gap.significance import measured_again
-from estimation.gap.significance.closed_loop import answer, feedback_of
-from estimation.gap.significance.measured_again import MeasuredAgain
-from estimation.gap.significance.transients import EventKind, possible_events
 from estimation.gap.workflow import Options, _setting
 from groundstation.flight import Flight
 from tests.unit.estimation.gap.roll import ROLL
 
 DEG = np.pi / 180
 GAIN = -0.05  # s, of the aileron by roll rate
+GUST = 1.5  # rad/s2, rms
 OPTIONS = Options(seed=1, nulls=10)
 
 
@@ -39,60 +37,100 @@ def rolling(seed: int, gust: float, gain: float = GAIN) -> Flight:
     return Flight.build(f"roll{seed}", 0.05 * np.arange(rates.size), columns)
 
 
-def fitted(gust: float, gain: float = GAIN) -> Baseline:
-    flights = [rolling(seed, gust, gain) for seed in (51, 52, 53)]
+def flown(gust: float, gain: float = GAIN) -> list[Flight]:
+    return [rolling(seed, gust, gain) for seed in (51, 52, 53)]
+
+
+def fitted(flights: list[Flight], loop: ClosedLoop | None = None) -> Baseline:
     prepared = prepare_flights(ROLL, (), flights, (), OPTIONS.criteria, keep_feedback=True)
-    setting = _setting(prepared, (), {}, {}, {}, OPTIONS, lambda what, share: None)
+    setting = _setting(prepared, (), {}, {}, {}, OPTIONS, lambda what, share: None, loop)
     return fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
 
 
+def loop_about(baseline: Baseline, flights: list[Flight]) -> ClosedLoop:
+    return ClosedLoop.of(baseline, flights, feedback_of(baseline.problem.records, ROLL))
+
+
 @pytest.fixture(scope="module")
-def gusty() -> Baseline:
-    return fitted(1.5)
+def gusty() -> tuple[list[Flight], Baseline, ClosedLoop]:
+    flights = flown(GUST)
+    baseline = fitted(flights)
+    return flights, baseline, loop_about(baseline, flights)
 
 
-def test_gains_of_an_aileron_that_follows_roll_rate_and_none_of_one_that_does_not(gusty: Baseline) -> None:
-    gains = feedback_of(gusty.problem.records, ROLL)["delta_a"]
-    assert gains.sum() == pytest.approx(GAIN, rel=0.25)
-    alone = fitted(1.5, gain=0.0)
+def bounds_off(baseline: Baseline, name: str, true: float) -> float:
+    return abs(baseline.fit.values[name] - true) / baseline.fit.std()[name]
+
+
+Gusty = tuple[list[Flight], Baseline, ClosedLoop]
+
+
+def test_gains_of_an_aileron_that_follows_roll_rate_and_none_of_one_that_does_not(gusty: Gusty) -> None:
+    assert gusty[2].gains["delta_a"].sum() == pytest.approx(GAIN, rel=0.25)
+    alone = fitted(flown(GUST, gain=0.0))
     assert abs(feedback_of(alone.problem.records, ROLL).get("delta_a", np.zeros(2)).sum()) < 0.1 * abs(GAIN)
 
 
-def test_a_constant_disturbance_settles_where_the_closed_loop_has_it() -> None:
-    """x = d + (b/a) u and u = k x: x = d/(1 - k b/a)."""
-    a, b, k, d = 2.0, 3.0, -0.4, 0.7
-    one = np.ones((1, 1))
-    linear = Linear(-a * one, b * one, one, 0.0 * one, ("delta_a",), 0.05, np.ones(1))
-    answers = answer(np.full((400, 1), d), linear, {"delta_a": np.array([0.75 * k, 0.25 * k])})
-    assert answers[0, 0] == pytest.approx(k * d)
-    assert answers[-1, 0] == pytest.approx(k * d / (1.0 - k * b / a), rel=1e-6)
+def test_answers_are_felt_only_where_there_are_gusts_and_feedback(gusty: Gusty) -> None:
+    assert gusty[2].is_felt(gusty[1])
+    for gust, gain in ((0.02, GAIN), (GUST, 0.0)):
+        flights = flown(gust, gain)
+        baseline = fitted(flights)
+        assert not loop_about(baseline, flights).is_felt(baseline)
 
 
-def test_a_loop_that_grows_without_limit_answers_nothing() -> None:
-    one = np.ones((1, 1))
-    linear = Linear(2.0 * one, 3.0 * one, one, 0.0 * one, ("delta_a",), 0.05, np.ones(1))
-    assert not answer(np.full((400, 1), 0.1), linear, {"delta_a": np.array([0.5, 0.0])}).any()
+def closed(flights: list[Flight], loop: ClosedLoop, passes: int) -> tuple[Baseline, ClosedLoop]:
+    """The fit in the loop, and the loop about that fit."""
+    for _ in range(passes):
+        baseline = fitted([loop.without_answers(i, f) for i, f in enumerate(flights)], loop)
+        loop = ClosedLoop.of(baseline, flights, loop.gains)
+    return baseline, loop
 
 
-def test_controls_answer_gusts_only_where_there_are_gusts_and_feedback(gusty: Baseline) -> None:
-    assert MeasuredAgain(gusty, 1).answers_gusts
-    for gust, gain in ((0.02, GAIN), (1.5, 0.0)):
-        again = MeasuredAgain(fitted(gust, gain), 1)
-        assert not again.answers_gusts
-        assert again.closed_loop == ()
+def test_what_remains_of_an_aileron_is_what_it_does_in_still_air(gusty: Gusty) -> None:
+    """About a fit in the loop; about the first fit its motion in the recorded control remains, which the model adds again."""
+    flights, first, loop = gusty
+    _, again = closed(flights, loop, passes=1)
+    for i, (flight, calm) in enumerate(zip(flights, flown(0.0), strict=True)):
+        answers = flight["delta_a"] - calm["delta_a"]
+        remaining = again.without_answers(i, flight)["delta_a"] - calm["delta_a"]
+        noise = 2.0 * (0.05 * DEG) ** 2
+        assert np.var(remaining) - noise < 0.1 * (np.var(answers) - noise)
+        np.testing.assert_array_equal(again.without_answers(i, flight)["p"], flight["p"])
+    assert not again.is_near(loop, first.problem.records)
+    assert closed(flights, again, passes=1)[1].is_near(again, first.problem.records)
 
 
-def test_flights_with_answers_have_the_noise_of_the_flights_and_controls_that_moved(gusty: Baseline) -> None:
-    again = MeasuredAgain(gusty, 1)
-    assert len(again.closed_loop) > measured_again.REPEATS // 2
-    limits = [w.energy(r) for w, r in zip(gusty.problem.whiteners, gusty.fit.residuals, strict=True)]
-    for simulated in again.closed_loop:
-        assert sum(r.energy for r in simulated) == pytest.approx(sum(limits), rel=0.3)
-    moved = np.std([r.inputs[:, 0] - gusty.problem.coarse[0].u[:, 0] for r, *_ in again.closed_loop])
-    assert moved > 0.2 * DEG
+def test_derivatives_of_flights_in_gusts_are_those_of_the_aircraft() -> None:
+    """With the recorded aileron taken as independent of gusts they are bent by many bounds."""
+    flights = flown(2.0 * GUST)
+    bent = fitted(flights)
+    baseline, _ = closed(flights, loop_about(bent, flights), passes=2)
+    for name, true in (("L_p", -6.0), ("L_a", 40.0)):
+        assert bounds_off(bent, name, true) > 10.0
+        assert bounds_off(baseline, name, true) < 2.5
 
 
-def test_bursts_are_no_events_where_they_are_not_asked(gusty: Baseline) -> None:
-    kinds = [{e.kind for e in possible_events(gusty.problem, bursts).events} for bursts in (True, False)]
-    assert EventKind.BURST not in kinds[1]
-    assert {EventKind.DRIFT, EventKind.SLIP} <= kinds[0] & kinds[1]
+def test_answers_larger_than_the_noise_of_a_control_are_no_steps() -> None:
+    """They change the aileron by more between two samples than noise does, and gains are found between steps."""
+    flights = flown(2.0 * GUST, 2.0 * GAIN)
+    assert loop_about(fitted(flights), flights).gains["delta_a"].sum() == pytest.approx(2.0 * GAIN, rel=0.05)
+
+
+def test_a_closed_model_follows_the_fitted_motion_and_returns_to_it_in_the_closed_loop() -> None:
+    """p' = L_p p + L_a (u + k p - f): with f = k p_still the still motion satisfies it, and what is beside it decays by
+    L_p + L_a k."""
+    time = 0.01 * np.arange(201)
+    u = 0.05 * np.sin(3.0 * time)[:, None]
+    zeros = np.zeros((time.size, 1))
+    open_model = Simulator.build(ROLL, (), substeps=20)
+    still = open_model.run(Segment(0, time, u, zeros, np.zeros(1)), ROLL.starts(), np.zeros(1)).x
+    loop = ClosedLoop(ROLL, {"delta_a": np.array([[0.6 * GAIN], [0.4 * GAIN]])}, (still,), (zeros,))
+    closed = loop.closed(ROLL)
+    assert closed.input_names == ("delta_a", "followed_delta_a")
+    inputs = np.column_stack([u, GAIN * still])
+    simulator = Simulator.build(closed, (), substeps=20)
+    for start in (0.0, 0.3):
+        motion = simulator.run(Segment(0, time, inputs, zeros, np.zeros(1)), closed.starts(), np.array([start])).x
+        beside = start * np.exp((-6.0 + 40.0 * GAIN) * time)[:, None]
+        np.testing.assert_allclose(motion - still, beside, atol=2e-5)
