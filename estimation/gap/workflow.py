@@ -134,10 +134,11 @@ class _Run:
         criteria, flights = self.options.criteria, [*self.training, *self.holdout]
         setting, baseline = self._fitted(base)
         loop = ClosedLoop.of(baseline, flights, feedback_of(baseline.problem.records, base))
-        if not loop.is_felt(baseline):
+        if not (felt := loop.felt(baseline)):
             return setting, baseline
         # de-noising takes off part of what follows the motion, unless asked to keep it
-        gains = feedback_of(prepare_flights(base, (), self.training, (), criteria, keep_feedback=True).records, base)
+        following = prepare_flights(base, (), self.training, (), criteria, keep_feedback=True).records
+        gains = {n: g for n, g in feedback_of(following, base).items() if n in felt}
         loop = replace(loop, gains=gains)
         for _ in range(LOOP_PASSES):
             setting, baseline = self._without_answers(loop)._fitted(base, loop)

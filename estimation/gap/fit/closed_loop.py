@@ -27,6 +27,9 @@ from estimation.models.base import Model, Signal, renamed
 from estimation.signals.controls import ControlStretch, Gains, feedback_gains
 from groundstation.flight import Flight
 
+FELT = (
+    2.0  # times the noise of the sensors in a control's answers: less, and taking them off puts in more than it removes
+)
 NEAR = 0.5  # of the noise of a control: a smaller change of its answers changes no derivative by a third of its bound
 PASSES = 3  # of gains and of the steps beside what they make the control do
 GAUSSIAN = 1.05  # times the median change between two samples is the noise: 1 / (0.6745 sqrt 2)
@@ -46,7 +49,7 @@ def feedback_of(records: Sequence[FlightRecord], base: Model) -> dict[str, Array
     for name in (s.name for s in base.inputs if s.control):
         noise = float(np.median([r.input_noise.get(name, 0.0) for r in records]))
         stretches = [ControlStretch(r.inputs[name], r.inputs[name], states[:, known]) for r, states in pieces]
-        fitted = _gains(stretches, noise) if known and noise > 0.0 else None
+        fitted = _gains(stretches, noise) if known else None
         if fitted is not None:
             gains = np.zeros((2, count))
             gains[:, known] = fitted.gains.reshape(2, len(known))
@@ -98,19 +101,21 @@ class ClosedLoop:
         before = np.concatenate([gusts[:1], gusts[:-1]])
         return np.asarray(gusts @ gains[0] + before @ gains[1])
 
-    def is_felt(self, baseline: Baseline) -> bool:
-        """Whether a control answers what the fit does not explain by more than its own noise, the noise of the sensors left out.
+    def felt(self, baseline: Baseline) -> tuple[str, ...]:
+        """Controls that answer what the fit does not explain, by more than their own noise and twice that which the sensors put in.
 
-        A missing effect of the base counts as gusts. With gusts of 0.3 deg and a wing leveller the answers are 1.1 to 2.9 times
-        the noise, in calm air 0.2 to 0.5 times.
+        A missing effect of the base counts as gusts. With a wing leveller in gusts of 0.3 deg the answers are 0.16 to 0.2 deg,
+        in calm air 0.03 deg, as the noise of the sensors makes them. Elevators that hold a pitch attitude in gusts of 0.9 deg
+        answer by 0.15 deg with 0.07 deg of either noise, and bend no derivative by more than its bound.
         """
         scatter = dict(zip(self.base.output_names, baseline.scatter, strict=True))
         by_sensors = np.array([scatter.get(n, 0.0) for n in self.base.state_names]) ** 2
         records = baseline.problem.records
-        return any(
-            np.mean([np.var(self.answers(r.flight, gains)) for r in records]) - (gains**2).sum(axis=0) @ by_sensors
-            > _variance(records, name)
+        return tuple(
+            name
             for name, gains in self.gains.items()
+            if np.mean([np.var(self.answers(r.flight, gains)) for r in records])
+            > FELT**2 * (gains**2).sum(axis=0) @ by_sensors + _variance(records, name)
         )
 
     def is_near(self, other: "ClosedLoop", records: Sequence[FlightRecord]) -> bool:

@@ -72,11 +72,11 @@ def test_gains_of_an_aileron_that_follows_roll_rate_and_none_of_one_that_does_no
 
 
 def test_answers_are_felt_only_where_there_are_gusts_and_feedback(gusty: Gusty) -> None:
-    assert gusty[2].is_felt(gusty[1])
+    assert gusty[2].felt(gusty[1]) == ("delta_a",)
     for gust, gain in ((0.02, GAIN), (GUST, 0.0)):
         flights = flown(gust, gain)
         baseline = fitted(flights)
-        assert not loop_about(baseline, flights).is_felt(baseline)
+        assert not loop_about(baseline, flights).felt(baseline)
 
 
 def closed(flights: list[Flight], loop: ClosedLoop, passes: int) -> tuple[Baseline, ClosedLoop]:
