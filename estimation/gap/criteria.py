@@ -59,7 +59,6 @@ class Criteria:
     own_motion: float = criterion(0.5, "noise of the control",
         "a control with a smaller rms beside the part that follows the motion cannot show when it moves",
         "between elevators that only hold an attitude (0.1 to 0.3) and doublets of 0.9 deg beside that (1.1), 2026-11-25")
-    missing_share: float = criterion(0.02, "samples", "a note names a channel that lacks more of them")
     louder_channel: float = criterion(1.5, "usual standard deviations",
         "a noisier channel gets its own noise level on that flight", CHAIN)
 
@@ -101,14 +100,14 @@ class Criteria:
         "a smaller jump or kink is ignored",
         "by hand; leaving kinks open removed a needless second name from 3 of 4 sets (2026-11-21)")
     surface_freedom: float = criterion(0.2, "steps",
-        "scatter of a surface's path between samples where the flights do not show it",
+        "scatter of a surface's path between samples that counts as one step of the flights",
         "flights at 20 Hz with servos of 35 ms show 0.2 to 0.25 (docs/gap.md, 2026-11-21)")
-    surface_freedom_least: float = criterion(0.03, "steps", "the same, lower limit")
-    surface_freedom_most: float = criterion(0.6, "steps", "the same, upper limit")
-    jump_freedom: float = criterion(0.1, "jumps",
-        "error of a sample next to a jump where the flights do not show it", CHAIN)
-    jump_freedom_least: float = criterion(0.005, "jumps", "the same, lower limit", CHAIN)
-    jump_freedom_most: float = criterion(0.6, "jumps", "the same, upper limit", CHAIN)
+    jump_freedom: float = criterion(0.1, "jumps", "error of a sample next to a jump that counts as one of the flights", CHAIN)
+    freedom_most: float = criterion(0.6, "steps, jumps", "the same two, upper limit")
+    answers_felt: float = criterion(2.0, "noise of the sensors",
+        "a control whose answers to gusts are larger than so much of it, and its own noise, closes a loop in the model",
+        "between elevators that hold an attitude in gusts of 0.9 deg, which bend no derivative (2.0), and a wing leveller in "
+        "gusts of 0.3 deg, which bends them by 2 to 9 bounds (4 to 7), 2026-11-30")
 
     # ---- nulls and thresholds
     null_level: float = criterion(0.975, "quantile of the nulls",
@@ -169,7 +168,8 @@ class Criteria:
     play_in_noise: float = criterion(2.25, "noise of the control",
         "a narrower play only removes noise of a measured control and does not describe its linkage",
         "with nothing hidden at 5 and 10 Hz plays of 1.5 to 2.2 were found; the smallest hidden ones are 2.5, 2026-11-25")
-    compared: int = criterion(6, "candidates", "best by evidence, compared again with the noise of the best")
+    compared: int = criterion(6, "candidates",
+        "best by evidence, compared again with the noise of the best; best by linear theory, compared with an earlier effect")
     set_weight: float = criterion(0.95, "weight",
         "the reported set is the smallest with this weight",
         "theory: a 95 % credible set")
@@ -196,7 +196,6 @@ class Criteria:
         "share of a gain that comes from freeing the times of surfaces: with more the base had imitated the effect by them, by "
         "those shifted by more than this share of the largest shift",
         "delays of the second truth .44 to .61 of the gain, a lag .31, Cn_da and beta_lag .01 and .07, 2026-11-28")
-    rivals: int = criterion(6, "hypotheses", "best by linear theory, compared with an earlier effect")
 
     # ---- a shape where there is no name
     swing_damping: float = criterion(0.4, "of critical",

@@ -161,7 +161,7 @@ class _Run:
         candidates += missing_derivatives(base, {e.name for e in candidates})
         exact = loop is not None
         prepared = prepare_flights(base, candidates, self.training, self.holdout, options.criteria, exact)
-        notes = (*self.notes_before, *prepared.notes, *self.notes_after)
+        notes = (*self.notes_before, *prepared.notes, *(loop.in_words() if loop else ()), *self.notes_after)
         prepared = replace(prepared, notes=notes, stale=self.stale)
         attitude_intervals, commanded = stamped_attitudes(base, self.given), rare_commands(base, self.training)
         level_std = levels(base, self.given)

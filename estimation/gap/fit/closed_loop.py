@@ -27,9 +27,7 @@ from estimation.models.base import Model, Signal, renamed
 from estimation.signals.controls import ControlStretch, Gains, feedback_gains
 from groundstation.flight import Flight
 
-FELT = (
-    2.0  # times the noise of the sensors in a control's answers: less, and taking them off puts in more than it removes
-)
+SHOWN = 0.1  # of the largest part of a law: a smaller one is not worth a word
 NEAR = 0.5  # of the noise of a control: a smaller change of its answers changes no derivative by a third of its bound
 PASSES = 3  # of gains and of the steps beside what they make the control do
 GAUSSIAN = 1.05  # times the median change between two samples is the noise: 1 / (0.6745 sqrt 2)
@@ -102,7 +100,7 @@ class ClosedLoop:
         return np.asarray(gusts @ gains[0] + before @ gains[1])
 
     def felt(self, baseline: Baseline) -> tuple[str, ...]:
-        """Controls that answer what the fit does not explain, by more than their own noise and twice that which the sensors put in.
+        """Controls that answer what the fit does not explain by more than their own noise and twice that of the sensors in it.
 
         A missing effect of the base counts as gusts. With a wing leveller in gusts of 0.3 deg the answers are 0.16 to 0.2 deg,
         in calm air 0.03 deg, as the noise of the sensors makes them. Elevators that hold a pitch attitude in gusts of 0.9 deg
@@ -115,7 +113,7 @@ class ClosedLoop:
             name
             for name, gains in self.gains.items()
             if np.mean([np.var(self.answers(r.flight, gains)) for r in records])
-            > FELT**2 * (gains**2).sum(axis=0) @ by_sensors + _variance(records, name)
+            > baseline.criteria.answers_felt**2 * (gains**2).sum(axis=0) @ by_sensors + _variance(records, name)
         )
 
     def is_near(self, other: "ClosedLoop", records: Sequence[FlightRecord]) -> bool:
@@ -131,6 +129,21 @@ class ClosedLoop:
         sources = {s.name: s.source for s in self.base.inputs}
         courses = {sources[n]: flight[sources[n]] - self.answers(index, g) for n, g in self.gains.items()}
         return flight.with_columns(**courses)
+
+    def in_words(self) -> tuple[str, ...]:
+        """A note on each control, with the part of its law that matters."""
+        size = np.std(np.concatenate(self.gusts), axis=0)
+        notes = []
+        for name, gains in self.gains.items():
+            law = gains.sum(axis=0)
+            parts = np.abs(law) * size
+            shown = [
+                f"{g:.2g} {s}"
+                for g, s, p in zip(law, self.base.state_names, parts, strict=True)
+                if p > SHOWN * parts.max()
+            ]
+            notes.append(f"{name} answers gusts (by {' + '.join(shown)}): its answers are modelled, not taken as given")
+        return tuple(notes)
 
     def with_followed(self, record: FlightRecord) -> FlightRecord:
         """A record with the part of each control that follows the fitted motion, as an input of the model."""

@@ -188,16 +188,16 @@ def displaced(
 
 
 def freedom_of(steps: Sequence[SurfaceSteps], displacements: Sequence[tuple[Array, Array]]) -> dict[str, float]:
-    """Control or jumping output -> rms of its displacements in steps, over all records. displacements: (mean, variance) of those
-    of each record, from `displaced`."""
+    """Control or jumping output -> rms of its displacements in steps, over all records and one step as usual. displacements:
+    (mean, variance) of those of each record, from `displaced`."""
     squares: dict[str, list[float]] = {}
     jumping = frozenset[str]().union(*(e.jumping for e in steps))
     for e, (mean, variance) in zip(steps, displacements, strict=True):
         for name, m, v in zip(e.name, mean, variance, strict=True):
             squares.setdefault(name, []).append(float(m * m + v))
     c = steps[0].criteria
-    jump, move = (c.jump_freedom_least, c.jump_freedom_most), (c.surface_freedom_least, c.surface_freedom_most)
-    return {n: float(np.clip(np.sqrt(np.mean(s)), *(jump if n in jumping else move))) for n, s in squares.items()}
+    usual = {n: c.jump_freedom if n in jumping else c.surface_freedom for n in squares}
+    return {n: min(float(np.sqrt(np.mean([usual[n] ** 2, *s]))), c.freedom_most) for n, s in squares.items()}
 
 
 @dataclass(frozen=True)

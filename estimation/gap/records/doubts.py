@@ -16,6 +16,8 @@ from groundstation.flight.arrays import longest_run
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.flight.quality.repeats import one_record_twice
 
+MISSING = 0.02  # of the samples: a channel that lacks more of them gets a note
+
 
 def sample_notes(flights: Sequence[Flight], columns: Sequence[str], criteria: Criteria) -> list[str]:
     """One sentence for each channel of each flight that is stale, clipped or has holes."""
@@ -49,7 +51,7 @@ def _channel(name: str, values: Array, criteria: Criteria) -> list[str]:
     """What a channel lacks, in words: missing, repeated or clipped samples."""
     measured = values[np.isfinite(values)]
     notes = []
-    if measured.size < (1.0 - criteria.missing_share) * values.size:
+    if measured.size < (1.0 - MISSING) * values.size:
         notes.append(f"{name} is missing in {1 - measured.size / values.size:.0%} of the samples")
     if not measured.size or float(np.ptp(measured)) == 0.0:
         return notes

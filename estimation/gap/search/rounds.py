@@ -125,7 +125,7 @@ def _latest_known(screen: Screen, *tables: Mapping[tuple[str, str], float]) -> A
 
 def questioners(gains: Array, criteria: Criteria) -> list[int]:
     """Indices of the hypotheses that compete with an earlier effect: those of the largest gains (linear theory, deflated)."""
-    return [int(h) for h in np.argsort(-gains)[: criteria.rivals]]
+    return [int(h) for h in np.argsort(-gains)[: criteria.compared]]
 
 
 def better_rivals(

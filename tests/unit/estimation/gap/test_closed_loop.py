@@ -111,6 +111,11 @@ def test_derivatives_of_flights_in_gusts_are_those_of_the_aircraft() -> None:
         assert bounds_off(baseline, name, true) < 2.5
 
 
+def test_a_note_has_the_law_of_the_control(gusty: Gusty) -> None:
+    (note,) = gusty[2].in_words()
+    assert note.startswith("delta_a answers gusts (by -0.05 p)")
+
+
 def test_answers_larger_than_the_noise_of_a_control_are_no_steps() -> None:
     """They change the aileron by more between two samples than noise does, and gains are found between steps."""
     flights = flown(2.0 * GUST, 2.0 * GAIN)

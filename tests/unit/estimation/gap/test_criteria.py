@@ -22,7 +22,7 @@ CATALOGUE = ROOMS / "effects"  # sizes of effects are physics, not decisions
 
 def test_every_criterion_says_what_it_is_and_where_it_comes_from() -> None:
     every = list(AS_SET.described())
-    assert len(every) <= 69
+    assert len(every) <= 66
     assert all(c.meaning and c.unit and c.origin for c in every)
     with pytest.raises(FrozenInstanceError):
         AS_SET.strong = 2.0  # type: ignore[misc]
@@ -55,10 +55,10 @@ def test_a_criterion_that_no_test_notices_is_shown() -> None:
 
 def test_whole_numbers_move_by_one_and_quantiles_by_what_is_beyond_them() -> None:
     known = {c.name: c for c in AS_SET.described()}
-    assert moved(known["rivals"]) == (5, 7)
+    assert moved(known["compared"]) == (5, 7)
     assert moved(known["null_level"]) == pytest.approx((0.9675, 0.9825))
     assert moved(known["strong"]) == pytest.approx((1.05, 1.95))
-    assert [shifted(known["rivals"], f) for f in (0.7, 1.4)] == [4, 9]
+    assert [shifted(known["compared"], f) for f in (0.7, 1.4)] == [4, 9]
     assert [shifted(known["null_level"], f) for f in (0.7, 1.4)] == pytest.approx([0.9825, 0.965])
 
 

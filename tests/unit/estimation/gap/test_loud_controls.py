@@ -90,7 +90,7 @@ def test_what_the_noise_of_a_control_makes_is_no_nameless_term() -> None:
     (after,) = beyond_control_noise(round_, [before])
     assert after.score < 0.8 * before.score
     again = MeasuredAgain(round_.baseline, 1)
-    for (problem, found), remade in zip(again.problems(again.sets), again.sets, strict=True):
+    for (problem, found), remade in zip(again.problems(), again.sets, strict=True):
         for whitener, residual, record in zip(problem.whiteners, found.residuals, remade, strict=True):
             assert whitener.energy(residual) == pytest.approx(record.energy)
 

@@ -12,6 +12,7 @@ from estimation.engine.simulate import Segment
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import estimated_noise, noise_parts
+from estimation.gap.fit.closed_loop import ClosedLoop
 from estimation.gap.fit.problem import LikelihoodProblem
 from estimation.gap.fit.spectra import (
     Linear,
@@ -390,11 +391,11 @@ def test_surfaces_and_jumps_are_as_free_as_usual_where_flights_do_not_tell() -> 
     assert one.spread({"delta_a": 0.3, "ay": 0.02}) == pytest.approx([0.3, 0.02])
 
 
-@pytest.mark.parametrize(("told", "free"), [(1e-4, (0.03, 0.005)), (5.0, (0.6, 0.6)), (0.1, (0.1, 0.1))])
-def test_the_freedom_that_flights_tell_stays_within_its_limits(told: float, free: tuple[float, float]) -> None:
-    one = replace(nowhere(10), name=("delta_a", "ay"), jumping=frozenset({"ay"}))
-    found = freedom_of([one], [(np.full(2, told), np.zeros(2))])
-    assert (found["delta_a"], found["ay"]) == pytest.approx(free)
+@pytest.mark.parametrize(("seen", "free"), [(0.0, (0.2 / 2.0, 0.1 / 2.0)), (5.0, (0.6, 0.6)), (0.1, (0.1323, 0.1))])
+def test_the_freedom_that_flights_show_counts_with_one_step_as_usual(seen: float, free: tuple[float, float]) -> None:
+    one = replace(nowhere(10), name=("delta_a", "ay") * 3, jumping=frozenset({"ay"}))
+    found = freedom_of([one], [(np.full(6, seen), np.zeros(6))])
+    assert (found["delta_a"], found["ay"]) == pytest.approx(free, rel=1e-3)
 
 
 @pytest.mark.parametrize(("white", "is_filled"), [(0.4, True), (0.6, False)])
@@ -406,6 +407,17 @@ def test_an_attitude_of_which_half_is_white_is_measured_not_filtered(
     flight = Flight.build("f", time, {"p": np.sin(time), "q": time, "r": time, "phi": slow, "theta": slow})
     filled = with_attitudes_between(flight, AS_SET)
     assert any("filter" in str(n) for n in filled.notes) is is_filled
+
+
+@pytest.mark.parametrize(("gust", "felt"), [(1.9, ()), (2.1, ("delta_a",))])
+def test_a_control_is_felt_whose_answers_to_gusts_are_twice_the_noise_of_the_sensors(
+    gust: float, felt: tuple[str, ...]
+) -> None:
+    gusts = 0.01 * gust * np.tile([[1.0], [-1.0]], (50, 1))
+    loop = ClosedLoop(ROLL, {"delta_a": np.array([[0.3], [0.0]])}, (np.zeros((100, 1)),), (gusts,))
+    record = FlightRecord(0, 0, STEP * np.arange(100), {}, gusts, np.zeros(1), {"delta_a": 1e-6})
+    fit = SimpleNamespace(scatter=np.array([0.01]), problem=SimpleNamespace(records=(record,)), criteria=AS_SET)
+    assert loop.felt(fit) == felt  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("ratios", "loud"), [((1.9, 1.9, 7.0), False), ((2.1, 2.1, 0.5), True), ((), False)])
