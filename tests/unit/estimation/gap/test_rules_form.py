@@ -52,7 +52,7 @@ def test_a_shape_gains_three_quarters_of_what_the_best_term_does(
     monkeypatch.setattr(searching, "examine", lambda round_: stub(leading=signals))
     monkeypatch.setattr(searching, "fit_increment", lambda baseline, increment: stub(gain=gain, fit=None))
     monkeypatch.setattr(searching.Increment, "of", lambda place, flown: None)
-    monkeypatch.setattr(searching.MeasuredAgain, "share", lambda self, gain, fit, score: 1.0)
+    monkeypatch.setattr(searching.MeasuredAgain, "share", lambda self, gain, fit: 1.0)
     left: list[float] = []
     monkeypatch.setattr(
         searching, "holdout_predictions", lambda baseline, fitted, flown: left.append(fitted.gain) or []
@@ -69,7 +69,7 @@ def test_a_shape_that_the_noise_of_the_controls_gives_is_not_taken(monkeypatch: 
     monkeypatch.setattr(searching, "examine", lambda round_: stub(leading=()))
     monkeypatch.setattr(searching, "fit_increment", lambda baseline, increment: stub(gain=74.0, fit=None))
     monkeypatch.setattr(searching.Increment, "of", lambda place, flown: None)
-    monkeypatch.setattr(searching.MeasuredAgain, "share", lambda self, gain, fit, score: 0.5)
+    monkeypatch.setattr(searching.MeasuredAgain, "share", lambda self, gain, fit: 0.5)
     ranking = stub(order=[0], places=[PLACE], gains=[74.0], scores=[5.0], threshold=4.0)
     shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking, 0.0)
     assert shape is None

@@ -113,7 +113,7 @@ def test_timing_is_freed_of_its_prior(moved: float, followed: bool) -> None:
 def own_gains(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     """Share of the gain of each hypothesis that the noise of the controls does not give it: all of it where nothing is said."""
     shares: dict[str, float] = {}
-    monkeypatch.setattr(accepting.MeasuredAgain, "share", lambda self, gain, fit, score: shares.get(str(gain), 1.0))
+    monkeypatch.setattr(accepting.MeasuredAgain, "share", lambda self, gain, fit: shares.get(str(gain), 1.0))
     return shares
 
 
