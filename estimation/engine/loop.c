@@ -7,6 +7,7 @@
 static int is_finite(double v) { return v - v == 0.0 && v < 1e12 && v > -1e12; }
 
 enum { LANES = 8 }; /* rows of sensitivities are padded to full vectors, whose last columns stay zero */
+typedef double Lanes __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 
 typedef int (*Function)(const double **, double **, int *, double *, int);
 
@@ -89,13 +90,27 @@ static void through_states(int count, const int *row, const int *col, const doub
     }
 }
 
-/* K = f_x S + f_p (free columns) + f_u du (transform columns) */
-static void variation(const Plan *plan, const double *fx, const double *fu, const double *fp, const double *s,
-                      const double *du, double *k) {
+/* K = f_x S + f_p (free columns) + f_u du (transform columns) at the point S of a stage; then adds w K to the sum `sn` of the step
+   and moves to the point of the next stage, s + c K. A vector of columns at a time: K stays in registers. */
+static void variation(const Plan *plan, const double *fx, const double *fu, const double *fp, const double *du, double w,
+                      double c, const double *restrict s, double *restrict k, double *restrict point, double *restrict sn) {
     memset(k, 0, sizeof(double) * NX * plan->stride);
-    through_states(NZ_f_x, row_f_x, col_f_x, fx, plan->stride, s, k);
     add(&plan->f_p, fp, k);
     if (plan->nt > 0) add_driven(&plan->f_u, fu, du, k);
+    for (int j = 0; j < plan->stride; j += LANES) {
+        Lanes from[NX], to[NX];
+        for (int a = 0; a < NX; ++a) {
+            from[a] = *(const Lanes *)(point + a * plan->stride + j);
+            to[a] = *(const Lanes *)(k + a * plan->stride + j);
+        }
+#pragma GCC unroll 256
+        for (int z = 0; z < NZ_f_x; ++z) to[row_f_x[z]] += fx[z] * from[col_f_x[z]];
+        for (int a = 0; a < NX; ++a) {
+            const int at = a * plan->stride + j;
+            *(Lanes *)(sn + at) += w * to[a];
+            *(Lanes *)(point + at) = *(const Lanes *)(s + at) + c * to[a];
+        }
+    }
 }
 
 /* Input at a fraction of the interval: straight from a to m half-way, straight on to b. */
@@ -147,20 +162,18 @@ static void step(const Plan *plan, double h, const double *ua, const double *um,
     ds[0] = da; ds[1] = dm; ds[2] = dm; ds[3] = db;
     const int size = NX * plan->stride;
     double f[NX], xs[NX], xn[NX], fx[NZ_f_x + 1], fu[NZ_f_u + 1], fp[NZ_f_p + 1];
-    double *restrict k = buffer, *restrict ss = buffer + size, *restrict sn = buffer + 2 * size;
+    double *restrict k = buffer, *restrict point = buffer + size, *restrict sn = buffer + 2 * size;
     memcpy(xn, x, sizeof(double) * NX);
-    if (size > 0) memcpy(sn, s, sizeof(double) * size);
+    if (size > 0) {
+        memcpy(point, s, sizeof(double) * size);
+        memcpy(sn, s, sizeof(double) * size);
+    }
     for (int i = 0; i < 4; ++i) {
         for (int a = 0; a < NX; ++a) xs[a] = i == 0 ? x[a] : x[a] + h * part[i] * f[a];
         if (size > 0) {
-            const double c = h * part[i];
-            if (i > 0)
-                for (int a = 0; a < size; ++a) ss[a] = s[a] + c * k[a];
             if (plan->nt > 0) call(rates_by_all, xs, us[i], p, hs[i], f, fx, fp, fu);
             else call(rates_jacobian, xs, us[i], p, hs[i], f, fx, fp, 0);
-            variation(plan, fx, fu, fp, i == 0 ? s : ss, ds[i], k);
-            const double w = h * weight[i];
-            for (int a = 0; a < size; ++a) sn[a] += w * k[a];
+            variation(plan, fx, fu, fp, ds[i], h * weight[i], i < 3 ? h * part[i + 1] : 0.0, s, k, point, sn);
         } else {
             call(rates, xs, us[i], p, hs[i], f, 0, 0, 0);
         }

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimation.engine.compiled import compile_kernel
 from estimation.engine.kernel import Array, Kernel, SegmentInputs, SegmentMotion, SensitivityColumns
-from estimation.engine.transforms import acting_on, apply_transforms, transform_derivatives
+from estimation.engine.transforms import LINEAR, acting_on, apply_transforms, transform_derivatives
 from estimation.models.base import Model
 from estimation.models.parts import ModelStructure
 from estimation.prepare.flight_data import AS_USUAL, FlightData, Preparation, Segment
@@ -181,6 +181,11 @@ class Simulator:
                 continue
             transforms, columns = acting_on(affected, model.transforms, model.input_names)
             inputs, u = tuple(model.input_names[c] for c in columns), segment.u[:, columns]
+            if all(t.kind in LINEAR for t in transforms):
+                changes[:, columns, k] = apply_transforms(
+                    transforms, inputs, segment.time, moved[:, columns, k], values
+                )
+                continue
             plus, minus = (
                 apply_transforms(transforms, inputs, segment.time, u + share * moved[:, columns, k], values)
                 for share in (CHANGE_FRACTION, -CHANGE_FRACTION)

@@ -207,6 +207,7 @@ def run_gap(
             if not (spikes := _spikes(baseline)):
                 break
             run = run.without_spikes(spikes)
+            del baseline  # whose whiteners are large
             setting, baseline = run.set_up(model)
         if off := derivatives_off(setting, baseline):
             # the one that stands out is for the search, which has to confirm it

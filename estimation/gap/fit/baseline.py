@@ -162,11 +162,13 @@ def whiteners_for(
     if noise is None:
         parts = noise_parts(records, base.output_names, scatter, criteria)
         noise = estimated_noise(residuals, shapes, steps, *parts, earlier)
-    slow = [slow_errors(simulator, values, s, r.error_spectra) for r, s in zip(records, segments, strict=True)]
-    return noise, tuple(
-        loosened(whitener(noise, without_slow(s, w.below)), e, noise.freedom, w.response)
-        for s, e, w in zip(shapes, steps, slow, strict=True)
-    )
+    whiteners = []
+    for record, segment, shape in zip(records, segments, shapes, strict=True):
+        slow = slow_errors(simulator, values, segment, record.error_spectra)
+        strict = whitener(noise, without_slow(shape, slow.below))
+        # the displacements of a record, large arrays, are dropped as soon as its whitener has what it needs of them
+        whiteners.append(loosened(strict, steps.pop(0), noise.freedom, slow.response))
+    return noise, tuple(whiteners)
 
 
 def estimated_noise(
@@ -251,7 +253,7 @@ def fit_baseline(
         if model_fit is None:
             _, whiteners = whiteners_for(model, prepared, records, model.starts(), noise, (), scatter)
         else:
-            values = {**model.starts(), **model_fit.values}
+            values, problem = {**model.starts(), **model_fit.values}, None  # whose whiteners are large
             noise, whiteners = whiteners_for(
                 model, prepared, records, values, None, model_fit.residuals, scatter, noise
             )

@@ -148,8 +148,9 @@ def linearised_in(
     if linear is None:
         return None
     residual, dy = linear
-    columns = np.concatenate([dy[:, :, :n], dy[:, :, len(problem.free) :], residual[:, :, None]], axis=2)
-    return LinearisedRecord(residual, problem.whiteners[index].gram(columns))
+    return LinearisedRecord(
+        residual, problem.whiteners[index].gram(dy[:, :, :n], dy[:, :, len(problem.free) :], residual)
+    )
 
 
 def record_blocks(problem: LikelihoodProblem, products: LinearisedRecord, local: Local, n: int) -> FlightBlocks:

@@ -158,16 +158,16 @@ def loosened(
 ) -> Whitener:
     """`whitener` with the displacements at steps as slack, and `others`: (N, ny, m) changes of the outputs by one prior standard
     deviation of m further unknowns. Effects too small to matter are left out."""
-    rows = whitener.strict(steps.spectrum) * steps.spread(freedom) if steps.name else None
-    if others is not None and others.shape[2]:
-        extra_rows = whitener.strict(spectrum_of(others))
-        rows = extra_rows if rows is None else np.concatenate([rows, extra_rows], axis=1)
-    if rows is None:
+    blocks = []
+    if steps.name:
+        blocks.append(whitener.strict(steps.spectrum))
+        blocks[0] *= steps.spread(freedom)
+    if others is not None:
+        blocks.append(whitener.strict(spectrum_of(others)))
+    visible = [rows[:, np.einsum("ij,ij->j", rows, rows) > SLIGHT] for rows in blocks]
+    if not any(rows.shape[1] for rows in visible):  # a short stretch in which hardly anything moves
         return whitener
-    visible = np.einsum("ij,ij->j", rows, rows) > SLIGHT
-    if not visible.any():  # a short stretch in which hardly anything moves
-        return whitener
-    return replace(whitener, slack=Slack(rows[:, visible]))
+    return replace(whitener, slack=Slack(np.concatenate(visible, axis=1)))
 
 
 def displaced(
@@ -180,10 +180,10 @@ def displaced(
     spread = steps.spread(freedom)
     mean, variance = np.zeros(spread.size), spread**2
     E = whitener.strict(steps.spectrum)
-    visible = np.flatnonzero(np.einsum("ij,ij->j", E, E) * variance > SLIGHT)
-    E, r = E[:, visible], whitener.strict(spectrum_of(residual))[:, 0]
-    inverse = np.linalg.inv(E.T @ E + np.diag(1.0 / variance[visible]))
-    mean[visible], variance[visible] = inverse @ (E.T @ r), np.diag(inverse)
+    information, projections = E.T @ E, E.T @ whitener.strict(spectrum_of(residual))[:, 0]
+    visible = np.flatnonzero(np.diag(information) * variance > SLIGHT)
+    inverse = np.linalg.inv(information[np.ix_(visible, visible)] + np.diag(1.0 / variance[visible]))
+    mean[visible], variance[visible] = inverse @ projections[visible], np.diag(inverse)
     return mean, variance
 
 

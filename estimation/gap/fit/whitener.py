@@ -3,6 +3,7 @@
 Multiplying by S(f)^(-1/2) makes residuals white and keeps them aligned in time and channel. `spectra` has S(f).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +15,7 @@ from scipy.linalg import solve_triangular
 from estimation.engine.kernel import Array
 
 Complex = NDArray[np.complex128]
+AT_ONCE = 64  # columns of one Fourier transform: theirs stay in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,14 @@ class White:
             squares -= np.einsum("ij,ij->j", self.forgiven, self.forgiven)
         return np.asarray(squares)
 
+    @classmethod
+    def beside(cls, whites: Sequence["White"]) -> "White":
+        """The columns of several, side by side."""
+        forgiven = [w.forgiven for w in whites if w.forgiven is not None]
+        return cls(
+            np.concatenate([w.rows for w in whites], axis=1), np.concatenate(forgiven, axis=1) if forgiven else None
+        )
+
     def some(self, columns: NDArray[np.intp]) -> "White":
         """Some of the columns."""
         return White(self.rows[:, columns], None if self.forgiven is None else self.forgiven[:, columns])
@@ -112,13 +122,15 @@ class Whitener:
         root = self.root * self._scale[:, None, None]
         return np.block([[root.real, -root.imag], [root.imag, root.real]])
 
-    @cached_property
     def _slack_series(self) -> Array:
         """(N ny, m) the rows of the slack as white time series."""
         assert self.slack is not None
         ny, m = self.root.shape[1], self.slack.rows.shape[1]
-        parts = self.slack.rows.reshape(-1, 2, ny, m) / self._scale[:, None, None, None]
-        return np.asarray(np.fft.irfft(parts[:, 0] + 1j * parts[:, 1], n=self.count, axis=0).reshape(-1, m))
+        parts = self.slack.rows.reshape(-1, 2, ny, m)
+        spectrum = np.empty((len(parts), ny, m), complex)
+        spectrum.real, spectrum.imag = parts[:, 0], parts[:, 1]
+        spectrum /= self._scale[:, None, None]
+        return np.asarray(np.fft.irfft(spectrum, n=self.count, axis=0).reshape(-1, m))
 
     @cached_property
     def log_determinant(self) -> float:
@@ -142,14 +154,14 @@ class Whitener:
             rows -= self.slack.rows @ (self.slack.mix @ (self.slack.rows.T @ rows))
         return rows
 
-    def white(self, columns: Array) -> White:
-        """(N, ny, k) or (N, ny) -> white columns for inner products."""
-        rows = self.strict(spectrum_of(columns))
+    def white(self, *columns: Array) -> White:
+        """(N, ny, k) or (N, ny) each -> white columns for inner products, side by side."""
+        rows = self.strict(spectrum_of(*columns))
         return White(rows, None if self.slack is None else self.slack.forgiven(rows))
 
-    def gram(self, columns: Array) -> Array:
-        """(N, ny, k) or (N, ny) -> (k, k): inner products of the white rows."""
-        white = self.white(columns)
+    def gram(self, *columns: Array) -> Array:
+        """(N, ny, k) or (N, ny) each -> (columns, columns): inner products of the white rows."""
+        white = self.white(*columns)
         return white.products(white)
 
     def energy(self, residual: Array) -> float:
@@ -163,8 +175,8 @@ class Whitener:
         series = np.fft.irfft(self.root @ spectrum, n=self.count, axis=0)
         if self.slack is not None:
             flat = series.reshape(-1, block.shape[2])
-            forgiven = self._slack_series @ (self.slack.mix @ (self._slack_series.T @ flat))
-            series -= forgiven.reshape(series.shape)
+            slack_series = self._slack_series()
+            series -= (slack_series @ (self.slack.mix @ (slack_series.T @ flat))).reshape(series.shape)
         return series.reshape(residual.shape)
 
 
@@ -173,12 +185,19 @@ def zero_filled(values: Array) -> Array:
     return values if np.isfinite(np.sum(values)) else np.nan_to_num(values)
 
 
-def spectrum_of(columns: Array) -> Array:
-    """(N, ny, k) or (N, ny) -> (frequencies, 2 ny, k): real parts of the spectra of all channels over imaginary ones. NaN counts
-    as zero."""
-    block = zero_filled(columns[:, :, None] if columns.ndim == 2 else columns)
-    count, ny, k = block.shape
-    transform = rfft(block.reshape(count, ny * k), axis=0)
-    parts = np.empty((transform.shape[0], 2, ny * k))
-    parts[:, 0], parts[:, 1] = transform.real, transform.imag
-    return parts.reshape(transform.shape[0], 2 * ny, k)
+def spectrum_of(*columns: Array) -> Array:
+    """(N, ny, k) or (N, ny) each -> (frequencies, 2 ny, columns): real parts of the spectra of all channels over imaginary ones.
+    NaN counts as zero."""
+    blocks = [zero_filled(c[:, :, None] if c.ndim == 2 else c) for c in columns]
+    count, ny = blocks[0].shape[:2]
+    parts = np.empty((count // 2 + 1, 2, ny, sum(b.shape[2] for b in blocks)))
+    first = 0
+    for block in blocks:
+        end = first + block.shape[2]
+        channels = max(AT_ONCE // max(block.shape[2], 1), 1)
+        for c in range(0, ny, channels):
+            transform = rfft(block[:, c : c + channels], axis=0)
+            parts[:, 0, c : c + channels, first:end] = transform.real
+            parts[:, 1, c : c + channels, first:end] = transform.imag
+        first = end
+    return parts.reshape(len(parts), 2 * ny, first)

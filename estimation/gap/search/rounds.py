@@ -210,4 +210,5 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
                 findings, replaced = revised
                 rejected += replaced
         baseline = findings[-1].child
+        round_.tangent.forget()
     return SearchState(tuple(findings), tuple(rounds), omnibus, tuple(rejected))

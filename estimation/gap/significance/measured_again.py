@@ -119,7 +119,7 @@ class MeasuredAgain:
         problem, record = self.baseline.problem, self.baseline.problem.records[index]
         true_inputs, measured = problem.coarse[index].u.copy(), problem.coarse[index].u.copy()
         for column, name, noise in self._noisy_controls(index):
-            true_inputs[:, column] = course(record, name, true_inputs[:, column], noise, rng)
+            true_inputs[:, column] = course(record, name, self._smooth_controls[index][name], rng)
             measured[:, column] = measured_control(record, name, true_inputs[:, column], noise, rng)
         driven = problem.driven(problem.grids[index].with_inputs(true_inputs), self.baseline.fit.values)
         return self._flyer.observed(index, rng, driven), measured
@@ -135,6 +135,15 @@ class MeasuredAgain:
                 inputs[:, column] = values
         pairs = zip(flown, prepared, strict=True)
         return [self._simulated_record(index, outputs, inputs) for (outputs, _), inputs in pairs]
+
+    @cached_property
+    def _smooth_controls(self) -> tuple[dict[str, Array], ...]:
+        """Per record the noisy controls without noise, alike in every repeat."""
+        records, segments = self.baseline.problem.records, self.baseline.problem.coarse
+        return tuple(
+            {name: smooth_control(r, name, s.u[:, column], noise) for column, name, noise in self._noisy_controls(i)}
+            for i, (r, s) in enumerate(zip(records, segments, strict=True))
+        )
 
     def _noisy_controls(self, index: int) -> list[tuple[int, str, float]]:
         """Column, name and noise of every control of a record that has noise."""
@@ -181,20 +190,28 @@ def own_share(gain: float, without: float, freed: float, criteria: Criteria) -> 
     return float(np.clip((min(own, by_residuals) + freed) / gain, 0.0, 1.0))
 
 
-def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: np.random.Generator) -> Array:
-    """(N,) a course that a control may have taken: as prepared, with one draw of its possible errors; near its steps, where the
-    prepared values are the measured ones, without their noise. One of a coarsely rounded control has no stairs."""
-    grid = record.grids.get(name)
-    if grid is not None:
-        return without_stairs(prepared, record.interval, least=1) + grid.step * rng.uniform(-0.5, 0.5)
+def smooth_control(record: FlightRecord, name: str, prepared: Array, noise: float) -> Array:
+    """(N,) a control as prepared; near its steps, where the prepared values are the measured ones, without their noise. One of a
+    coarsely rounded control has no stairs."""
+    if name in record.grids:
+        return without_stairs(prepared, record.interval, least=1)
     raw = record.raw.get(name)
-    draws = record.errors.get(name)
-    error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
     if raw is None or not raw.any():
-        return np.asarray(prepared + error)
+        return prepared
     follows = record.follows.get(name, 0.0)
     smooth = denoise_many([prepared - follows], noise=noise)[0].values + follows
-    return np.where(raw, smooth, prepared + error)
+    return np.where(raw, smooth, prepared)
+
+
+def course(record: FlightRecord, name: str, smooth: Array, rng: np.random.Generator) -> Array:
+    """(N,) a course that a control may have taken: `smooth_control` with one draw of the possible errors of its preparation, away
+    from steps."""
+    grid = record.grids.get(name)
+    if grid is not None:
+        return smooth + grid.step * rng.uniform(-0.5, 0.5)
+    draws = record.errors.get(name)
+    error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
+    return np.where(record.raw.get(name, False), smooth, smooth + error)
 
 
 def measured_control(record: FlightRecord, name: str, true: Array, noise: float, rng: np.random.Generator) -> Array:

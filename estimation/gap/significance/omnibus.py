@@ -78,7 +78,7 @@ def whitened(round_: Round) -> list[Array]:
         if linear is not None:  # else the local unknowns stay as fitted, for data and nulls alike
             dy = linear[1]
             n = dy.shape[2]
-            gram = problem.whiteners[i].gram(np.concatenate([dy, residuals], axis=2))
+            gram = problem.whiteners[i].gram(dy, residuals)
             residuals = residuals - dy @ solved(gram[:n, :n], gram[:n, n:])
         result.append(problem.whiteners[i].series(residuals))
     return result

@@ -252,7 +252,7 @@ def gram_of(tangent: Tangent, changes: Callable[[int], Iterable[Array]]) -> Arra
     Raises GapError where the fitted motion cannot be linearised.
     """
     problem = tangent.problem
-    gram = np.sum([tangent.record(i).gram_with(list(changes(i))) for i in range(len(problem.records))], axis=0)
+    gram = np.sum([tangent.record(i).gram_with(changes(i)) for i in range(len(problem.records))], axis=0)
     columns = len(gram) - len(problem.free) - 1 - len(tangent.nulls)
     return np.asarray(gram + shared_prior(problem, tangent.fit, len(gram), columns))
 

@@ -6,9 +6,10 @@ The column of a disturbance is the response of the outputs to a small one, which
 moment equation.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,9 +76,9 @@ def responses(
         if changes is None:
             changes = np.zeros((*unmeasured.shape, len(batch)))
         changes[unmeasured] = 0.0
+        finite = np.abs(changes).max(axis=(0, 1)) < RUNAWAY
         for k in range(len(batch)):
-            finite = np.abs(changes[:, :, k]).max() < RUNAWAY
-            yield changes[:, :, k] if finite else np.zeros(unmeasured.shape)
+            yield changes[:, :, k] if finite[k] else np.zeros(unmeasured.shape)
 
 
 @dataclass(frozen=True)
@@ -115,10 +116,10 @@ class RecordTangent:
             )
         residual, dy = linear
         missing, n = ~np.isfinite(residual), len(problem.free)
-        block = np.concatenate([dy, residual[:, :, None], *(null[:, :, None] for null in nulls)], axis=2)
+        block = np.stack([residual, *nulls], axis=2)
         block[missing] = 0.0
-        white = problem.whiteners[index].white(block)
-        indices, unknowns = np.arange(block.shape[2]), dy.shape[2]
+        white = problem.whiteners[index].white(dy, block)
+        indices, unknowns = np.arange(white.rows.shape[1]), dy.shape[2]
         local, fixed = white.some(indices[n:unknowns]), white.some(np.delete(indices, slice(n, unknowns)))
         weight, distance = local_prior(problem, fit.locals[index], unknowns - n)
         inverse = pseudo_inverse(local.products(local) + np.diag(weight))[0]
@@ -131,11 +132,15 @@ class RecordTangent:
         """Memory of the columns [bytes]."""
         return self.fixed.white.rows.nbytes + self.local.rows.nbytes
 
-    def columns(self, changes: Sequence[Array]) -> TangentColumns:
+    def columns(self, changes: Iterable[Array]) -> TangentColumns:
         """Whitened changes of the outputs, (N, ny) each."""
-        block = np.stack(changes, axis=2) if len(changes) else np.zeros((*self.missing.shape, 0))
-        block[self.missing] = 0.0
-        white = self.problem.whiteners[self.index].white(block)
+        source, whitener = iter(changes), self.problem.whiteners[self.index]
+        whites = [whitener.white(np.zeros((*self.missing.shape, 0)))]
+        while batch := list(islice(source, AT_ONCE)):
+            block = np.stack(batch, axis=2)
+            block[self.missing] = 0.0
+            whites.append(whitener.white(block))
+        white = White.beside(whites)
         return TangentColumns(white, self.local.products(white))
 
     def products(self, a: TangentColumns, b: TangentColumns) -> Array:
@@ -151,11 +156,11 @@ class RecordTangent:
         """Products of the fixed columns."""
         return self.products(self.fixed, self.fixed)
 
-    def gram_with(self, changes: Sequence[Array]) -> Array:
+    def gram_with(self, changes: Iterable[Array]) -> Array:
         """Gram matrix of [shared unknowns | changes | residuals]."""
-        if not len(changes):
-            return self.gram
         n, extra = len(self.problem.free), self.columns(changes)
+        if not extra.local.shape[1]:
+            return self.gram
         across, among = self.products(extra, self.fixed), self.products(extra, extra)
         return np.block(
             [
@@ -186,6 +191,10 @@ class Tangent:
         if tangent.size + sum(record.size for record in self._cache.values()) <= CACHE:
             self._cache[index] = tangent
         return tangent
+
+    def forget(self) -> None:
+        """Give back the memory of all records: each is linearised again where it is needed."""
+        self._cache.clear()
 
     def of(self, selected: NDArray[np.bool_]) -> "Tangent":
         """The same with some of the nulls. selected: (nulls,)."""

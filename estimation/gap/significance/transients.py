@@ -21,7 +21,14 @@ from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round, unknown_above
 from estimation.gap.significance.screen import SEEN, SMALLEST_TAIL, TINY, shared_prior
-from estimation.gap.significance.tangent import Tangent, TangentColumns, is_door, output_changes
+from estimation.gap.significance.tangent import (
+    AT_ONCE,
+    RecordTangent,
+    Tangent,
+    TangentColumns,
+    is_door,
+    output_changes,
+)
 
 SPACING = 0.5  # s between trial instants of a step: between two of them a twentieth of the gain is lost
 STRETCHES = (1.0, 3.0)  # s, lengths of disturbances; they start at every third of their length
@@ -109,6 +116,10 @@ class PossibleEvents:
     members: tuple[tuple[int, ...], ...]
     columns: tuple[EventColumn, ...]
 
+    def in_record(self, members: Sequence[int], index: int) -> list[int]:
+        """Those of some columns that belong to a record."""
+        return [c for c in members if self.columns[c].record == index]
+
 
 def possible_events(problem: LikelihoodProblem) -> PossibleEvents:
     """Every event that these records could show."""
@@ -169,15 +180,15 @@ class Products:
         within = {e: np.zeros((len(members),) * 2) for e, members in several.items()}
         for i in range(len(problem.records)):
             record = tangent.record(i)
-            position, columns = _columns_in(tangent, possible, i)
             outer += record.gram
-            here = list(position)
-            across[here], raw[here] = record.products(columns, record.fixed), record.squares(columns)
-            for e, members in several.items():
-                present = [j for j, c in enumerate(members) if c in position]
-                if present:
-                    event_columns = columns.some([position[members[j]] for j in present])
-                    within[e][np.ix_(present, present)] += record.products(event_columns, event_columns)
+            for here, columns in _columns_in(record, tangent.fit, possible):
+                across[here], raw[here] = record.products(columns, record.fixed), record.squares(columns)
+                position = {c: j for j, c in enumerate(here)}
+                for e, members in several.items():
+                    present = [j for j, c in enumerate(members) if c in position]
+                    if present:
+                        event_columns = columns.some([position[members[j]] for j in present])
+                        within[e][np.ix_(present, present)] += record.products(event_columns, event_columns)
         return cls(tangent, possible, n, outer, across, raw, within)
 
     def rows(self, event: int) -> dict[int, Array]:
@@ -185,20 +196,33 @@ class Products:
         rows: dict[int, Array] = {}
         members = self.possible.members[event]
         for i in dict.fromkeys(self.possible.columns[c].record for c in members):
-            position, columns = _columns_in(self.tangent, self.possible, i)
-            present = [c for c in members if c in position]
-            products = self.tangent.record(i).products(columns.some([position[c] for c in present]), columns)
-            for c, row in zip(present, products, strict=True):
-                rows[c] = np.zeros(len(self.possible.columns))
-                rows[c][list(position)] = row
+            present, record = self.possible.in_record(members, i), self.tangent.record(i)
+            event_columns = _whitened(record, self.tangent.fit, self.possible, present)
+            rows |= {c: np.zeros(len(self.possible.columns)) for c in present}
+            for here, columns in _columns_in(record, self.tangent.fit, self.possible):
+                for c, row in zip(present, record.products(event_columns, columns), strict=True):
+                    rows[c][here] = row
         return rows
 
 
-def _columns_in(tangent: Tangent, possible: PossibleEvents, index: int) -> tuple[dict[int, int], TangentColumns]:
-    """The columns of events in a record: index of a column -> its position, and the whitened columns."""
-    here = [c for c, column in enumerate(possible.columns) if column.record == index]
-    changes = _changes(tangent.problem, tangent.fit, index, [possible.columns[c] for c in here])
-    return {c: j for j, c in enumerate(here)}, tangent.record(index).columns(list(changes))
+def _columns_in(
+    record: RecordTangent, model_fit: ModelFit, possible: PossibleEvents
+) -> Iterator[tuple[list[int], TangentColumns]]:
+    """Indices of the columns of events in a record, and these whitened: so many events at a time as fit in a small memory."""
+    here: list[int] = []
+    for members in possible.members:
+        here += possible.in_record(members, record.index)
+        if len(here) >= AT_ONCE:
+            yield here, _whitened(record, model_fit, possible, here)
+            here = []
+    yield here, _whitened(record, model_fit, possible, here)
+
+
+def _whitened(
+    record: RecordTangent, model_fit: ModelFit, possible: PossibleEvents, columns: Sequence[int]
+) -> TangentColumns:
+    """Some of the columns of events, whitened; columns: their indices, all of this record."""
+    return record.columns(_changes(record.problem, model_fit, record.index, [possible.columns[c] for c in columns]))
 
 
 def _changes(

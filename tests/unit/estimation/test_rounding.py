@@ -175,7 +175,7 @@ def test_a_control_measured_again_moves_smoothly_and_is_rounded_again(pitching: 
     record = prepare_flights(model, (), pitching[:1], (), AS_SET).records[0]
     rng, grid, prepared = np.random.default_rng(5), record.grids["delta_e"], record.inputs["delta_e"]
     noise = record.input_noise["delta_e"]
-    true = again.course(record, "delta_e", prepared, noise, rng)
+    true = again.course(record, "delta_e", again.smooth_control(record, "delta_e", prepared, noise), rng)
     assert np.std(np.diff(true, 3)) < 0.5 * np.std(np.diff(prepared, 3))
     assert 0.0 < np.abs(np.mean(true - prepared)) < 0.5 * grid.step
     recorded = again.measured_control(record, "delta_e", true, noise, rng)

@@ -53,7 +53,7 @@ def screen(hypotheses: Sequence[Hypothesis], gram: Array | None = None, flights:
     return Screen((), tuple(hypotheses), columns, (whole,) * len(flights), np.zeros_like(whole), flights)
 
 
-ROUND = stub(threshold=4.0, baseline="base", criteria=AS_SET)
+ROUND = stub(threshold=4.0, baseline="base", criteria=AS_SET, tangent=stub(forget=lambda: None))
 REST = Omnibus(
     9.0, 5.0, (OmnibusSignal("term", "r", "beta", 9.0, gain=80.0), OmnibusSignal("time", "r", "burst", 8.0, gain=1e9))
 )
