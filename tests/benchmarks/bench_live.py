@@ -9,7 +9,7 @@ import pytest
 from daq.identification.airframe import PITCH_SIGNALS, SIGNALS, Sample
 from daq.identification.live import JointEstimator
 from daq.identification.monitor.bank import PLANES, MonitoredPlane, bank
-from daq.identification.monitor.evidence import fitted
+from daq.identification.monitor.evidence import fit_whitening
 from daq.identification.monitor.nulls import NullConditions, fly
 from daq.identification.monitor.predictors import PredictorBank
 from daq.identification.monitor.threshold import scores
@@ -55,7 +55,7 @@ def test_the_gap_monitor(plane: MonitoredPlane, against_reference: Against) -> N
     scans = fly(AIRCRAFT, values, effects, NullConditions(), rng, 1, 30.0, plane=plane)
     bank_alone = PredictorBank(AIRCRAFT, values, (), plane)
     alone = [i for s in scans if (i := bank_alone.innovation(s)) is not None]
-    whitening = fitted([(np.stack([i.wrong for i in alone]), np.stack([i.kind for i in alone]))])
+    whitening = fit_whitening([(np.stack([i.wrong for i in alone]), np.stack([i.kind for i in alone]))])
 
     def run() -> int:
         assert list(scores(PredictorBank(AIRCRAFT, values, effects, plane), effects, whitening, scans))

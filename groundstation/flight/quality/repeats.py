@@ -38,6 +38,7 @@ SMALL_GAPS = 0.05  # quantile
 FEWEST = 40  # finite values of a channel, below which its repeats are not judged
 GAUSSIAN = 0.6744897501960817  # median of the absolute value of a standard normal variable
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
+SETTLES = 0.15  # of the median of absolute third differences, their lower quartile: 0.47 of noise, 0.01 of a settling servo
 SMOOTHED = 5  # samples of the running mean over slopes of an attitude
 
 MOVING = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V")
@@ -177,8 +178,10 @@ class _StuckEvidence:
         if self.alive.size < STUCK_SAMPLES or self.repeated > REPEATED:
             return False
         third = np.diff(self.alive, 3)
-        level = float(np.median(np.abs(third))) / GAUSSIAN / THIRD
-        return level >= max(self.step, SAME * span_of(self.alive)) and alternates(third)
+        quarter, median = np.quantile(np.abs(third), [0.25, 0.5]).tolist()
+        level = median / GAUSSIAN / THIRD
+        # a servo without noise settles: its changes are of many sizes, those of noise are of one
+        return level >= max(self.step, SAME * span_of(self.alive)) and quarter > SETTLES * median and alternates(third)
 
     def motion_missed(self, a: int, b: int) -> bool:
         """Whether the channel must have moved by several quanta in a run, as predicted from the others."""

@@ -159,3 +159,18 @@ def test_a_control_mixed_of_two_servo_outputs_is_neither_slow_nor_stuck(share: f
     found = repeats(flight, "delta_a")
     assert not found.slow
     assert not found.stuck.any()
+
+
+@pytest.mark.parametrize(("noise", "stuck"), [(0.0, False), (1e-3, True)])
+def test_a_rudder_recorded_without_noise_may_rest_between_pulses(noise: float, stuck: bool) -> None:
+    """As a simulation records it: a servo of 35 ms settles to the last bit, and none of its changes is as large as another."""
+    flight, arm, arms = steady_then_moving(), 0.0, []
+    pulse = 0.05 * (np.floor((TIME % 15.0) / 0.7) == 5) - 0.05 * (np.floor((TIME % 15.0) / 0.7) == 6)
+    for wanted in np.repeat(pulse, 40):
+        arm += 1e-3 / 0.035 * (wanted - arm)
+        arms.append(arm if abs(arm) > 1e-12 else 0.0)
+    rudder = np.array(arms)[::40]
+    at_rest = rudder == 0.0
+    assert at_rest.mean() > 0.5
+    rudder = np.where(at_rest, 0.0, rudder + noise * np.random.default_rng(6).standard_normal(TIME.size))
+    assert repeats(flight.with_columns(delta_r=rudder), "delta_r").stuck.any() == stuck

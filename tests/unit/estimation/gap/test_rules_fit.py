@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import gumbel_r
+from scipy.stats import gumbel_r, kurtosis
 
 from daq.utilities.constants import GRAVITY
 from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import EffectParameter
+from estimation.gap.records.broken import beside_neighbours
 from estimation.gap.significance.calibration import (
     like_the_flights,
     null_inflation,
@@ -20,6 +22,7 @@ from estimation.gap.significance.calibration import (
 from estimation.gap.significance.kinematic_check import kinematic_model, origin_of_error
 from estimation.gap.significance.measure import Floors, usual_and_limit
 from estimation.gap.significance.nameless_terms import OmnibusSignal, pooled, standardised
+from estimation.gap.significance.nulls import heavy_tails
 from estimation.gap.significance.omnibus import (
     beside_others,
     energy_with_activity,
@@ -28,6 +31,7 @@ from estimation.gap.significance.omnibus import (
     window_energy,
 )
 from estimation.gap.significance.screen import HypothesisColumn, Projected, Screen, one_sided
+from tests.unit.estimation.gap.roll import ROLL
 
 
 def stub(**fields: Any) -> Any:
@@ -37,6 +41,34 @@ def stub(**fields: Any) -> Any:
 
 GRID = (np.arange(4000) + 0.5) / 4000
 LARGEST = np.asarray(gumbel_r.ppf(GRID, loc=3.0, scale=0.3))  # largest scores of nulls, exactly of that law
+
+
+# ------------------------------------------------------------------------------------------------ tails of the noise
+TAILED = 600  # samples
+
+
+def tails_of(values: Array) -> tuple[Array | None, ...]:
+    segment = Segment(0, 0.05 * np.arange(TAILED), np.zeros((TAILED, 1)), np.zeros((TAILED, 1)), np.zeros(1))
+    return heavy_tails(stub(model=ROLL, coarse=[segment], criteria=AS_SET), stub(residuals=[values[:, None]]))
+
+
+def with_kurtosis(wanted: float) -> Array:
+    """Noise whose distances from its neighbours have an excess kurtosis."""
+    white, low, high = np.random.default_rng(3).standard_normal(TAILED), 0.0, 1.0
+    for _ in range(60):
+        bend = 0.5 * (low + high)
+        values = white + bend * white**3
+        low, high = (bend, high) if kurtosis(beside_neighbours(values)) < wanted else (low, bend)
+    return values
+
+
+@pytest.mark.parametrize(("tails", "heavy"), [(0.85, False), (1.15, True)])
+def test_noise_of_heavy_tails_is_simulated_with_them(tails: float, heavy: bool) -> None:
+    (quantiles,) = tails_of(with_kurtosis(tails))
+    assert (quantiles is not None) is heavy
+    if quantiles is not None:
+        assert np.std(quantiles) == pytest.approx(1.0)
+        assert kurtosis(quantiles) == pytest.approx(tails, abs=0.01)
 
 
 # ------------------------------------------------------------------------------------------------ nulls that ran away

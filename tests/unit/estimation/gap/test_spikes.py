@@ -1,14 +1,9 @@
-"""Single values that only a fit shows to be no measurement, and noise with heavy tails in the nulls."""
-
-from types import SimpleNamespace
-from typing import Any, cast
+"""Single values that only a fit shows to be no measurement."""
 
 import numpy as np
 import pytest
-from scipy.stats import kurtosis
 
 from estimation.engine.kernel import Array
-from estimation.engine.simulate import Segment
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.records.broken import (
@@ -18,13 +13,11 @@ from estimation.gap.records.broken import (
     stepping_samples,
     without_spikes,
 )
-from estimation.gap.significance.nulls import heavy_tails
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies import fourth_simulator as fourth
 from tests.studies.gap_benchmark import outcome
-from tests.unit.estimation.gap.roll import ROLL
 
 COUNT = 600
 NOWHERE = np.zeros(COUNT, bool)
@@ -103,31 +96,6 @@ def test_spikes_are_taken_out_and_their_times_said() -> None:
     assert spikes_in_words([flight], {0: {"p": at}}) == [
         "f: single values far from their neighbours and from the model left out: p at 0.50, 1.00, 1.50 s and 1 more"
     ]
-
-
-def tails_of(values: Array) -> tuple[Array | None, ...]:
-    segment = Segment(0, 0.05 * np.arange(COUNT), np.zeros((COUNT, 1)), np.zeros((COUNT, 1)), np.zeros(1))
-    problem = SimpleNamespace(model=ROLL, coarse=[segment], criteria=AS_SET)
-    return heavy_tails(cast(Any, problem), cast(Any, SimpleNamespace(residuals=[values[:, None]])))
-
-
-def with_kurtosis(wanted: float) -> Array:
-    """Noise whose distances from its neighbours have an excess kurtosis."""
-    white, low, high = noise(3), 0.0, 1.0
-    for _ in range(60):
-        bend = 0.5 * (low + high)
-        values = white + bend * white**3
-        low, high = (bend, high) if kurtosis(beside_neighbours(values)) < wanted else (low, bend)
-    return values
-
-
-@pytest.mark.parametrize(("tails", "heavy"), [(0.85, False), (1.15, True)])
-def test_noise_of_heavy_tails_is_simulated_with_them(tails: float, heavy: bool) -> None:
-    (quantiles,) = tails_of(with_kurtosis(tails))
-    assert (quantiles is not None) is heavy
-    if quantiles is not None:
-        assert np.std(quantiles) == pytest.approx(1.0)
-        assert kurtosis(quantiles) == pytest.approx(tails, abs=0.01)
 
 
 def test_flights_with_spikes_have_no_gap_and_say_what_was_left_out() -> None:
