@@ -138,10 +138,13 @@ class _Run:
             return setting, baseline
         # de-noising takes off part of what follows the motion, unless asked to keep it
         following = prepare_flights(base, (), self.training, (), criteria, keep_feedback=True).records
-        gains = {n: g for n, g in feedback_of(following, base).items() if n in felt}
+        gains = {n: g for n, g in {**loop.gains, **feedback_of(following, base)}.items() if n in felt}
         loop = replace(loop, gains=gains)
         for _ in range(LOOP_PASSES):
-            setting, baseline = self._without_answers(loop)._fitted(base, loop)
+            try:
+                setting, baseline = self._without_answers(loop)._fitted(base, loop)
+            except GapError:  # a loop in which the motion runs away is not the one that was flown
+                break
             renewed = ClosedLoop.of(baseline, flights, gains)
             if renewed.is_near(loop, baseline.problem.records):
                 break
