@@ -104,10 +104,10 @@ class Criteria:
         "flights at 20 Hz with servos of 35 ms show 0.2 to 0.25 (docs/gap.md, 2026-11-21)")
     jump_freedom: float = criterion(0.1, "jumps", "error of a sample next to a jump that counts as one of the flights", CHAIN)
     freedom_most: float = criterion(0.6, "steps, jumps", "the same two, upper limit")
-    answers_felt: float = criterion(2.0, "noise of the sensors",
-        "a control whose answers to gusts are larger than so much of it, and its own noise, closes a loop in the model",
-        "between elevators that hold an attitude in gusts of 0.9 deg, which bend no derivative (2.0), and a wing leveller in "
-        "gusts of 0.3 deg, which bends them by 2 to 9 bounds (4 to 7), 2026-11-30")
+    answers_felt: float = criterion(0.5, "1",
+        "share of its answers to gusts by which a control has to move between its steps, so that the model closes its loop",
+        "between an elevator whose gains come from manoeuvres (T-38, 0.02), or that holds an attitude in gusts of 0.9 deg and "
+        "bends no derivative (0.36), and the ailerons of a wing leveller in gusts of 0.3 to 0.9 deg (0.7 to 0.96), 2026-11-30")
 
     # ---- nulls and thresholds
     null_level: float = criterion(0.975, "quantile of the nulls",

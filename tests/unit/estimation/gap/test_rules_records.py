@@ -409,14 +409,14 @@ def test_an_attitude_of_which_half_is_white_is_measured_not_filtered(
     assert any("filter" in str(n) for n in filled.notes) is is_filled
 
 
-@pytest.mark.parametrize(("gust", "felt"), [(1.9, ()), (2.1, ("delta_a",))])
-def test_a_control_is_felt_whose_answers_to_gusts_are_twice_the_noise_of_the_sensors(
-    gust: float, felt: tuple[str, ...]
-) -> None:
-    gusts = 0.01 * gust * np.tile([[1.0], [-1.0]], (50, 1))
-    loop = ClosedLoop(ROLL, {"delta_a": np.array([[0.3], [0.0]])}, (np.zeros((100, 1)),), (gusts,))
-    record = FlightRecord(0, 0, STEP * np.arange(100), {}, gusts, np.zeros(1), {"delta_a": 1e-6})
-    fit = SimpleNamespace(scatter=np.array([0.01]), problem=SimpleNamespace(records=(record,)), criteria=AS_SET)
+@pytest.mark.parametrize(("share", "felt"), [(0.45, ()), (0.55, ("delta_a",))])
+def test_a_control_is_felt_that_moves_by_half_of_its_answers_to_gusts(share: float, felt: tuple[str, ...]) -> None:
+    time, rng = STEP * np.arange(600), np.random.default_rng(11)
+    still, gusts = 0.2 * np.sin(time)[:, None], np.cumsum(0.01 * rng.standard_normal((600, 1)), axis=0)
+    loop = ClosedLoop(ROLL, {"delta_a": np.array([[0.3], [0.0]])}, (still,), (gusts,))
+    control = (0.3 * still + share * 0.3 * gusts)[:, 0] + 1e-5 * rng.standard_normal(600)
+    record = FlightRecord(0, 0, time, {"delta_a": control}, still + gusts, np.zeros(1), {"delta_a": 1e-5})
+    fit = SimpleNamespace(problem=SimpleNamespace(records=(record,)), criteria=AS_SET)
     assert loop.felt(fit) == felt  # type: ignore[arg-type]
 
 
