@@ -4,7 +4,7 @@
 criterion by 30 % down and up (whole numbers by one; quantiles by 30 % of what is beyond them, since they end at one), in a
 process of its own in which the one record that every module holds has the other number; then
 tests/unit/estimation/gap/test_rules_*.py, no flights. Exit status 1 where one survives. The page has a row for every criterion
-and the first test that turned red.
+and the first test that turned red; with --only the other criteria keep their rows.
 """
 
 import argparse
@@ -87,27 +87,35 @@ def outcomes(chosen: Sequence[Criterion], workers: int) -> Iterator[Outcome]:
         yield from pool.imap(tried, [(c, value) for c in chosen for value in moved(c)], chunksize=1)
 
 
-def page(found: Sequence[Outcome]) -> str:
-    """The table as Markdown."""
-    killed = sum(bool(o.killer) for o in found)
+def page(found: Sequence[Outcome], earlier: str = "") -> str:
+    """The table as Markdown. earlier: a table from which criteria that were not tried keep their rows, where their value is the
+    same."""
+    moves: dict[str, list[Outcome]] = {}
+    for o in found:
+        moves.setdefault(o.criterion.name, []).append(o)
+    rows = {line.split("`")[1]: line for line in earlier.splitlines() if line.startswith("|`")}
+    for name, both in moves.items():
+        tests = ", ".join(dict.fromkeys(f"`{o.killer}`" if o.killer else "**none**" for o in both))
+        rows[name] = _row(both[0].criterion, [o.value for o in both], tests)
+    known = {c.name: _row(c, moved(c), "") for c in AS_SET.described()}
+    rows = {name: rows[name] for name, start in known.items() if rows.get(name, "").startswith(start.rstrip("|"))}
+    survivors = sum(row.count("**none**") for row in rows.values())
     lines = [
         "# Does a test notice another number?",
         "",
         "Made by `python -m tests.studies.gap_mutation`; do not edit. Every criterion of the gap workflow",
         "(docs/gap-criteria.md of the built site) moved by 30 % down and up (whole numbers by one, quantiles by 30 % of what is",
-        f"beyond them), then the rule tests: {killed} of {len(found)} changes turn a test red.",
+        f"beyond them), then the rule tests: {2 * len(rows) - survivors} of {2 * len(rows)} changes turn a test red.",
         "",
         "| criterion | value | moved to | tests that turn red first |",
         "|---|---|---|---|",
     ]
-    moves: dict[str, list[Outcome]] = {}
-    for o in found:
-        moves.setdefault(o.criterion.name, []).append(o)
-    for name, both in moves.items():
-        values = ", ".join(f"{o.value:.4g}" for o in both)
-        tests = ", ".join(dict.fromkeys(f"`{o.killer}`" if o.killer else "**none**" for o in both))
-        lines.append(f"|`{name}`|{both[0].criterion.value:g}|{values}|{tests}|")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *rows.values()]) + "\n"
+
+
+def _row(criterion: Criterion, values: Sequence[float], tests: str) -> str:
+    moved_to = ", ".join(f"{v:.4g}" for v in values)
+    return f"|`{criterion.name}`|{criterion.value:g}|{moved_to}|{tests}|"
 
 
 def main() -> int:
@@ -123,7 +131,8 @@ def main() -> int:
         found.append(outcome)
         print(f"{outcome.criterion.name:30s} {outcome.value:<10.4g} {outcome.killer or 'SURVIVES'}", flush=True)
     if given.page:
-        given.page.write_text(page(found), encoding="utf-8")
+        earlier = given.page.read_text(encoding="utf-8") if given.only and given.page.exists() else ""
+        given.page.write_text(page(found, earlier), encoding="utf-8")
     return 1 if any(not o.killer for o in found) else 0
 
 
