@@ -27,7 +27,7 @@ from estimation.models.base import Model, Signal, renamed
 from estimation.signals.controls import ControlStretch, Gains, feedback_gains
 from groundstation.flight import Flight
 
-SHOWN = 0.1  # of the largest part of a law: a smaller one is not worth a word
+TENTH = 0.1  # of the largest part of a law, and of all answers: less does not matter
 NEAR = 0.5  # of the noise of a control: a smaller change of its answers changes no derivative by a third of its bound
 PASSES = 3  # of gains and of the steps beside what they make the control do
 GAUSSIAN = 1.05  # times the median change between two samples is the noise: 1 / (0.6745 sqrt 2)
@@ -126,12 +126,14 @@ class ClosedLoop:
         return 0.0 if fitted is None else float(fitted.gains.reshape(2, 2)[:, 1].sum())
 
     def is_near(self, other: "ClosedLoop", records: Sequence[FlightRecord]) -> bool:
-        """Whether the answers of all controls to gusts are those of another fit, to less than half their noise."""
-        return all(
-            np.mean([np.var(self.answers(r.flight, g) - other.answers(r.flight, g)) for r in records])
-            < NEAR**2 * _variance(records, name)
-            for name, g in self.gains.items()
-        )
+        """Whether the answers of all controls to gusts are those of another fit, to half their noise or a tenth of themselves."""
+        for name, gains in self.gains.items():
+            answers = [self.answers(r.flight, gains) for r in records]
+            changes = [a - other.answers(r.flight, gains) for a, r in zip(answers, records, strict=True)]
+            near = max(NEAR**2 * _variance(records, name), TENTH**2 * float(np.mean([np.var(a) for a in answers])))
+            if np.mean([np.var(c) for c in changes]) > near:
+                return False
+        return True
 
     def without_answers(self, index: int, flight: Flight) -> Flight:
         """A flight with its controls as they would have been in still air."""
@@ -149,7 +151,7 @@ class ClosedLoop:
             shown = [
                 f"{g:.2g} {s}"
                 for g, s, p in zip(law, self.base.state_names, parts, strict=True)
-                if p > SHOWN * parts.max()
+                if p > TENTH * parts.max()
             ]
             notes.append(f"{name} answers gusts (by {' + '.join(shown)}): its answers are modelled, not taken as given")
         return tuple(notes)

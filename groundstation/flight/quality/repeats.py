@@ -38,7 +38,7 @@ SMALL_GAPS = 0.05  # quantile
 FEWEST = 40  # finite values of a channel, below which its repeats are not judged
 GAUSSIAN = 0.6744897501960817  # median of the absolute value of a standard normal variable
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
-SETTLES = 0.15  # of the median of absolute third differences, their lower quartile: 0.47 of noise, 0.01 of a settling servo
+SETTLES = 0.15  # of the median third difference, the lower quartile: 0.47 of noise, 0.01 of a settling servo
 SMOOTHED = 5  # samples of the running mean over slopes of an attitude
 
 MOVING = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V")
