@@ -129,27 +129,36 @@ class _Run:
             self, sound=tuple(sound), training=tuple(clean[:count]), holdout=tuple(clean[count:]), notes_after=notes
         )
 
-    def set_up(self, base: Model) -> tuple[Setting, Baseline]:
-        """What all rounds share and the first fit, for `base`; with the closed loop in both where a control answers gusts."""
-        criteria, flights = self.options.criteria, [*self.training, *self.holdout]
-        setting, baseline = self._fitted(base)
-        loop = ClosedLoop.of(baseline, flights, feedback_of(baseline.problem.records, base))
-        if not (felt := loop.felt(baseline)):
-            return setting, baseline
-        # de-noising takes off part of what follows the motion, unless asked to keep it
-        following = prepare_flights(base, (), self.training, (), criteria, keep_feedback=True).records
-        gains = {n: g for n, g in {**loop.gains, **feedback_of(following, base)}.items() if n in felt}
-        loop = replace(loop, gains=gains)
+    def set_up(self, base: Model, loop: ClosedLoop | None = None) -> tuple[Setting, Baseline]:
+        """What all rounds share and the first fit, for `base`; with the closed loop in both where a control answers gusts. loop:
+        that of an earlier fit to these flights."""
+        flights = [*self.training, *self.holdout]
+        if loop is None:
+            setting, baseline = self._fitted(base)
+            loop = self._loop_about(baseline)
+            if not loop.gains:
+                return setting, baseline
         for _ in range(LOOP_PASSES):
             try:
                 setting, baseline = self._without_answers(loop)._fitted(base, loop)
             except GapError:  # a loop in which the motion runs away is not the one that was flown
-                break
-            renewed = ClosedLoop.of(baseline, flights, gains)
+                return self._fitted(base)
+            renewed = ClosedLoop.of(baseline, flights, loop.gains)
             if renewed.is_near(loop, baseline.problem.records):
                 break
             loop = renewed
         return setting, baseline
+
+    def _loop_about(self, baseline: Baseline) -> ClosedLoop:
+        """The closed loop about a fit that takes controls as given, with the gains of those that answer gusts."""
+        base, flights = baseline.prepared.base, [*self.training, *self.holdout]
+        loop = ClosedLoop.of(baseline, flights, feedback_of(baseline.problem.records, base))
+        if not (felt := loop.felt(baseline)):
+            return replace(loop, gains={})
+        # de-noising takes off part of what follows the motion, unless asked to keep it
+        following = prepare_flights(base, (), self.training, (), self.options.criteria, keep_feedback=True).records
+        gains = {**loop.gains, **feedback_of(following, base)}
+        return replace(loop, gains={n: gains[n] for n in felt})
 
     def _without_answers(self, loop: ClosedLoop) -> "_Run":
         """The same with the controls of all flights as they would have been in still air."""
@@ -211,7 +220,7 @@ def run_gap(
                 break
             run = run.without_spikes(spikes)
             del baseline  # whose whiteners are large
-            setting, baseline = run.set_up(model)
+            setting, baseline = run.set_up(model, setting.loop)
         if off := derivatives_off(setting, baseline):
             # the one that stands out is for the search, which has to confirm it
             outlier = outstanding(setting, baseline, off) if setting.commanded else None
@@ -295,7 +304,7 @@ def _setting(
         prepared, records=with_errors(prepared.records, clean, errors), notes=(*prepared.notes, *control_notes)
     )
     return Setting(
-        base, clean, working, prepared, effects, following, excluded, commanded, errors, scatter, options, tell
+        base, clean, working, prepared, effects, following, excluded, commanded, errors, scatter, options, tell, loop
     )
 
 

@@ -8,6 +8,7 @@ from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import AS_SET, Criteria
 from estimation.gap.effects.base import Effect
 from estimation.gap.fit.baseline import Baseline, fit_afresh, fit_baseline
+from estimation.gap.fit.closed_loop import ClosedLoop
 from estimation.gap.random_streams import ROUND
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.records.flight_records import FlightRecords
@@ -71,7 +72,8 @@ class Setting:
     base: the model as given. clean: the base with the nuisance parameters of every fit. working: `clean` with all effects
     dormant, which is what is fitted. following: controls that only follow the motion; excluded_effects: not tested for that
     reason. commanded: controls known from logged commands -> interval of the commands [s], from `rare_commands`. errors: per
-    record, errors of its inputs. scatter: (ny,) standard deviations of the outputs' white noise. tell: reports progress.
+    record, errors of its inputs. scatter: (ny,) standard deviations of the outputs' white noise. tell: reports progress. loop:
+    closed by controls that answer gusts.
     """
 
     base: Model
@@ -86,6 +88,7 @@ class Setting:
     scatter: Array
     options: Options
     tell: ProgressCallback
+    loop: ClosedLoop | None = None
 
     @property
     def steered(self) -> bool:
