@@ -23,7 +23,7 @@ from estimation.engine.kernel import Array
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.flight_records import FlightRecord
-from estimation.models.base import Model, Signal, renamed
+from estimation.models.base import Model, Parameter, ParameterRole, Signal, renamed
 from estimation.signals.controls import ControlStretch, Gains, feedback_gains
 from groundstation.flight import Flight
 
@@ -164,9 +164,18 @@ class ClosedLoop:
 
     def closed(self, model: Model) -> Model:
         """A model whose controls follow its motion, beside the fitted motion, at once."""
-        lines = [_law(name, gains.sum(axis=0), self.base) for name, gains in self.gains.items()]
         replaced = {symbol: self._in_loop(expression) for symbol, expression in model.definitions.items()}
-        return model.plus(replaced=replaced, lines=lines, inputs=[Signal(FOLLOWED.format(n)) for n in self.gains])
+        lines, parameters = [], []
+        for name, gains in self.gains.items():
+            # held parameters, not numbers in the equations, which would have to be compiled for every set of flights
+            law = {f"gain_{name}_{state}": g for state, g in zip(self.base.state_names, gains.sum(axis=0), strict=True)}
+            parameters += [
+                Parameter(n, start=float(g), fixed=True, role=ParameterRole.NUISANCE) for n, g in law.items()
+            ]
+            feedback = " + ".join(f"{n}*{state}" for n, state in zip(law, self.base.state_names, strict=True))
+            lines.append(f"{IN_LOOP.format(name)} = {name} + {feedback} - {FOLLOWED.format(name)}")
+        inputs = [Signal(FOLLOWED.format(n)) for n in self.gains]
+        return model.plus(replaced=replaced, lines=lines, parameters=parameters, inputs=inputs)
 
     def _in_loop(self, expression: str) -> str:
         for name in self.gains:
@@ -183,12 +192,6 @@ def _followed(motion: Array, gains: Array) -> Array:
 def _variance(records: Sequence[FlightRecord], control: str) -> float:
     """Mean variance of the noise of a control."""
     return float(np.mean([r.input_noise.get(control, 0.0) ** 2 for r in records]))
-
-
-def _law(control: str, gains: Array, base: Model) -> str:
-    """The line of a control that follows the motion."""
-    feedback = " + ".join(f"({float(g)!r})*{state}" for g, state in zip(gains, base.state_names, strict=True))
-    return f"{IN_LOOP.format(control)} = {control} + {feedback} - {FOLLOWED.format(control)}"
 
 
 def _motion(problem: LikelihoodProblem, model_fit: ModelFit, base: Model, index: int) -> tuple[Array, Array]:
