@@ -171,8 +171,7 @@ class _Run:
         options = self.options
         candidates = tuple(self.effects) if self.effects is not None else catalogue(model=base)
         candidates += missing_derivatives(base, {e.name for e in candidates})
-        exact = loop is not None
-        prepared = prepare_flights(base, candidates, self.training, self.holdout, options.criteria, exact)
+        prepared = prepare_flights(base, candidates, self.training, self.holdout, options.criteria, loop is not None)
         notes = (*self.notes_before, *prepared.notes, *(loop.in_words() if loop else ()), *self.notes_after)
         prepared = replace(prepared, notes=notes, stale=self.stale)
         attitude_intervals, commanded = stamped_attitudes(base, self.given), rare_commands(base, self.training)

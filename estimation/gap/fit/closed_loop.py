@@ -89,8 +89,8 @@ class ClosedLoop:
         still, gusts = ([np.zeros((len(f), len(base.states))) for f in flights] for _ in range(2))
         for problem, model_fit in filter(None, ((baseline.problem, baseline.fit), baseline.held_out)):
             for i, record in enumerate(problem.records):
-                rows = slice(record.first, record.first + len(record))
-                still[record.flight][rows], gusts[record.flight][rows] = _motion(problem, model_fit, base, i)
+                explained, unexplained = _motion(problem, model_fit, base, i)
+                still[record.flight][record.rows], gusts[record.flight][record.rows] = explained, unexplained
         return cls(base, gains, tuple(still), tuple(gusts))
 
     def answers(self, flight: int, gains: Array) -> Array:
@@ -118,8 +118,7 @@ class ClosedLoop:
         """By how much of its answers to gusts a control moves between its steps; 0 where it does not go with the motion."""
         stretches = []
         for record in records:
-            rows = slice(record.first, record.first + len(record))
-            parts = [_followed(motion[record.flight], gains)[rows] for motion in (self.still, self.gusts)]
+            parts = [_followed(motion[record.flight], gains)[record.rows] for motion in (self.still, self.gusts)]
             values = record.inputs[name]
             stretches.append(ControlStretch(values, values - sum(parts), np.column_stack(parts)))
         fitted = _gains(stretches, float(np.sqrt(_variance(records, name))))
@@ -158,7 +157,7 @@ class ClosedLoop:
 
     def with_followed(self, record: FlightRecord) -> FlightRecord:
         """A record with the part of each control that follows the fitted motion, as an input of the model."""
-        still = self.still[record.flight][record.first : record.first + len(record)]
+        still = self.still[record.flight][record.rows]
         followed = {FOLLOWED.format(n): still @ g.sum(axis=0) for n, g in self.gains.items()}
         return replace(record, inputs={**record.inputs, **followed})
 

@@ -109,6 +109,11 @@ class FlightRecord:
         """Median interval of its samples [s]."""
         return float(np.median(np.diff(self.time)))
 
+    @property
+    def rows(self) -> slice:
+        """Its samples in the flight."""
+        return slice(self.first, self.first + len(self))
+
     def segment(self, model: Model, base: Model) -> Segment:
         """This record for `model`, a descendant of `base`; inputs that the record lacks are zero."""
         zeros = np.zeros(len(self))

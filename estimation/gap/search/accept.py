@@ -20,7 +20,7 @@ from estimation.gap.search.select import Choice, individual_inflation
 from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
 from estimation.gap.significance.measure import held_out_gaps, predictive_cost
-from estimation.gap.significance.measured_again import MeasuredAgain
+from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
 from estimation.gap.significance.omnibus import Omnibus
 
 
@@ -29,8 +29,7 @@ def accept(
 ) -> tuple[AcceptedEffect | None, list[Rejected]]:
     """The first candidate that is significant and `confirmed`, or None; and the candidates refused before it, with reasons.
 
-    A score counts less where the candidate gains also on flights without it, whose controls are measured again or answer gusts
-    (`MeasuredAgain`).
+    A score counts less where the candidate gains also on flights without it, whose controls are measured again (`MeasuredAgain`).
     shapes: gives the gain of the best nameless function of one variable; called only where a candidate is significant.
     """
     rejected: list[Rejected] = []
@@ -45,7 +44,7 @@ def accept(
         score = candidate.score * math.sqrt(remeasured.share(candidate.gain, candidate.fit))
         if score < round_.threshold:
             remainder = f"{score:.1f} of {round_.threshold:.1f} is left"
-            reason = f"gains nearly as much without it, where controls are measured again or answer gusts ({remainder})"
+            reason = f"{NOT_ITS_OWN} ({remainder})"
             child = None
         else:
             candidate = replace(candidate, score=score)

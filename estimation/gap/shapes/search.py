@@ -27,7 +27,7 @@ from estimation.gap.shapes.lag_swing import find_memory, find_swing
 from estimation.gap.shapes.places import ModelMotion, Place, Ranked, places_of, products_of, rank
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measure import Floors, gaps
-from estimation.gap.significance.measured_again import MeasuredAgain
+from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
 from estimation.gap.significance.nulls import InputErrors
 from estimation.gap.significance.omnibus import examine
 
@@ -163,7 +163,7 @@ def _best(
         if fitted.gain < criteria.named_share * term:
             reason = f"explains only {fitted.gain / term:.0%} of what a nameless term or swing does"
         elif score * math.sqrt(remeasured.share(fitted.gain, fitted.fit)) < ranking.threshold:
-            reason = "gains nearly as much without it, where controls are measured again or answer gusts"
+            reason = NOT_ITS_OWN
         elif not predicts_every_flight(predictions := holdout_predictions(baseline, fitted, motion), criteria):
             reason = "does not predict every training flight better than the base where that is left out"
         elif (measured := _measured(task, baseline, fitted)) is None:

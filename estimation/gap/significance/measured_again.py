@@ -30,6 +30,7 @@ from estimation.signals.controls import with_raw_steps
 from estimation.signals.denoise import denoise_many, wiener
 from estimation.signals.rounding import near_edges, without_stairs
 
+NOT_ITS_OWN = "gains nearly as much without it, where controls are measured again"  # why a candidate is rejected
 RAN_AWAY = 3.0  # energies of the flights: with more the base did not follow its own flight, whose motion grows
 NOTHING = 1e-12  # smallest score
 FEWEST = 4  # simulated sets, for the scatter of a score

@@ -73,7 +73,7 @@ def test_a_shape_that_the_noise_of_the_controls_gives_is_not_taken(monkeypatch: 
     ranking = stub(order=[0], places=[PLACE], gains=[74.0], scores=[5.0], threshold=4.0)
     shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking, 0.0)
     assert shape is None
-    reason = "gains nearly as much without it, where controls are measured again or answer gusts"
+    reason = "gains nearly as much without it, where controls are measured again"
     assert tried[0].why == f"as a shape without a name: {reason}"
 
 
