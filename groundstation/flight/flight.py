@@ -254,13 +254,18 @@ class Flight:
         return replace(self, notes=(*self.notes, *map(as_finding, notes)))
 
     def part(self, keep: slice | NDArray[np.bool_], name: str | None = None) -> "Flight":
-        """A copy of a range of samples; segments are renumbered from 0."""
-        segment = self.segment[keep]
-        _, renumbered = np.unique(segment, return_inverse=True)
+        """A copy of the samples that a range or a mask keeps; segments are renumbered from 0.
+
+        Where samples left out make a step in time of more than `GAP_FACTOR` intervals of the copy, a new segment begins.
+        """
+        rows = np.arange(self.time.size)[keep]
+        time, labels = self.time[rows], self.segment[rows]
+        steps = np.diff(time)
+        is_hole = (np.diff(rows) > 1) & (steps > GAP_FACTOR * np.median(steps)) if steps.size else np.zeros(0, bool)
+        begins = is_hole | (np.diff(labels) != 0)
+        segment = np.concatenate([[0], np.cumsum(begins)])[: time.size].astype(np.int64)
         columns = MappingProxyType({k: v[keep] for k, v in self.columns.items()})
-        return replace(
-            self, name=name or self.name, time=self.time[keep], columns=columns, segment=renumbered.astype(np.int64)
-        )
+        return replace(self, name=name or self.name, time=time, columns=columns, segment=segment)
 
 
 def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[Finding]]:

@@ -100,6 +100,22 @@ def test_part_renumbers_segments() -> None:
     assert len(part) == 50
 
 
+def test_part_by_a_mask_is_never_joined_across_what_was_left_out() -> None:
+    time = np.arange(400) * 0.05
+    whole = Flight.build("f", time, {"p": time})
+    part = whole.part((time < 4.0) | ((time > 8.0) & (time < 12.0)) | (time > 15.0))
+    assert [part.time[s.start] for s in part.segments] == pytest.approx([0.0, 8.05, 15.05])
+    single_rows = np.arange(400) % 7 != 3
+    assert len(whole.part(single_rows).segments) == 1  # rows lost one by one leave no gap
+    assert len(whole.part(np.arange(400) % 5 == 0).segments) == 1  # nor does a lower rate
+
+
+def test_part_may_be_empty() -> None:
+    time = np.arange(10) * 0.05
+    part = Flight.build("f", time, {"p": time}).part(time > 99.0)
+    assert len(part) == 0 and part.segments == (slice(0, 0),)
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
