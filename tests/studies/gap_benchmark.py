@@ -166,7 +166,7 @@ def outcome(result: GapResult) -> dict[str, Any]:
             "estimates": {n: v for n, (v, _) in s.estimates.items()},
             "bounds": {n: b for n, (_, b) in s.estimates.items()},
             "closed": s.gap.closed,
-            "held": None if s.holdout is None else s.holdout.closed,
+            "held": None if s.holdout is None else s.holdout.counted,
         }
         for s in result.steps
     ]

@@ -25,13 +25,15 @@ class Gap:
     """Rms over all outputs of residual over measurement noise, before and after an effect is added.
 
     floor, highest: median and upper end of the same for simulated flights with nothing hidden; enough: closed share from which
-    the gap counts as closed."""
+    the gap counts as closed; confirmed: share of what the effect predicts for held-out flights that their likelihood confirms,
+    None for training flights and where these flights cannot tell."""
 
     before: float
     after: float
     floor: float
     highest: float = 0.0
     enough: float = 1.0
+    confirmed: float | None = None
 
     @property
     def says_nothing(self) -> bool:
@@ -47,7 +49,7 @@ class Gap:
     @property
     def share(self) -> str:
         """The closed share as text; "-" where it has no meaning."""
-        return "-" if self.says_nothing else f"{self.closed:.0%}"
+        return "-" if self.says_nothing and self.confirmed is None else f"{self.counted:.0%}"
 
     @property
     def closed(self) -> float:
@@ -59,20 +61,24 @@ class Gap:
 
     @property
     def counted(self) -> float:
-        """The closed share for the verdict: a gap that says nothing is closed by whatever made it smaller."""
-        return self._closed_of_nothing if self.says_nothing else self.closed
+        """The closed share for the verdict. Where the gap says nothing it is what the likelihood confirms; without that, whatever
+        made the gap smaller closed it."""
+        if not self.says_nothing:
+            return self.closed
+        return self._closed_of_nothing if self.confirmed is None else self.confirmed
 
     @property
     def _closed_of_nothing(self) -> float:
         return 1.0 if self.after < self.before else 0.0
 
     def to_json(self) -> dict[str, float]:
-        return {
+        data = {
             "before": rounded(self.before),
             "after": rounded(self.after),
             "floor": rounded(self.floor),
             "closed": rounded(self.counted),
         }
+        return data if self.confirmed is None else {**data, "confirmed": rounded(self.confirmed)}
 
 
 @dataclass(frozen=True)

@@ -36,15 +36,19 @@ def describe_step(step: EffectStep) -> str:
     if step.gap.says_nothing:
         text += course_stands_out(step.gap)
     if step.holdout is not None and step.holdout.says_nothing:
-        before, highest = step.holdout.before, step.holdout.highest
-        text += (
-            f" The held-out flights did not show it in their gap ({before:.2f}, up to {highest:.2f} with nothing hidden): "
-            "the share closed there speaks neither for it nor against it."
-        )
+        text += not_in_held_out_gap(step.holdout)
     if len(step.members) > 1:
         rivals = " or ".join(f"{m.effect} ({m.weight:.2f})" for m in step.members)
         text += f" These flights cannot tell {rivals} apart; to separate them: {step.separate_by}."
     return text
+
+
+def not_in_held_out_gap(held: Gap) -> str:
+    """A sentence on held-out flights whose gap does not show an effect."""
+    text = f" The held-out flights did not show it in their gap ({held.before:.2f}, up to {held.highest:.2f} with nothing hidden)"
+    if held.confirmed is None:
+        return f"{text}: the share closed there speaks neither for it nor against it."
+    return f"{text}; by their likelihood they confirm {held.confirmed:.0%} of what it predicts for them."
 
 
 def describe_unknown(step: EffectStep) -> str:

@@ -29,7 +29,6 @@ from estimation.gap.decision.unnamed import (
     event_step,
     events_in_time,
     find_held_instrument,
-    floor_about,
     held_step,
     search_shape,
     shaped_step,
@@ -99,7 +98,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
 def _decided(setting: Setting, search: SearchState) -> _Conclusion:
     """The decision on the effects of the rounds, before the search for shapes and events."""
     first, last = search.rounds[0], search.rounds[-1]
-    floor = floor_about(setting, last)
+    floor = setting.floors(last)
     misfit = misfit_of(search.omnibus)
     steps = [step_of(setting, f, floor, misfit) for f in search.findings]
     gap = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
@@ -140,7 +139,7 @@ def _search_unnamed(state: _Conclusion) -> None:
 
 def _add_names(state: _Conclusion, beside: ShapeContinuation) -> None:
     """Add the names that stand beside a shape, and the shape found about the model with them."""
-    floor = floor_about(state.setting, beside.round_)
+    floor = state.setting.floors(beside.round_)
     state.findings, state.model, state.shapes = (*state.findings, *beside.findings), beside.baseline, beside.shapes
     new_steps = (step_of(state.setting, f, floor) for f in beside.findings)
     state.named = [*state.named[: state.decision.kept], *new_steps]

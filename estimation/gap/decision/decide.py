@@ -152,11 +152,17 @@ def outweighs(named: float, rest: float, share: float) -> bool:
 
 
 def closed_by(named: Sequence[Named]) -> float:
-    """Share of the gap that names close together on the held-out flights; the smaller one of both sets where the gap of the
-    held-out flights says nothing."""
+    """Share of the gap that names close together on the held-out flights.
+
+    Where the gap of these says nothing, it is the least that they confirm of a name, and what stands open on the training flights
+    counts too.
+    """
     first, last = named[0], named[-1]
     training = replace(first.gap, after=last.gap.after, floor=last.gap.floor, highest=last.gap.highest)
     if first.held is None or last.held is None:
         return training.counted
-    held = replace(first.held, after=last.held.after, floor=last.held.floor)
-    return min(held.counted, training.counted) if held.says_nothing else held.closed
+    confirmed = [n.held.confirmed for n in named if n.held is not None and n.held.confirmed is not None]
+    held = replace(first.held, after=last.held.after, floor=last.held.floor, confirmed=min(confirmed, default=None))
+    if not held.says_nothing:
+        return held.closed
+    return held.counted if training.says_nothing else min(held.counted, training.closed)

@@ -20,7 +20,6 @@ from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.shapes.formulas import Plain
 from estimation.gap.shapes.search import CoefficientShape, SearchTask, ShapeSearch, find_shape
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.measure import Floors, floors
 from estimation.gap.significance.omnibus import examine
 from estimation.gap.significance.screen import Hypothesis
 from estimation.gap.significance.transients import DetectedEvent, find_transients
@@ -42,12 +41,6 @@ def standing_round(setting: Setting, search: SearchState, findings: Sequence[Acc
     return round_ or setting.screened(standing, len(search.rounds))
 
 
-def floor_about(setting: Setting, round_: Round) -> Floors:
-    """The plain gap on the nulls of a round, training and held-out flights."""
-    holdout_errors = setting.errors[len(setting.prepared.of(setting.prepared.training)) :]
-    return floors(round_, round_.baseline.held_out, holdout_errors, setting.options.seed)
-
-
 def search_shape(setting: Setting, search: SearchState, round_: Round, decision: Decision) -> ShapeSearch:
     """Look for a shape of the rest that the standing names leave; at length where that rest is an unknown effect."""
     setting.tell("a shape for what has no name", 0.92)
@@ -57,7 +50,7 @@ def search_shape(setting: Setting, search: SearchState, round_: Round, decision:
         setting.errors,
         setting.options.seed,
         lambda b: setting.screened(b, number + 1),
-        lambda r: floor_about(setting, r),
+        setting.floors,
     )
     try:
         return find_shape(round_, task, decision.verdict is GapVerdict.UNKNOWN)

@@ -6,7 +6,7 @@ held-out flights.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri
@@ -19,7 +19,7 @@ from estimation.gap.search.confirm import FittedHypothesis, values_without_effec
 from estimation.gap.search.select import Choice, individual_inflation
 from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
-from estimation.gap.significance.measure import held_out_gaps, predictive_cost
+from estimation.gap.significance.measure import held_gain, held_out_gaps
 from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
 from estimation.gap.significance.omnibus import Omnibus
 
@@ -77,17 +77,13 @@ def confirmed(
     if not size_is_known(estimates, null_values, criteria):
         words = ", ".join(f"{n} = {value:.3g} +- {bound:.2g}" for n, (value, bound) in estimates.items())
         return None, f"{words} cannot be told from no effect"
-    holdout_gain = held_gain(round_.baseline, child)
-    held_support = None if holdout_gain is None else holdout_gain / own_inflation(candidate)
-    lower_score = min(candidate.score, float(round_.standardised()[index]))
-    margin = math.inf if strong or timing else gain_above_threshold(lower_score, round_.threshold)
-    if not holds_on_holdout(held_support, margin, criteria):
-        return None, "does not hold on the held-out flights"
-    chance = 0.0 if strong else ndtri(criteria.null_level) ** 2
-    supported = held_support is not None and held_support > chance
-    holdout_gaps = None if timing else held_out_gaps(round_.baseline, child)
-    if not closes_held_out(holdout_gaps, criteria.null_energy if supported else 1.0):
-        return None, "closes nothing of the gap on the held-out flights"
+    gain, gaps = held_gain(round_.baseline, child), held_out_gaps(round_.baseline, child)
+    if gain is not None and gaps is not None:
+        held = HeldOut(gain / own_inflation(candidate), *gaps)
+        if timing and not held.tolerates(criteria):
+            return None, "does not hold on the held-out flights"
+        if not timing and not held.closes(strong, lambda: setting.floors(round_).highest, criteria):
+            return None, "closes nothing on the held-out flights"
     return child, ""
 
 
@@ -153,31 +149,32 @@ def repeats_on_flights(cross: float | None, strong: bool, timing: bool, gains: S
     return timing or len(gains) < 2 or sum(gains) - max(gains) > 0.0
 
 
-def holds_on_holdout(held: float | None, margin: float, criteria: Criteria) -> bool:
-    """Whether an effect is still significant when its gain on the held-out flights is counted; true without held-out flights.
+@dataclass(frozen=True)
+class HeldOut:
+    """An effect on the held-out flights. gain: of their likelihood (twice its logarithm) over the inflation; before, after: gap
+    (rms over noise) without and with it."""
 
-    held: gain there over inflation. margin: how far it may be negative, at most `certain` squared. An effect a little above its
-    threshold gains two or three units on a single flight, and one time in six chance takes away more than that.
-    """
-    return held is None or held > -min(margin, criteria.certain**2)
+    gain: float
+    before: float
+    after: float
 
+    def tolerates(self, criteria: Criteria) -> bool:
+        """Whether the likelihood does not speak clearly against the effect."""
+        return self.gain > -(criteria.certain**2)
 
-def closes_held_out(gaps: tuple[float, float] | None, energy: float) -> bool:
-    """Whether the effect brings the energy of the gap on the held-out flights below `energy` times what it was.
+    def closes(self, strong: bool, highest: Callable[[], float], criteria: Criteria) -> bool:
+        """Whether the effect closes something there. highest: gives the upper end of the gap with nothing hidden.
 
-    gaps: rms before and after; None (passes) without held-out flights and for an effect that the base followed by its surfaces.
-    energy: 1, or a little more where the likelihood there speaks for the effect: a small effect hardly changes the gap.
-    """
-    return gaps is None or gaps[1] ** 2 < energy * gaps[0] ** 2
-
-
-def gain_above_threshold(score: float, threshold: float) -> float:
-    """How far an effect's gain exceeds what its threshold requires.
-
-    score: the lower of linear theory and full fit. The threshold is one of linear theory; a full fit also fits noise by its
-    nonlinearity.
-    """
-    return max(score**2 - threshold**2, 0.0)
+        The likelihood has to gain. A gap that grows all the same must be one that flights with nothing hidden have too: there a
+        small effect hardly changes it, and unless the effect is strong the gain must be more than that of chance. Linear theory
+        may fail for a strong effect, so that a smaller gap that stands above those outweighs the likelihood.
+        """
+        if self.gain <= 0.0:
+            return strong and self.tolerates(criteria) and self.after < self.before and self.before > highest()
+        if self.after < self.before:
+            return True
+        beyond_chance = strong or self.gain > ndtri(criteria.null_level) ** 2
+        return bool(beyond_chance and max(self.before, self.after) <= highest())
 
 
 def flight_gains(round_: Round, candidate: FittedHypothesis) -> list[float]:
@@ -203,15 +200,3 @@ def by_timing(round_: Round, candidate: FittedHypothesis) -> bool:
 def followed_by_surfaces(freed: float, gain: float, criteria: Criteria) -> bool:
     """Whether `freed`, the part of an effect's gain that comes from the priors, is a large share of `gain`."""
     return freed > criteria.followed_share * gain
-
-
-def held_gain(parent: Baseline, child: Baseline) -> float | None:
-    """Gain of the child over its parent on the held-out flights, both with the child's noise; None without such flights.
-
-    The parameters are as uncertain there as the training flights leave them.
-    """
-    parent_cost, child_cost = predictive_cost(parent, child.noise), predictive_cost(child, child.noise)
-    if parent_cost is None or child_cost is None:
-        return None
-    # both infinite, where both motions run away, is no gain: their difference is no number
-    return 0.0 if parent_cost == child_cost else 2.0 * (parent_cost - child_cost)

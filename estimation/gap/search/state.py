@@ -15,6 +15,7 @@ from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.select import Choice
 from estimation.gap.significance.calibration import Round, screen_round
+from estimation.gap.significance.measure import Floors, floors
 from estimation.gap.significance.nulls import InputErrors
 from estimation.gap.significance.omnibus import Omnibus
 from estimation.models.base import Model
@@ -115,6 +116,11 @@ class Setting:
 
         seed = self.options.seed + ROUND * number
         return screen_round(baseline, self.prepared, self.effects, self.errors, nulls, seed, tick)
+
+    def floors(self, round_: Round) -> Floors:
+        """The gap on the nulls of a round, training and held-out flights."""
+        holdout_errors = self.errors[len(self.prepared.of(self.prepared.training)) :]
+        return floors(round_, round_.baseline.held_out, holdout_errors, self.options.seed)
 
 
 def afresh_with(setting: Setting, findings: Sequence[AcceptedEffect], child: Baseline) -> Baseline | None:

@@ -2,7 +2,7 @@
 training flights repeat each other, each by itself against all together."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,53 @@ def _plain_rows(problem: LikelihoodProblem, model_fit: ModelFit, index: int, res
     J = local_columns.reshape(rows.shape[0], -1)
     weights, _ = local_prior(problem, model_fit.locals[index], J.shape[1])
     return rows - J @ solved(J.T @ J + np.diag(weights), J.T @ rows)
+
+
+def held_gain(before: Baseline, after: Baseline) -> float | None:
+    """Gain of a fitted model over another on the held-out flights (twice a log-likelihood), both with its noise; None without
+    such flights.
+
+    The parameters are as uncertain there as the training flights leave them.
+    """
+    cost_before, cost_after = predictive_cost(before, after.noise), predictive_cost(after, after.noise)
+    if cost_before is None or cost_after is None:
+        return None
+    # both infinite, where both motions run away, is no gain: their difference is no number
+    return 0.0 if cost_before == cost_after else 2.0 * (cost_before - cost_after)
+
+
+def confirmed_on_holdout(before: Baseline, after: Baseline) -> float | None:
+    """Share in 0..1 of the disagreement along what `after` predicts differently for the held-out flights that it takes away.
+
+    Of r, the whitened residual of `before`, and d, the change of the prediction, that disagreement is (r'd)^2/d'd before and
+    ((r - d)'d)^2/d'd after; chance leaves 1 of each. The likelihood gains 2r'd - d'd. None where no more than chance was there,
+    without held-out flights, and where a motion cannot be linearised.
+    """
+    held_before, held_after, gain = before.on_holdout(after.noise), after.held_out, held_gain(before, after)
+    if held_before is None or held_after is None or gain is None:
+        return None
+    if not np.isfinite(gain):
+        return 1.0 if gain > 0.0 else 0.0  # one of the two runs away
+    (problem, first), (_, second) = held_before, held_after
+    change = tuple(r - s for r, s in zip(first.residuals, second.residuals, strict=True))
+    tangent, n = Tangent(problem, first, (change,)), len(problem.free)
+    try:
+        gram = np.sum([tangent.record(i).gram for i in range(len(problem.records))], axis=0)
+    except GapError:
+        return None
+    gram[:n, :n] += before.fit.hessian
+    return confirmed_share(gain, float(eliminated(gram, n)[1, 1]))
+
+
+def confirmed_share(gain: float, predicted: float) -> float | None:
+    """The share that `confirmed_on_holdout` gives. gain: of the likelihood; predicted: energy of the predicted change, d'd."""
+    if gain <= 0.0:
+        return 0.0
+    if predicted <= 0.0:
+        return None
+    after = (gain - predicted) ** 2 / (4.0 * predicted)
+    before = after + gain
+    return None if before <= 1.0 else 1.0 - max(after - 1.0, 0.0) / (before - 1.0)
 
 
 def predictive_cost(baseline: Baseline, noise: NoiseModel) -> float | None:
@@ -132,7 +179,10 @@ def gaps(before: Baseline, after: Baseline, floor: Floors) -> tuple[Gap, Gap | N
     )
     if held is None or floor.holdout_median is None:
         return training, None
-    return training, Gap(*held, floor.holdout_median, floor.highest, enough)
+    held_out = Gap(*held, floor.holdout_median, floor.highest, enough)
+    if not held_out.says_nothing:
+        return training, held_out
+    return training, replace(held_out, confirmed=confirmed_on_holdout(before, after))
 
 
 def held_out_gaps(before: Baseline, after: Baseline) -> tuple[float, float] | None:
