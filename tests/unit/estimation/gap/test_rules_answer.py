@@ -44,12 +44,12 @@ def asked(
     cross: float | None = 1.0,
     held: float | None = 1.0,
     timing: bool = False,
-    linear: float | None = None,
     bounds: float = 5.0,
     gaps: tuple[float, float] | None = (2.0, 1.9),
+    highest: float = 1.6,
 ) -> tuple[Any, str]:
     """A linear candidate beside a nameless term that gains 100, threshold 4; its estimate so many bounds from none at 1, which
-    the nulls scatter four times as far."""
+    the nulls scatter four times as far. highest: the largest held-out gap of nulls."""
     patch.setattr(accepting, "held_gain", lambda *given: held)
     patch.setattr(accepting, "held_out_gaps", lambda *given: gaps)
     patch.setattr(accepting, "by_timing", lambda *given: timing)
@@ -65,9 +65,9 @@ def asked(
         baseline=stub(problem=stub(model=None)),
         inflation=np.array([4.0]),
         screen=stub(hypotheses=[hypothesis], cross_gain=lambda h: cross),
-        standardised=lambda: np.array([score if linear is None else linear]),
+        standardised=lambda: np.array([score]),
     )
-    setting = stub(child=lambda *given: child, prepared=None)
+    setting = stub(child=lambda *given: child, prepared=None, floors=lambda *given: stub(highest=highest))
     return confirmed(setting, round_, stub(score=score, gain=gain, hypothesis=hypothesis), 100.0)
 
 
@@ -78,18 +78,17 @@ def asked(
         ({"gain": 60.0}, "explains only 60%"),
         ({"cross": -1.0}, "does not hold on the training flights"),
         ({"cross": -1.0, "score": 7.0}, ""),
-        ({"held": -4.0, "score": 4.1}, ""),  # inflated six times, held out too: 0.7 of the 0.8 above the threshold
-        ({"held": -8.0, "score": 4.1}, "does not hold on the held-out flights"),
-        ({"held": -1.0, "score": 5.0, "linear": 4.0}, "does not hold on the held-out flights"),  # the full fit alone
-        ({"held": -1.0, "score": 7.0, "linear": 2.0}, ""),
-        ({"held": -1.0, "score": 7.0}, ""),
-        ({"held": -1.0, "timing": True}, ""),
+        ({"held": -0.1, "score": 5.9}, "closes nothing on the held-out flights"),
+        ({"held": -1.0, "score": 7.0}, ""),  # strong, and its smaller gap stands above those of nulls
+        ({"held": -1.0, "score": 7.0, "highest": 2.1}, "closes nothing"),  # strong, but nulls have such a gap too
         ({"held": -18.0, "score": 7.0}, ""),  # a gain of 100 at a score of 7: inflated twice, held out too
-        ({"held": -19.0, "score": 7.0}, "does not hold on the held-out flights"),
+        ({"held": -19.0, "score": 7.0}, "closes nothing"),
+        ({"held": -35.0, "timing": True}, ""),  # inflated four times
+        ({"held": -37.0, "timing": True}, "does not hold on the held-out flights"),
         ({"held": None, "gaps": None}, ""),
-        ({"gaps": (1.455, 1.478)}, "closes nothing of the gap on the held-out flights"),
         ({"gaps": (1.340, 1.341), "held": 17.0}, ""),  # inflated four times, still more than chance gives there
         ({"gaps": (1.340, 1.341), "held": 15.0}, "closes nothing"),
+        ({"gaps": (1.340, 1.341), "held": 17.0, "highest": 1.3405}, "closes nothing"),
         ({"gaps": (1.455, 1.478), "score": 7.0}, ""),  # strong, and gains there by the likelihood
         ({"gaps": (1.455, 1.478), "score": 7.0, "held": -1.0}, "closes nothing"),
         ({"gaps": (1.455, 1.478), "timing": True}, ""),

@@ -19,7 +19,6 @@ from estimation.gap.search.accept import (
     doubtful,
     explains,
     followed_by_surfaces,
-    holds_on_holdout,
     is_strong,
     repeats_on_flights,
 )
@@ -74,24 +73,6 @@ def test_an_effect_repeats(
     cross: float | None, strong: bool, timing: bool, gains: tuple[float, ...], repeated: bool
 ) -> None:
     assert repeats_on_flights(cross, strong, timing, gains) is repeated
-
-
-@pytest.mark.parametrize(
-    ("held", "spare", "stands"),
-    [
-        (None, 0.0, True),
-        (0.1, 0.0, True),
-        (-0.1, 0.0, False),
-        (-2.0, 2.5, True),
-        (-3.0, 2.5, False),
-        (-8.0, np.inf, True),
-        (-10.0, np.inf, False),
-    ],
-)
-def test_chance_may_take_on_held_out_flights_what_there_is_to_spare(
-    held: float | None, spare: float, stands: bool
-) -> None:
-    assert holds_on_holdout(held, spare, AS_SET) is stands
 
 
 @pytest.mark.parametrize(("freed", "followed"), [(38.0, False), (45.0, True)])

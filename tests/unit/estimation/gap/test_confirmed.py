@@ -1,0 +1,72 @@
+"""What held-out flights confirm of a small effect, which their gap does not show."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.gap.answer.result import Gap, GapVerdict
+from estimation.gap.answer.words import describe_step
+from estimation.gap.decision.decide import Named, closed_by
+from estimation.gap.search.state import Options
+from estimation.gap.significance.measure import confirmed_share
+from estimation.gap.workflow import run_gap
+from estimation.models.load import load_model
+from tests.studies import second_truth as truth
+from tests.studies.gap_benchmark import flights, requests
+
+
+@pytest.mark.parametrize("size", [0.3, 0.5, 0.7, 1.0, 1.3, 2.0])
+def test_the_share_is_that_of_the_disagreement_along_the_predicted_change(size: float) -> None:
+    """By projection, where the change has `size` times the length that the residual has along it."""
+    rng = np.random.default_rng(3)
+    change = rng.normal(size=400)
+    residual = rng.normal(size=400) * 0.1 + change / size
+    after = residual - change
+    along = change / np.linalg.norm(change)
+    before_part, after_part = (residual @ along) ** 2, (after @ along) ** 2
+    gain = residual @ residual - after @ after
+    expected = 1.0 - max(after_part - 1.0, 0.0) / (before_part - 1.0)
+    assert confirmed_share(gain, change @ change) == pytest.approx(max(expected, 0.0))
+
+
+def test_a_change_that_the_flights_do_not_like_confirms_nothing_and_one_too_small_to_see_is_not_asked() -> None:
+    assert confirmed_share(-2.0, 10.0) == 0.0
+    assert confirmed_share(0.2, 0.3) is None
+    assert confirmed_share(0.2, 0.0) is None
+
+
+UNSEEN = Gap(1.40, 1.42, 1.30, highest=1.80, enough=0.7)
+
+
+def test_a_gap_that_says_nothing_is_closed_by_what_the_likelihood_confirms() -> None:
+    """A right `imu_lever_arm` of score 18 took the held-out gap from 1.429 to 1.430: `closed` was 0."""
+    assert (UNSEEN.share, UNSEEN.to_json()["closed"], "confirmed" in UNSEEN.to_json()) == ("-", 0.0, False)
+    confirmed = replace(UNSEEN, confirmed=0.85)
+    assert (confirmed.share, confirmed.to_json()["closed"], confirmed.to_json()["confirmed"]) == ("85%", 0.85, 0.85)
+    seen = replace(UNSEEN, before=2.4, after=1.5, confirmed=0.2)
+    assert seen.counted == seen.closed > 0.7
+
+
+def test_together_names_close_the_least_that_is_confirmed_of_one_and_what_training_flights_leave_open_counts() -> None:
+    training = Gap(1.5, 1.3, 1.25, highest=1.4, enough=0.7)
+    first = Named("a", 9.0, training, replace(UNSEEN, confirmed=0.9))
+    last = Named("b", 9.0, training, replace(UNSEEN, confirmed=0.8))
+    assert closed_by([first]) == pytest.approx(training.closed)
+    assert closed_by([replace(first, gap=replace(training, after=1.25))]) == 0.9
+    assert (
+        closed_by([replace(first, gap=replace(training, after=1.25)), replace(last, gap=replace(training, after=1.25))])
+        == 0.8
+    )
+
+
+def test_a_quarter_of_the_usual_side_force_is_confirmed_by_flights_whose_gap_does_not_show_it() -> None:
+    flown = flights(truth.fly(requests({"CY_beta3": 0.25}, 66001007, 0.15, "rich")))
+    result = run_gap(load_model("lateral", "cdfp"), flown[:3], flown[3:], options=Options(nulls=20))
+    (step,) = result.steps
+    assert (result.verdict, step.effect) == (GapVerdict.GAP_CLOSED, "CY_beta3")
+    assert step.holdout is not None
+    assert step.holdout.says_nothing
+    assert step.holdout.after > step.holdout.before
+    assert step.holdout.confirmed == pytest.approx(1.0, abs=0.1)
+    assert "by their likelihood they confirm" in describe_step(step)
