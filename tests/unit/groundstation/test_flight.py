@@ -113,7 +113,8 @@ def test_part_by_a_mask_is_never_joined_across_what_was_left_out() -> None:
 def test_part_may_be_empty() -> None:
     time = np.arange(10) * 0.05
     part = Flight.build("f", time, {"p": time}).part(time > 99.0)
-    assert len(part) == 0 and part.segments == (slice(0, 0),)
+    assert len(part) == 0
+    assert part.segments == (slice(0, 0),)
 
 
 @pytest.mark.parametrize(
