@@ -16,7 +16,7 @@ from estimation.gap.effects.base import Effect
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit
 from estimation.gap.records.candidate_model import timing_of
-from estimation.gap.search.accept import by_timing
+from estimation.gap.search.accept import by_timing, own_inflation
 from estimation.gap.search.select import credible_set
 from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round
@@ -82,7 +82,7 @@ def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: fl
     members.sort(key=lambda m: m[0] != effect.name)
     shifts = followed_by_timing(finding)
     parent, child = as_sampled(finding.parent) if shifts else finding.parent, finding.child
-    gap, held_out_gap = gaps(parent, child, floor)
+    gap, held_out_gap = gaps(parent, child, floor, own_inflation(finding.candidate))
     titles = {e.name: e for e in setting.effects}
     return EffectStep(
         effect=effect.name, title=effect.title, form=form.label,

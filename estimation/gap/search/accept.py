@@ -19,7 +19,7 @@ from estimation.gap.search.confirm import FittedHypothesis, values_without_effec
 from estimation.gap.search.select import Choice, individual_inflation
 from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
-from estimation.gap.significance.measure import held_gain, held_out_gaps
+from estimation.gap.significance.measure import confirmed_on_holdout, held_gain, held_out_gaps
 from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
 from estimation.gap.significance.omnibus import Omnibus
 
@@ -77,13 +77,26 @@ def confirmed(
     if not size_is_known(estimates, null_values, criteria):
         words = ", ".join(f"{n} = {value:.3g} +- {bound:.2g}" for n, (value, bound) in estimates.items())
         return None, f"{words} cannot be told from no effect"
-    gain, gaps = held_gain(round_.baseline, child), held_out_gaps(round_.baseline, child)
-    if gain is not None and gaps is not None:
-        held = HeldOut(gain / own_inflation(candidate), *gaps)
-        if timing and not held.tolerates(criteria):
-            return None, "does not hold on the held-out flights"
-        if not timing and not held.closes(strong, lambda: setting.floors(round_).highest, criteria):
-            return None, "closes nothing on the held-out flights"
+    lower_score = min(candidate.score, float(round_.standardised()[index]))
+    margin = criteria.certain**2
+    if not (strong or timing):
+        margin = min(gain_above_threshold(lower_score, round_.threshold), margin)
+    gain, gaps, chance = (
+        held_gain(round_.baseline, child),
+        held_out_gaps(round_.baseline, child),
+        own_inflation(candidate),
+    )
+    if gain is None or gaps is None:
+        return child, ""
+    if gain <= -margin * chance:
+        return None, "does not hold on the held-out flights"
+    held = HeldOut(gain / chance, *gaps)
+    if not timing and not held.closes(
+        lambda: setting.floors(round_).highest,
+        lambda: confirmed_on_holdout(round_.baseline, child, gain, chance),
+        criteria,
+    ):
+        return None, "closes nothing on the held-out flights"
     return child, ""
 
 
@@ -149,6 +162,16 @@ def repeats_on_flights(cross: float | None, strong: bool, timing: bool, gains: S
     return timing or len(gains) < 2 or sum(gains) - max(gains) > 0.0
 
 
+def gain_above_threshold(score: float, threshold: float) -> float:
+    """How far an effect's gain exceeds what its threshold requires: chance may take away that much on held-out flights.
+
+    score: the lower of linear theory and full fit. The threshold is one of linear theory; a full fit also fits noise by its
+    nonlinearity. An effect a little above its threshold gains two or three units on a single flight, and one time in six chance
+    takes away more than that.
+    """
+    return max(score**2 - threshold**2, 0.0)
+
+
 @dataclass(frozen=True)
 class HeldOut:
     """An effect on the held-out flights. gain: of their likelihood (twice its logarithm) over the inflation; before, after: gap
@@ -158,22 +181,17 @@ class HeldOut:
     before: float
     after: float
 
-    def tolerates(self, criteria: Criteria) -> bool:
-        """Whether the likelihood does not speak clearly against the effect."""
-        return self.gain > -(criteria.certain**2)
+    def closes(self, highest: Callable[[], float], confirmed: Callable[[], float | None], criteria: Criteria) -> bool:
+        """Whether the effect closes something there, by the figure that will be printed.
 
-    def closes(self, strong: bool, highest: Callable[[], float], criteria: Criteria) -> bool:
-        """Whether the effect closes something there. highest: gives the upper end of the gap with nothing hidden.
-
-        The likelihood has to gain. A gap that grows all the same must be one that flights with nothing hidden have too: there a
-        small effect hardly changes it, and unless the effect is strong the gain must be more than that of chance. Linear theory
-        may fail for a strong effect, so that a smaller gap that stands above those outweighs the likelihood.
+        highest: gives the upper end of the gap with nothing hidden; confirmed: the share that the likelihood confirms. Where the
+        gap shrinks and is larger than those, it decides. A gap that shrinks may be chance's where nulls have one as large: then
+        the likelihood must not speak against the effect, unless it can tell nothing. One that grows must be such a gap, in which
+        a small effect hardly shows, and the likelihood must gain more than chance gives it.
         """
-        if self.gain <= 0.0:
-            return strong and self.tolerates(criteria) and self.after < self.before and self.before > highest()
         if self.after < self.before:
-            return True
-        beyond_chance = strong or self.gain > ndtri(criteria.null_level) ** 2
+            return self.gain > 0.0 or self.before > highest() or confirmed() is None
+        beyond_chance = self.gain > ndtri(criteria.null_level) ** 2
         return bool(beyond_chance and max(self.before, self.after) <= highest())
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from estimation.engine.kernel import Array
 from estimation.estimators.normal_equations import eliminated, solved
@@ -79,18 +80,18 @@ def held_gain(before: Baseline, after: Baseline) -> float | None:
     return 0.0 if cost_before == cost_after else 2.0 * (cost_before - cost_after)
 
 
-def confirmed_on_holdout(before: Baseline, after: Baseline) -> float | None:
+def confirmed_on_holdout(before: Baseline, after: Baseline, gain: float, chance: float) -> float | None:
     """Share in 0..1 of the disagreement along what `after` predicts differently for the held-out flights that it takes away.
 
     Of r, the whitened residual of `before`, and d, the change of the prediction, that disagreement is (r'd)^2/d'd before and
-    ((r - d)'d)^2/d'd after; chance leaves 1 of each. The likelihood gains 2r'd - d'd. None where no more than chance was there,
-    without held-out flights, and where a motion cannot be linearised.
+    ((r - d)'d)^2/d'd after. gain: of the likelihood of these flights, from `held_gain`; chance: what noise leaves of either. None
+    where no more than chance was there, without held-out flights, and where a motion cannot be linearised.
     """
-    held_before, held_after, gain = before.on_holdout(after.noise), after.held_out, held_gain(before, after)
-    if held_before is None or held_after is None or gain is None:
-        return None
     if not np.isfinite(gain):
         return 1.0 if gain > 0.0 else 0.0  # one of the two runs away
+    held_before, held_after = before.on_holdout(after.noise), after.held_out
+    if held_before is None or held_after is None:
+        return None
     (problem, first), (_, second) = held_before, held_after
     change = tuple(r - s for r, s in zip(first.residuals, second.residuals, strict=True))
     tangent, n = Tangent(problem, first, (change,)), len(problem.free)
@@ -99,18 +100,19 @@ def confirmed_on_holdout(before: Baseline, after: Baseline) -> float | None:
     except GapError:
         return None
     gram[:n, :n] += before.fit.hessian
-    return confirmed_share(gain, float(eliminated(gram, n)[1, 1]))
+    level = before.criteria.null_level
+    return confirmed_share(gain / chance, float(eliminated(gram, n)[1, 1]) / chance, float(ndtri(level)) ** 2)
 
 
-def confirmed_share(gain: float, predicted: float) -> float | None:
-    """The share that `confirmed_on_holdout` gives. gain: of the likelihood; predicted: energy of the predicted change, d'd."""
-    if gain <= 0.0:
-        return 0.0
+def confirmed_share(gain: float, predicted: float, beyond: float) -> float | None:
+    """The share that `confirmed_on_holdout` gives. gain: of the likelihood, 2r'd - d'd; predicted: energy of the change, d'd;
+    beyond: chance leaves less of the disagreement. All three over what chance leaves on the average."""
     if predicted <= 0.0:
         return None
-    after = (gain - predicted) ** 2 / (4.0 * predicted)
-    before = after + gain
-    return None if before <= 1.0 else 1.0 - max(after - 1.0, 0.0) / (before - 1.0)
+    before, after = ((gain + sign * predicted) ** 2 / (4.0 * predicted) for sign in (1.0, -1.0))
+    if before <= beyond:
+        return None
+    return min(max(1.0 - max(after - 1.0, 0.0) / (before - 1.0), 0.0), 1.0)
 
 
 def predictive_cost(baseline: Baseline, noise: NoiseModel) -> float | None:
@@ -167,8 +169,9 @@ class Floors:
         return float(np.median(self.holdout)) if self.holdout.size else None
 
 
-def gaps(before: Baseline, after: Baseline, floor: Floors) -> tuple[Gap, Gap | None]:
-    """Gap of two fitted models on the training flights, and on the held-out ones where there are any."""
+def gaps(before: Baseline, after: Baseline, floor: Floors, chance: float = 1.0) -> tuple[Gap, Gap | None]:
+    """Gap of two fitted models on the training flights, and on the held-out ones where there are any. chance: as in
+    `confirmed_on_holdout`."""
     scatter, held, enough = after.scatter, held_out_gaps(before, after), before.criteria.closed_share
     training = Gap(
         rms_over_noise(before.problem, before.fit, scatter),
@@ -180,9 +183,10 @@ def gaps(before: Baseline, after: Baseline, floor: Floors) -> tuple[Gap, Gap | N
     if held is None or floor.holdout_median is None:
         return training, None
     held_out = Gap(*held, floor.holdout_median, floor.highest, enough)
-    if not held_out.says_nothing:
+    gain = held_gain(before, after) if held_out.says_nothing else None
+    if gain is None:
         return training, held_out
-    return training, replace(held_out, confirmed=confirmed_on_holdout(before, after))
+    return training, replace(held_out, confirmed=confirmed_on_holdout(before, after, gain, chance))
 
 
 def held_out_gaps(before: Baseline, after: Baseline) -> tuple[float, float] | None:

@@ -27,13 +27,15 @@ def test_the_share_is_that_of_the_disagreement_along_the_predicted_change(size: 
     before_part, after_part = (residual @ along) ** 2, (after @ along) ** 2
     gain = residual @ residual - after @ after
     expected = 1.0 - max(after_part - 1.0, 0.0) / (before_part - 1.0)
-    assert confirmed_share(gain, change @ change) == pytest.approx(max(expected, 0.0))
+    assert confirmed_share(gain, change @ change, 3.84) == pytest.approx(max(expected, 0.0))
 
 
-def test_a_change_that_the_flights_do_not_like_confirms_nothing_and_one_too_small_to_see_is_not_asked() -> None:
-    assert confirmed_share(-2.0, 10.0) == 0.0
-    assert confirmed_share(0.2, 0.3) is None
-    assert confirmed_share(0.2, 0.0) is None
+def test_flights_that_speak_against_a_change_confirm_nothing_and_those_that_show_no_more_than_chance_cannot_tell() -> (
+    None
+):
+    assert confirmed_share(-2.0, 30.0, 3.84) == 0.0  # 6.5 before, 8.5 after
+    assert confirmed_share(-2.0, 10.0, 3.84) is None  # 1.6 before, 3.6 after
+    assert confirmed_share(0.2, 0.0, 3.84) is None
 
 
 UNSEEN = Gap(1.40, 1.42, 1.30, highest=1.80, enough=0.7)

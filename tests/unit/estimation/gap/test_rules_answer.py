@@ -21,7 +21,7 @@ from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import EffectParameter
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
-from estimation.gap.search.accept import confirmed
+from estimation.gap.search.accept import confirmed as confirm
 from estimation.gap.search.state import AcceptedEffect, Options, SearchState
 from estimation.gap.significance.measure import Repeatability, odd_flights
 from estimation.gap.significance.nameless_terms import OmnibusSignal
@@ -44,14 +44,18 @@ def asked(
     cross: float | None = 1.0,
     held: float | None = 1.0,
     timing: bool = False,
+    linear: float | None = None,
     bounds: float = 5.0,
     gaps: tuple[float, float] | None = (2.0, 1.9),
     highest: float = 1.6,
+    confirmed: float | None = 0.0,
 ) -> tuple[Any, str]:
     """A linear candidate beside a nameless term that gains 100, threshold 4; its estimate so many bounds from none at 1, which
-    the nulls scatter four times as far. highest: the largest held-out gap of nulls."""
+    the nulls scatter four times as far. highest: the largest held-out gap of nulls; confirmed: by the
+    likelihood of the held-out flights."""
     patch.setattr(accepting, "held_gain", lambda *given: held)
     patch.setattr(accepting, "held_out_gaps", lambda *given: gaps)
+    patch.setattr(accepting, "confirmed_on_holdout", lambda *given: confirmed)
     patch.setattr(accepting, "by_timing", lambda *given: timing)
     patch.setattr(accepting, "flight_gains", lambda *given: [50.0, 50.0])
     parameter = EffectParameter("x", "s", 2.0, -10.0, 10.0, none=1.0)
@@ -65,10 +69,10 @@ def asked(
         baseline=stub(problem=stub(model=None)),
         inflation=np.array([4.0]),
         screen=stub(hypotheses=[hypothesis], cross_gain=lambda h: cross),
-        standardised=lambda: np.array([score]),
+        standardised=lambda: np.array([score if linear is None else linear]),
     )
     setting = stub(child=lambda *given: child, prepared=None, floors=lambda *given: stub(highest=highest))
-    return confirmed(setting, round_, stub(score=score, gain=gain, hypothesis=hypothesis), 100.0)
+    return confirm(setting, round_, stub(score=score, gain=gain, hypothesis=hypothesis), 100.0)
 
 
 @pytest.mark.parametrize(
@@ -78,22 +82,26 @@ def asked(
         ({"gain": 60.0}, "explains only 60%"),
         ({"cross": -1.0}, "does not hold on the training flights"),
         ({"cross": -1.0, "score": 7.0}, ""),
-        ({"held": -0.1, "score": 5.9}, "closes nothing on the held-out flights"),
-        ({"held": -1.0, "score": 7.0}, ""),  # strong, and its smaller gap stands above those of nulls
-        ({"held": -1.0, "score": 7.0, "highest": 2.1}, "closes nothing"),  # strong, but nulls have such a gap too
+        ({"held": -4.0, "score": 4.1, "confirmed": None}, ""),  # inflated six times: 0.7 of the 0.8 above the threshold
+        ({"held": -8.0, "score": 4.1, "confirmed": None}, "does not hold on the held-out flights"),
+        ({"held": -1.0, "linear": 4.0}, "does not hold on the held-out flights"),  # the full fit alone
         ({"held": -18.0, "score": 7.0}, ""),  # a gain of 100 at a score of 7: inflated twice, held out too
-        ({"held": -19.0, "score": 7.0}, "closes nothing"),
+        ({"held": -19.0, "score": 7.0}, "does not hold on the held-out flights"),
         ({"held": -35.0, "timing": True}, ""),  # inflated four times
         ({"held": -37.0, "timing": True}, "does not hold on the held-out flights"),
         ({"held": None, "gaps": None}, ""),
+        ({"held": -1.0}, ""),  # the gap shrinks and stands above those of nulls
+        ({"held": -1.0, "highest": 2.1}, "closes nothing"),  # nulls have such a gap too
+        ({"held": -1.0, "highest": 2.1, "confirmed": None}, ""),  # and the likelihood can tell nothing
+        ({"held": 1.0, "highest": 2.1}, ""),
         ({"gaps": (1.340, 1.341), "held": 17.0}, ""),  # inflated four times, still more than chance gives there
         ({"gaps": (1.340, 1.341), "held": 15.0}, "closes nothing"),
         ({"gaps": (1.340, 1.341), "held": 17.0, "highest": 1.3405}, "closes nothing"),
-        ({"gaps": (1.455, 1.478), "score": 7.0}, ""),  # strong, and gains there by the likelihood
-        ({"gaps": (1.455, 1.478), "score": 7.0, "held": -1.0}, "closes nothing"),
+        ({"gaps": (1.455, 1.478), "held": 8.0, "score": 7.0}, ""),
+        ({"gaps": (1.455, 1.478), "held": 7.0, "score": 7.0}, "closes nothing"),
         ({"gaps": (1.455, 1.478), "timing": True}, ""),
         (
-            {"gaps": (684.0, 1638.0), "score": 7.0},
+            {"gaps": (684.0, 1638.0), "score": 7.0, "held": 100.0},
             "closes nothing",
         ),  # an inertia of a model aeroplane, 46 times what it is
         ({"bounds": 3.05}, ""),
