@@ -92,7 +92,7 @@ def restless_times(problem: LikelihoodProblem, white: Sequence[Array], nulls: in
         time = problem.coarse[i].time
         width = max(round(problem.criteria.window / float(np.median(np.diff(time)))), FEWEST)
         width = min(width, len(time))  # a short stretch between two gaps is one window
-        energy, z = window_energy(series, width)
+        energy, z = window_energy(series, width, problem.criteria)
         largest = np.maximum(largest, z[:, :, 1:].max(axis=(0, 1)))
         for w, c in zip(*np.unravel_index(np.argsort(-z[:, :, 0].ravel())[:RESTLESS], z.shape[:2]), strict=True):
             span = (float(time[w * width]), float(time[(w + 1) * width - 1]))
@@ -102,11 +102,15 @@ def restless_times(problem: LikelihoodProblem, white: Sequence[Array], nulls: in
     return signals, largest
 
 
-def window_energy(series: Array, width: int) -> tuple[Array, Array]:
+def window_energy(series: Array, width: int, criteria: Criteria) -> tuple[Array, Array]:
     """(windows, ny, 1 + nulls) logarithm of the energy in windows of `width` samples over its median on the nulls, and its
-    distance from the nulls in units of their scatter."""
+    distance from the nulls in units of their scatter.
+
+    One sample counts `certain` standard deviations at most: two single wrong values in a second are no event.
+    """
     count = series.shape[0] // width
-    energy = np.log(np.sum((series[: count * width] ** 2).reshape(count, width, *series.shape[1:]), axis=1) + NOTHING)
+    squares = np.minimum(series[: count * width] ** 2, criteria.certain**2)
+    energy = np.log(np.sum(squares.reshape(count, width, *series.shape[1:]), axis=1) + NOTHING)
     energy -= np.median(energy[:, :, 1:], axis=2)[:, :, None]
     return energy, beside_others(energy)
 
