@@ -1,5 +1,6 @@
 """Fit the leading hypotheses of a round in full, and weigh them by their evidence."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.fit.channel_noise import sample_interval, time_bound
+from estimation.gap.fit.channel_noise import sample_interval
 from estimation.gap.fit.fitting import fit
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, fit_from_afar, fit_hypothesis
@@ -192,7 +193,11 @@ def material(
     if candidate.size < criteria.immaterial:
         return replace(candidate, why_not=f"fits {candidate.size:.0%} of its usual size: too small to matter")
     delays = [t.parameters[0] for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")]
-    if delays and not any(later_than_sampled(*candidate.estimates[n], interval, criteria) for n in delays):
+    # samples shift all controls alike: one is known beside the others
+    slowed = {t.input for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")}
+    beside_others = any(s.control and s.name not in slowed for s in candidate.fit.model.inputs)
+    open_time = interval * (criteria.own_timing_share if beside_others else criteria.timing_share)
+    if delays and not any(later_than_sampled(*candidate.estimates[n], open_time, criteria) for n in delays):
         return replace(candidate, why_not="is late by no more than the sample times are uncertain")
     for play in (t for t in candidate.hypothesis.form.transforms if t.kind == "backlash"):
         if abs(candidate.estimates[play.parameters[0]][0]) < criteria.play_in_noise * noise.get(play.input, 0.0):
@@ -200,10 +205,10 @@ def material(
     return candidate
 
 
-def later_than_sampled(time: float, std: float, interval: float, criteria: Criteria) -> bool:
-    """Whether a surface is late or early (`time` [s], with bound `std` [s]) by more than chance and than samples at `interval`
-    [s] can be wrong by."""
-    return abs(time) > criteria.certain * time_bound(std, interval, criteria)
+def later_than_sampled(time: float, std: float, open_time: float, criteria: Criteria) -> bool:
+    """Whether a surface is late or early (`time` [s], with bound `std` [s]) by more than chance and than `open_time` [s], which
+    samples leave open."""
+    return abs(time) > criteria.certain * math.hypot(std, open_time)
 
 
 def _compared_again(

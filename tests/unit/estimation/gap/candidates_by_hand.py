@@ -42,7 +42,13 @@ def candidate(name: str = "x", kind: str = "linear", **known: Any) -> FittedHypo
         "size": 1.0,
         "why_not": "",
     }
-    return FittedHypothesis(hypothesis(name, kind), stub(values={}, residuals=(), diverged=False), **(given | known))
+    return FittedHypothesis(hypothesis(name, kind), fitted_with("delta_a"), **(given | known))
+
+
+def fitted_with(*controls: str) -> Any:
+    """A fit of a model of these controls."""
+    model = stub(inputs=[Variable(n, control=True) for n in controls])
+    return stub(values={}, residuals=(), diverged=False, model=model)
 
 
 def screen(hypotheses: Sequence[Hypothesis], gram: Array | None = None, flights: tuple[int, ...] = (0,)) -> Screen:

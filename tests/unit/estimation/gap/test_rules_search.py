@@ -30,7 +30,7 @@ from estimation.gap.significance.omnibus import Omnibus
 from estimation.gap.significance.screen import Hypothesis, Projected, equivalent_z
 from estimation.models.base import Signal as Variable
 from estimation.models.load import load_model
-from tests.unit.estimation.gap.candidates_by_hand import BASE, candidate, hypothesis, screen, stub
+from tests.unit.estimation.gap.candidates_by_hand import BASE, candidate, fitted_with, hypothesis, screen, stub
 
 
 # ------------------------------------------------------------------------------------------------ which are fitted in full
@@ -264,6 +264,22 @@ def test_a_surface_late_by_three_times_what_sampling_leaves_open_was_sampled_so(
     found = candidate("late", "delay", estimates={"late": (late, std)})
     assert (not material(found, 0.05, {}, AS_SET).why_not) is called
     assert not material(candidate("play", "backlash", estimates={"play": (0.0, 0.1)}), 0.05, {}, AS_SET).why_not
+
+
+@pytest.mark.parametrize(
+    ("controls", "late", "called"),
+    [
+        (("delta_a", "delta_r"), 0.0046, True),
+        (("delta_a", "delta_r"), 0.0044, False),
+        (("delta_a",), 0.0149, False),
+    ],
+)
+def test_samples_shift_all_surfaces_alike_and_one_beside_the_others_by_less(
+    controls: tuple[str, ...], late: float, called: bool
+) -> None:
+    """Lags and delays of 10 ms of one surface at 20 Hz, clearly significant, were taken for sampling in 10 of 12 sets."""
+    found = replace(candidate("late", "delay", estimates={"late": (late, 0.0)}), fit=fitted_with(*controls))
+    assert (not material(found, 0.05, {}, AS_SET).why_not) is called
 
 
 @pytest.mark.parametrize(("width", "called"), [(2.2, False), (2.3, True)])
