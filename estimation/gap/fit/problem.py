@@ -5,7 +5,8 @@ surfaces, and straight lines between samples bias the control and damping deriva
 
 Steps of a sequence that a computer flies all begin at the same time after a sample. What the cubic lacks half-way is then the
 same share of every step. With a few steps that passes for the scatter that is allowed for; where a control never rests it adds
-up, and the share is an unknown (`edge_<control>`).
+up, and the share is an unknown (`edge_<control>`). So is that in the interval behind it (`behind_edge_<control>`), where a servo
+that answers the motion has already turned back.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,6 +27,10 @@ from estimation.models.dependence import names_used
 from estimation.signals.curves import half_way, inner_slopes
 
 WIDTHS = 4.0  # prior widths to which the path of a surface between samples may go
+EDGES: Mapping[str, int] = {
+    "edge_{}": 0,
+    "behind_edge_{}": 1,
+}  # unknown of a control -> intervals behind the steepest one
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
 
 
@@ -43,14 +48,15 @@ class MidSampleGrid:
         _fill(self.segment.time[::2], u, values, rounding, changed)
         return MidSampleGrid(replace(self.segment, u=values), rounding)
 
-    def edges(self, column: int, criteria: Criteria) -> Array:
-        """(2N - 1,) half-way in the steepest interval of every edge of an input the change over that interval, else zero."""
+    def edges(self, column: int, behind: int, criteria: Criteria) -> Array:
+        """(2N - 1,) half-way in the steepest interval of every edge of an input, or so many intervals `behind` it, the change
+        over the steepest one, else zero."""
         change = np.diff(self.segment.u[::2, column])
         size = np.pad(np.abs(change), 1)
         steepest = (size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])
         edge = steepest & (size[1:-1] > smallest_step(change, criteria))
-        result = np.zeros(len(self.rounding))
-        result[1::2] = np.where(edge, change, 0.0)
+        result, changes = np.zeros(len(self.rounding)), np.where(edge, change, 0.0)
+        result[1 + 2 * behind :: 2] = changes[: changes.size - behind]
         return result
 
 
@@ -142,7 +148,8 @@ class LikelihoodProblem:
 
     Shared unknowns are the model's free parameters and one `curvature_<control>` for each control: how its surface moves between
     two samples, on a straight line (-1), a monotone cubic (0) or a rounder curve (above 0). A control that never rests also has
-    `edge_<control>`: by which share of a step its surface is off half-way in it.
+    `edge_<control>` and `behind_edge_<control>`: by which share of a step its surface is off half-way in it, and in the interval
+    behind it.
     """
 
     model: Model
@@ -171,20 +178,22 @@ class LikelihoodProblem:
         return {f"curvature_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control}
 
     @cached_property
-    def edges(self) -> dict[str, int]:
-        """Unknown of the edges of a control that never rests -> its column."""
+    def edges(self) -> dict[str, tuple[int, int]]:
+        """Unknown of the edges of a control that never rests -> its column, and intervals behind the steepest one of an edge."""
         restless = frozenset[str]().union(*(r.restless for r in self.records))
-        return {f"edge_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control and s.name in restless}
+        columns = {s.name: i for i, s in enumerate(self.model.inputs) if s.control and s.name in restless}
+        return {kind.format(n): (i, behind) for kind, behind in EDGES.items() for n, i in columns.items()}
 
     @cached_property
     def paths(self) -> dict[str, int]:
         """Unknown of a path between samples -> column of the input it belongs to."""
-        return {**self.curvatures, **self.edges}
+        return {**self.curvatures, **{n: column for n, (column, _) in self.edges.items()}}
 
     def _path(self, grid: MidSampleGrid, name: str) -> Array:
         """(2N - 1,) change of an input by one unit of the unknown `name` of its path."""
-        column = self.paths[name]
-        return grid.rounding[:, column] if name in self.curvatures else grid.edges(column, self.criteria)
+        if name in self.curvatures:
+            return grid.rounding[:, self.curvatures[name]]
+        return grid.edges(*self.edges[name], self.criteria)
 
     @cached_property
     def used_names(self) -> frozenset[str]:

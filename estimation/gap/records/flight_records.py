@@ -79,7 +79,7 @@ class FlightRecord:
     errors: input -> (draws, N) possible errors after its preparation; error_spectra: control -> (frequencies,) their variance per
     sample, once known. uncompared: (N, ny) measured outputs that are not compared, such as the repeats of a slow sensor; NaN
     elsewhere. states: (N, nx) measured states without their noise. follows: control -> (N,) the part of it that follows the
-    motion, which de-noising keeps. restless: controls that never rest on any training flight; of all records alike.
+    motion, which de-noising keeps. restless: controls that never rest on some training flight; of all records alike.
     filtered: controls that never rest on this flight. grids: coarsely rounded control -> its levels.
     """
 
@@ -181,7 +181,7 @@ def prepare_flights(
     notes: list[str] = []
     prepared = [prepare(probe, flight) for flight in flights]
     pitches = has_pitch_rate(base)
-    restless = frozenset.intersection(*(data.restless for data in prepared[: len(training)]))
+    restless = frozenset[str]().union(*(data.restless for data in prepared[: len(training)]))
     exact = keep_feedback or pitches or controls_outdo_gyros(probe, prepared[: len(training)], criteria)
     if exact and not pitches:
         prepared = [prepare(probe, flight, replace(AS_USUAL, every_axis=True)) for flight in flights]

@@ -81,7 +81,7 @@ def test_with_an_unknown_at_its_limit_the_others_are_at_their_best() -> None:
     assert found.cost > 10.0, "the limit is felt"
 
 
-@pytest.mark.parametrize("path", ["curvature_delta_a", "edge_delta_a"])
+@pytest.mark.parametrize("path", ["curvature_delta_a", "edge_delta_a", "behind_edge_delta_a"])
 def test_paths_between_samples_are_columns_of_the_same_run(path: str) -> None:
     """The derivative by an unknown of a control's path against a central difference of whole motions."""
     bound = problem()
@@ -113,9 +113,12 @@ def test_an_edge_is_the_steepest_interval_of_a_step() -> None:
     u[31:] -= 1.0 - np.exp(-np.arange(1, 10) / 0.7)
     u += 1e-3 * np.cos(np.arange(40.0))
     segment = Segment(0, 0.05 * np.arange(40), u[:, None], np.zeros((40, 1)), np.zeros(1))
-    edges = fine_grid(segment).edges(0, AS_SET)
+    edges = fine_grid(segment).edges(0, 0, AS_SET)
     assert np.flatnonzero(edges).tolist() == [21, 61]
     np.testing.assert_allclose(edges[[21, 61]], np.diff(u)[[10, 30]])
+    behind = fine_grid(segment).edges(0, 1, AS_SET)
+    assert np.flatnonzero(behind).tolist() == [23, 63]
+    np.testing.assert_allclose(behind[[23, 63]], np.diff(u)[[10, 30]])
 
 
 def test_a_small_change_of_an_input_is_followed_to_the_outputs() -> None:
