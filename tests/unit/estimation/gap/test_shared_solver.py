@@ -13,10 +13,13 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem, fine_grid
 from estimation.gap.fit.whitener import Whitener
-from estimation.gap.records.flight_records import FlightRecord
+from estimation.gap.records.flight_records import FlightRecord, prepare_flights
 from estimation.gap.significance.measure import rms_over_noise
 from estimation.gap.significance.screen import Projected
 from estimation.models.base import Model, Parameter, Signal
+from estimation.models.load import load_model
+from tests.studies import fourth_simulator as fourth
+from tests.studies.gap_benchmark import SPEEDS
 
 STEP, COUNT = 0.05, 80
 ROLL = Model(
@@ -104,6 +107,15 @@ def test_a_control_that_rests_has_no_unknown_edges() -> None:
     assert restless.prior("edge_delta_a") == (0.0, AS_SET.surface_freedom)
     assert restless.limits("edge_delta_a") == (-0.8, 0.8)
     assert restless.nuisance("edge_delta_a")
+
+
+def test_a_control_that_never_rests_on_one_flight_has_edges_on_all() -> None:
+    """Random steps of an elevator rested for a little longer on one of three flights: its edges had no unknown, 8.2 of 5.2."""
+    kind = fourth.Kind(axes="longitudinal", course="random steps")
+    flights = fourth.fly(4301, kind, SPEEDS[:3])
+    records = prepare_flights(load_model("longitudinal", "cdfp"), (), flights, (), AS_SET).records
+    assert [bool(r.filtered) for r in records] == [True, True, False]
+    assert all(r.restless == {"delta_e"} for r in records)
 
 
 def test_an_edge_is_the_steepest_interval_of_a_step() -> None:
