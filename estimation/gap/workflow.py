@@ -57,7 +57,7 @@ from estimation.gap.search.free_base import (
     with_free_derivatives,
 )
 from estimation.gap.search.rounds import run_rounds
-from estimation.gap.search.state import AS_USUAL, Options, ProgressCallback, Setting
+from estimation.gap.search.state import AS_USUAL, Options, ProgressCallback, SearchState, Setting
 from estimation.gap.significance.kinematic_check import kinematic_check
 from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
@@ -160,6 +160,18 @@ class _Run:
         gains = {**loop.gains, **feedback_of(following, base)}
         return replace(loop, gains={n: gains[n] for n in felt})
 
+    def searched(self, setting: Setting, baseline: Baseline) -> tuple[Setting, SearchState]:
+        """All rounds; once more with the controls as given, where beside the effects that were found no control answers gusts: a
+        pilot answers what a missing effect does too."""
+        search, loop = run_rounds(setting, baseline), setting.loop
+        if loop is None or not search.findings:
+            return setting, search
+        child = search.findings[-1].child
+        if ClosedLoop.of(child, [*self.training, *self.holdout], loop.gains).felt(child, loop):
+            return setting, search
+        setting, baseline = self._fitted(setting.base)
+        return setting, run_rounds(setting, baseline)
+
     def _without_answers(self, loop: ClosedLoop) -> "_Run":
         """The same with the controls of all flights as they would have been in still air."""
         count, flights = len(self.training), [*self.training, *self.holdout]
@@ -232,7 +244,7 @@ def run_gap(
                 else:
                     moved = moved_in_words(off, model.starts(), baseline, biased=bool(setting.commanded))
         doubts += turned_signs(baseline)
-        search = run_rounds(setting, baseline)
+        setting, search = run.searched(setting, baseline)
     except GapError as error:
         raise GapError("; ".join([str(error), *doubts[:1]])) from error
     tell("kinematic check", 0.9)

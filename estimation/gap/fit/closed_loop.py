@@ -97,29 +97,34 @@ class ClosedLoop:
         """(N,) what a control of these gains answers to the gusts of one flight."""
         return _followed(self.gusts[flight], gains)
 
-    def felt(self, baseline: Baseline) -> tuple[str, ...]:
-        """Controls that answer what the fit does not explain, by more than their own noise.
+    def felt(self, baseline: Baseline, taken_off: "ClosedLoop | None" = None) -> tuple[str, ...]:
+        """Controls that answer what the fit does not explain, by more than their own noise. taken_off: the loop whose answers the
+        records of the fit lack.
 
         Between steps such a control goes with its answers as it goes with the rest of the motion. One whose gains come from
         manoeuvres does not: what a wrong model leaves of the motion of a T-38 moves its elevator by 0.02 of what its gains say,
         gusts move the aileron of a wing leveller by 0.7 to 0.96 (the noise of the sensors takes off the rest). A missing effect
-        counts as gusts.
+        counts as gusts: about a model that has it, the same has to be felt again.
         """
         records, least = baseline.problem.records, baseline.criteria.answers_felt
         found = []
         for name, gains in self.gains.items():
-            share = self._answered_share(records, name, gains)
+            share = self._answered_share(records, name, gains, taken_off)
             answers = np.mean([np.var(self.answers(r.flight, gains)) for r in records])
             if share > least and share**2 * answers > _variance(records, name):
                 found.append(name)
         return tuple(found)
 
-    def _answered_share(self, records: Sequence[FlightRecord], name: str, gains: Array) -> float:
+    def _answered_share(
+        self, records: Sequence[FlightRecord], name: str, gains: Array, taken_off: "ClosedLoop | None"
+    ) -> float:
         """By how much of its answers to gusts a control moves between its steps; 0 where it does not go with the motion."""
         stretches = []
         for record in records:
             parts = [_followed(motion[record.flight], gains)[record.rows] for motion in (self.still, self.gusts)]
             values = record.inputs[name]
+            if taken_off is not None and name in taken_off.gains:
+                values = values + taken_off.answers(record.flight, taken_off.gains[name])[record.rows]
             stretches.append(ControlStretch(values, values - sum(parts), np.column_stack(parts)))
         fitted = _gains(stretches, float(np.sqrt(_variance(records, name))))
         return 0.0 if fitted is None else float(fitted.gains.reshape(2, 2)[:, 1].sum())
