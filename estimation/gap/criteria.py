@@ -107,7 +107,8 @@ class Criteria:
     jump_freedom: float = criterion(0.1, "jumps", "error of a sample next to a jump that counts as one of the flights", CHAIN)
     freedom_most: float = criterion(0.6, "steps, jumps", "the same two, upper limit")
     answers_felt: float = criterion(0.5, "1",
-        "share of its answers to gusts by which a control has to move between its steps, so that the model closes its loop",
+        "share of its answers to gusts by which a control has to move between its steps on every flight, its inverse the most, "
+        "so that the model closes its loop",
         "between an elevator whose gains come from manoeuvres (T-38, 0.02), or that holds an attitude in gusts of 0.9 deg and "
         "bends no derivative (0.36), and the ailerons of a wing leveller in gusts of 0.3 to 0.9 deg (0.7 to 0.96), 2026-11-30")
 
