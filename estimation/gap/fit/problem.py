@@ -27,10 +27,8 @@ from estimation.models.dependence import names_used
 from estimation.signals.curves import half_way, inner_slopes
 
 WIDTHS = 4.0  # prior widths to which the path of a surface between samples may go
-EDGES: Mapping[str, int] = {
-    "edge_{}": 0,
-    "behind_edge_{}": 1,
-}  # unknown of a control -> intervals behind the steepest one
+# unknown of the edges of a control -> intervals behind the steepest one
+EDGES: Mapping[str, int] = {"edge_{}": 0, "behind_edge_{}": 1}
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
 
 

@@ -81,11 +81,8 @@ def confirmed(
     margin = criteria.certain**2
     if not (strong or timing):
         margin = min(gain_above_threshold(lower_score, round_.threshold), margin)
-    gain, gaps, chance = (
-        held_gain(round_.baseline, child),
-        held_out_gaps(round_.baseline, child),
-        own_inflation(candidate),
-    )
+    gain, gaps = held_gain(round_.baseline, child), held_out_gaps(round_.baseline, child)
+    chance = own_inflation(candidate)
     if gain is None or gaps is None:
         return child, ""
     if gain <= -margin * chance:
