@@ -409,7 +409,7 @@ def test_an_attitude_of_which_half_is_white_is_measured_not_filtered(
     assert any("filter" in str(n) for n in filled.notes) is is_filled
 
 
-@pytest.mark.parametrize(("share", "felt"), [(0.45, ()), (0.55, ("delta_a",))])
+@pytest.mark.parametrize(("share", "felt"), [(0.45, ()), (0.55, ("delta_a",)), (1.9, ("delta_a",)), (2.1, ())])
 def test_a_control_is_felt_that_moves_by_half_of_its_answers_to_gusts(share: float, felt: tuple[str, ...]) -> None:
     time, rng = STEP * np.arange(600), np.random.default_rng(11)
     still, gusts = 0.2 * np.sin(time)[:, None], np.cumsum(0.01 * rng.standard_normal((600, 1)), axis=0)
