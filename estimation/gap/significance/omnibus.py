@@ -28,6 +28,7 @@ LEADING = 8  # signals for the answer
 NOTHING = 1e-12  # energy of a window without samples
 RESTLESS = 3  # windows of each record with the largest scores
 FEWEST = 4  # samples in a window
+SINGLE = 2  # wrong values side by side in a channel, or by chance in a second, which no test of single values finds
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def restless_times(problem: LikelihoodProblem, white: Sequence[Array], nulls: in
         time = problem.coarse[i].time
         width = max(round(problem.criteria.window / float(np.median(np.diff(time)))), FEWEST)
         width = min(width, len(time))  # a short stretch between two gaps is one window
-        energy, z = window_energy(series, width, problem.criteria)
+        energy, z = window_energy(series, width)
         largest = np.maximum(largest, z[:, :, 1:].max(axis=(0, 1)))
         for w, c in zip(*np.unravel_index(np.argsort(-z[:, :, 0].ravel())[:RESTLESS], z.shape[:2]), strict=True):
             span = (float(time[w * width]), float(time[(w + 1) * width - 1]))
@@ -102,15 +103,16 @@ def restless_times(problem: LikelihoodProblem, white: Sequence[Array], nulls: in
     return signals, largest
 
 
-def window_energy(series: Array, width: int, criteria: Criteria) -> tuple[Array, Array]:
+def window_energy(series: Array, width: int) -> tuple[Array, Array]:
     """(windows, ny, 1 + nulls) logarithm of the energy in windows of `width` samples over its median on the nulls, and its
     distance from the nulls in units of their scatter.
 
-    One sample counts `certain` standard deviations at most: two single wrong values in a second are no event.
+    The `SINGLE` largest samples of a window do not count: so many wrong values in a second are no event.
     """
     count = series.shape[0] // width
-    squares = np.minimum(series[: count * width] ** 2, criteria.certain**2)
-    energy = np.log(np.sum(squares.reshape(count, width, *series.shape[1:]), axis=1) + NOTHING)
+    squares = (series[: count * width] ** 2).reshape(count, width, *series.shape[1:])
+    counted = max(width - SINGLE, 1)
+    energy = np.log(np.sum(np.partition(squares, counted - 1, axis=1)[:, :counted], axis=1) + NOTHING)
     energy -= np.median(energy[:, :, 1:], axis=2)[:, :, None]
     return energy, beside_others(energy)
 
