@@ -262,11 +262,14 @@ def run_gap(
 
 
 def _spikes(baseline: Baseline) -> Spikes:
-    """Single values that a fit does not follow, on training and held-out flights."""
+    """Single values that a fit does not follow, on training and held-out flights. A filter's attitude has none: it is smoother
+    than a model is right."""
     criteria, found = baseline.criteria, dict[int, dict[str, list[int]]]()
     values = sum(np.isfinite(r.z).sum() for r in baseline.prepared.records)
     farthest = -float(ndtri(0.5 * (1.0 - criteria.null_level) / values))  # of any of them, were they Gaussian noise
     fits = [(baseline.problem, baseline.fit), *([baseline.held_out] if baseline.held_out else [])]
+    records, outputs = baseline.problem.records, baseline.problem.model.output_names
+    filtered = filtered_attitudes(records, outputs, channel_noise(records), criteria)
     for problem, model_fit in fits:
         controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
         for record, segment, residual in zip(problem.records, problem.coarse, model_fit.residuals, strict=True):
@@ -274,7 +277,7 @@ def _spikes(baseline: Baseline) -> Spikes:
             columns = found.setdefault(record.flight, {})
             for signal, course in zip(problem.model.outputs, residual.T, strict=True):
                 at = segment.first + np.flatnonzero(spikes_in(course, stepping, farthest, MOST_WILD))
-                if at.size:
+                if at.size and signal.name not in filtered:
                     columns.setdefault(signal.source, []).extend(at.tolist())
     return {flight: {c: np.array(at) for c, at in columns.items()} for flight, columns in found.items() if columns}
 

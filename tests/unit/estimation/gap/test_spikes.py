@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from estimation.engine.kernel import Array
+from estimation.gap import workflow
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.records.broken import (
@@ -13,7 +14,7 @@ from estimation.gap.records.broken import (
     stepping_samples,
     without_spikes,
 )
-from estimation.gap.workflow import Options, run_gap
+from estimation.gap.workflow import Options, _Run, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies import fourth_simulator as fourth
@@ -108,3 +109,14 @@ def test_flights_with_spikes_have_no_gap_and_say_what_was_left_out() -> None:
     said = [note for note in answer.notes if "single values far from their neighbours" in note]
     assert {note.split(":")[0] for note in said} == {f.name for f in flown}
     assert "beta at 3.35, 13.50 s" in said[0]
+
+
+def test_an_attitude_of_a_filter_has_no_spikes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Logged at 10 Hz beside 50 Hz it had eight a flight, and what they left was a gust of three seconds."""
+    kind = fourth.Kind(axes="longitudinal", rate=50, attitude="held")
+    model, flown = load_model("longitudinal", "cdfp"), fourth.fly(4702, kind, (14.5, 16.5))
+    run = _Run.of(model, flown, (), (), None, Options(nulls=20), lambda what, share: None)
+    _, baseline = run.set_up(model)
+    assert not any("theta" in columns for columns in workflow._spikes(baseline).values())
+    monkeypatch.setattr(workflow, "filtered_attitudes", lambda *given: ())
+    assert all(len(columns["theta"]) > 5 for columns in workflow._spikes(baseline).values())
