@@ -263,7 +263,7 @@ class Flight:
         steps = np.diff(time)
         is_hole = (np.diff(rows) > 1) & (steps > GAP_FACTOR * np.median(steps)) if steps.size else np.zeros(0, bool)
         begins = is_hole | (np.diff(labels) != 0)
-        segment = np.concatenate([[0], np.cumsum(begins)])[: time.size].astype(np.int64)
+        segment = _numbered(begins)[: time.size]
         columns = MappingProxyType({k: v[keep] for k, v in self.columns.items()})
         return replace(self, name=name or self.name, time=time, columns=columns, segment=segment)
 
@@ -307,5 +307,9 @@ def _split(time: Array, labels: NDArray[np.int64], gap_factor: float) -> tuple[N
     if len(notes) > MOST_GAPS:
         notes = [*notes[:MOST_GAPS], f"{len(notes) - MOST_GAPS} more gaps"]
     edge = gap | (np.diff(labels) != 0)
-    segments = np.concatenate([[0], np.cumsum(edge)]).astype(np.int64)
-    return segments, [Finding(FindingKind.GAP, text) for text in notes]
+    return _numbered(edge), [Finding(FindingKind.GAP, text) for text in notes]
+
+
+def _numbered(begins: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Segment number of each sample. begins: of every sample but the first, whether a new segment begins with it."""
+    return np.concatenate([[0], np.cumsum(begins)]).astype(np.int64)

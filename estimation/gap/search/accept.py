@@ -19,7 +19,7 @@ from estimation.gap.search.confirm import FittedHypothesis, values_without_effec
 from estimation.gap.search.select import Choice, individual_inflation
 from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
-from estimation.gap.significance.measure import confirmed_on_holdout, held_gain, held_out_gaps
+from estimation.gap.significance.measure import held_out_gaps, held_out_likelihood
 from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
 from estimation.gap.significance.omnibus import Omnibus
 
@@ -81,18 +81,14 @@ def confirmed(
     margin = criteria.certain**2
     if not (strong or timing):
         margin = min(gain_above_threshold(lower_score, round_.threshold), margin)
-    gain, gaps = held_gain(round_.baseline, child), held_out_gaps(round_.baseline, child)
+    likelihood, gaps = held_out_likelihood(round_.baseline, child), held_out_gaps(round_.baseline, child)
     chance = own_inflation(candidate)
-    if gain is None or gaps is None:
+    if likelihood is None or gaps is None:
         return child, ""
-    if gain <= -margin * chance:
+    if likelihood.gain <= -margin * chance:
         return None, "does not hold on the held-out flights"
-    held = HeldOut(gain / chance, *gaps)
-    if not timing and not held.closes(
-        lambda: setting.floors(round_).highest,
-        lambda: confirmed_on_holdout(round_.baseline, child, gain, chance),
-        criteria,
-    ):
+    held = HeldOut(likelihood.gain / chance, likelihood.confirmed(chance, criteria), *gaps)
+    if not timing and not held.closes(lambda: setting.floors(round_).highest, criteria):
         return None, "closes nothing on the held-out flights"
     return child, ""
 
@@ -171,23 +167,24 @@ def gain_above_threshold(score: float, threshold: float) -> float:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """An effect on the held-out flights. gain: of their likelihood (twice its logarithm) over the inflation; before, after: gap
-    (rms over noise) without and with it."""
+    """An effect on the held-out flights. gain: of their likelihood (twice its logarithm) over the inflation; confirmed: the share
+    that the likelihood confirms; before, after: gap (rms over noise) without and with it."""
 
     gain: float
+    confirmed: float | None
     before: float
     after: float
 
-    def closes(self, highest: Callable[[], float], confirmed: Callable[[], float | None], criteria: Criteria) -> bool:
+    def closes(self, highest: Callable[[], float], criteria: Criteria) -> bool:
         """Whether the effect closes something there, by the figure that will be printed.
 
-        highest: gives the upper end of the gap with nothing hidden; confirmed: the share that the likelihood confirms. Where the
-        gap shrinks and is larger than those, it decides. A gap that shrinks may be chance's where nulls have one as large: then
-        the likelihood must not speak against the effect, unless it can tell nothing. One that grows must be such a gap, in which
-        a small effect hardly shows, and the likelihood must gain more than chance gives it.
+        highest: gives the upper end of the gap with nothing hidden. Where the gap shrinks and is larger than those, it decides. A
+        gap that shrinks may be chance's where nulls have one as large: then the likelihood must not speak against the effect,
+        unless it can tell nothing. One that grows must be such a gap, in which a small effect hardly shows, and the likelihood
+        must gain more than chance gives it.
         """
         if self.after < self.before:
-            return self.gain > 0.0 or self.before > highest() or confirmed() is None
+            return self.gain > 0.0 or self.before > highest() or self.confirmed is None
         beyond_chance = self.gain > ndtri(criteria.null_level) ** 2
         return bool(beyond_chance and max(self.before, self.after) <= highest())
 

@@ -16,7 +16,6 @@ from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import local_prior
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
-from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.random_streams import Stream
 from estimation.gap.significance.calibration import Round, significant_above
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
@@ -67,73 +66,66 @@ def _plain_rows(problem: LikelihoodProblem, model_fit: ModelFit, index: int, res
     return rows - J @ solved(J.T @ J + np.diag(weights), J.T @ rows)
 
 
-def held_gain(before: Baseline, after: Baseline) -> float | None:
-    """Gain of a fitted model over another on the held-out flights (twice a log-likelihood), both with its noise; None without
-    such flights.
+@dataclass(frozen=True)
+class HeldOutLikelihood:
+    """What the held-out flights say of one model beside another.
 
-    The parameters are as uncertain there as the training flights leave them.
+    With r the whitened residual of the first and d the change of the prediction by the second: gain, of the likelihood (twice its
+    logarithm), 2r'd - d'd, infinite where one of the motions runs away; predicted: d'd, None where one does.
     """
-    cost_before, cost_after = predictive_cost(before, after.noise), predictive_cost(after, after.noise)
-    if cost_before is None or cost_after is None:
-        return None
-    # both infinite, where both motions run away, is no gain: their difference is no number
-    return 0.0 if cost_before == cost_after else 2.0 * (cost_before - cost_after)
+
+    gain: float
+    predicted: float | None
+
+    def confirmed(self, chance: float, criteria: Criteria) -> float | None:
+        """Share in 0..1 of the disagreement along d that the second model takes away. None where no more than chance was there.
+
+        It is (r'd)^2/d'd before and ((r - d)'d)^2/d'd after. chance: what noise leaves of either on the average.
+        """
+        if not np.isfinite(self.gain):
+            return 1.0 if self.gain > 0.0 else 0.0
+        if self.predicted is None or not self.predicted > 0.0:
+            return None
+        gain, predicted = self.gain / chance, self.predicted / chance
+        before, after = ((gain + sign * predicted) ** 2 / (4.0 * predicted) for sign in (1.0, -1.0))
+        if before <= float(ndtri(criteria.null_level)) ** 2:
+            return None
+        return min(max(1.0 - max(after - 1.0, 0.0) / (before - 1.0), 0.0), 1.0)
 
 
-def confirmed_on_holdout(before: Baseline, after: Baseline, gain: float, chance: float) -> float | None:
-    """Share in 0..1 of the disagreement along what `after` predicts differently for the held-out flights that it takes away.
-
-    Of r, the whitened residual of `before`, and d, the change of the prediction, that disagreement is (r'd)^2/d'd before and
-    ((r - d)'d)^2/d'd after. gain: of the likelihood of these flights, from `held_gain`; chance: what noise leaves of either. None
-    where no more than chance was there, without held-out flights, and where a motion cannot be linearised.
-    """
-    if not np.isfinite(gain):
-        return 1.0 if gain > 0.0 else 0.0  # one of the two runs away
+def held_out_likelihood(before: Baseline, after: Baseline) -> HeldOutLikelihood | None:
+    """Two fitted models on the held-out flights, both with the noise of the second; None without such flights."""
     held_before, held_after = before.on_holdout(after.noise), after.held_out
     if held_before is None or held_after is None:
         return None
-    (problem, first), (_, second) = held_before, held_after
-    change = tuple(r - s for r, s in zip(first.residuals, second.residuals, strict=True))
-    tangent, n = Tangent(problem, first, (change,)), len(problem.free)
+    pairs = zip(held_before[1].residuals, held_after[1].residuals, strict=True)
+    change = tuple(np.nan_to_num(r - s) for r, s in pairs)
+    first, second = (
+        _products_given_training(before, held_before, (change,)),
+        _products_given_training(after, held_after),
+    )
+    if first is None or second is None:  # both run away: no gain
+        return HeldOutLikelihood(0.0 if first is second else np.inf if first is None else -np.inf, None)
+    return HeldOutLikelihood(float(first[0, 0] - second[0, 0]), float(first[1, 1]))
+
+
+def _products_given_training(
+    baseline: Baseline, held_out: tuple[LikelihoodProblem, ModelFit], further: Sequence[tuple[Array, ...]] = ()
+) -> Array | None:
+    """Whitened products of the held-out residuals and `further` courses (N, ny) per record, given the training flights; None
+    where the motion runs away.
+
+    Parameters may move within their uncertainty from training: otherwise a barely stable motion, which amplifies small errors of
+    the parameters, would reject every model.
+    """
+    problem, model_fit = held_out
+    tangent, n = Tangent(problem, model_fit, tuple(further)), len(problem.free)
     try:
         gram = np.sum([tangent.record(i).gram for i in range(len(problem.records))], axis=0)
     except GapError:
         return None
-    gram[:n, :n] += before.fit.hessian
-    level = before.criteria.null_level
-    return confirmed_share(gain / chance, float(eliminated(gram, n)[1, 1]) / chance, float(ndtri(level)) ** 2)
-
-
-def confirmed_share(gain: float, predicted: float, beyond: float) -> float | None:
-    """The share that `confirmed_on_holdout` gives. gain: of the likelihood, 2r'd - d'd; predicted: energy of the change, d'd;
-    beyond: chance leaves less of the disagreement. All three over what chance leaves on the average."""
-    if predicted <= 0.0:
-        return None
-    before, after = ((gain + sign * predicted) ** 2 / (4.0 * predicted) for sign in (1.0, -1.0))
-    if before <= beyond:
-        return None
-    return min(max(1.0 - max(after - 1.0, 0.0) / (before - 1.0), 0.0), 1.0)
-
-
-def predictive_cost(baseline: Baseline, noise: NoiseModel) -> float | None:
-    """Whitened cost of the held-out flights given the training flights.
-
-    Parameters may move within their uncertainty from training: otherwise a barely stable motion, which amplifies small errors of
-    the parameters, would reject every model. None without held-out flights; infinite where the motion runs away on one.
-    """
-    held_out = baseline.held_out if noise is baseline.noise else baseline.on_holdout(noise)
-    if held_out is None:
-        return None
-    problem, model_fit = held_out
-    try:
-        tangent = Tangent(problem, model_fit)
-        grams = [tangent.record(i).gram for i in range(len(problem.records))]
-    except GapError:
-        return np.inf
-    gram = np.sum(grams, axis=0)
-    n = len(problem.free)
     gram[:n, :n] += baseline.fit.hessian
-    return 0.5 * float(eliminated(gram, n)[0, 0])
+    return eliminated(gram, n)
 
 
 @dataclass(frozen=True)
@@ -171,7 +163,7 @@ class Floors:
 
 def gaps(before: Baseline, after: Baseline, floor: Floors, chance: float = 1.0) -> tuple[Gap, Gap | None]:
     """Gap of two fitted models on the training flights, and on the held-out ones where there are any. chance: as in
-    `confirmed_on_holdout`."""
+    `HeldOutLikelihood`."""
     scatter, held, enough = after.scatter, held_out_gaps(before, after), before.criteria.closed_share
     training = Gap(
         rms_over_noise(before.problem, before.fit, scatter),
@@ -183,10 +175,10 @@ def gaps(before: Baseline, after: Baseline, floor: Floors, chance: float = 1.0) 
     if held is None or floor.holdout_median is None:
         return training, None
     held_out = Gap(*held, floor.holdout_median, floor.highest, enough)
-    gain = held_gain(before, after) if held_out.says_nothing else None
-    if gain is None:
+    likelihood = held_out_likelihood(before, after) if held_out.says_nothing else None
+    if likelihood is None:
         return training, held_out
-    return training, replace(held_out, confirmed=confirmed_on_holdout(before, after, gain, chance))
+    return training, replace(held_out, confirmed=likelihood.confirmed(chance, before.criteria))
 
 
 def held_out_gaps(before: Baseline, after: Baseline) -> tuple[float, float] | None:

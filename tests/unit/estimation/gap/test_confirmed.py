@@ -7,13 +7,18 @@ import pytest
 
 from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.answer.words import describe_step
+from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.decide import Named, closed_by
 from estimation.gap.search.state import Options
-from estimation.gap.significance.measure import confirmed_share
+from estimation.gap.significance.measure import HeldOutLikelihood
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights, requests
+
+
+def confirmed(gain: float, predicted: float) -> float | None:
+    return HeldOutLikelihood(gain, predicted).confirmed(1.0, AS_SET)
 
 
 @pytest.mark.parametrize("size", [0.3, 0.5, 0.7, 1.0, 1.3, 2.0])
@@ -27,15 +32,15 @@ def test_the_share_is_that_of_the_disagreement_along_the_predicted_change(size: 
     before_part, after_part = (residual @ along) ** 2, (after @ along) ** 2
     gain = residual @ residual - after @ after
     expected = 1.0 - max(after_part - 1.0, 0.0) / (before_part - 1.0)
-    assert confirmed_share(gain, change @ change, 3.84) == pytest.approx(max(expected, 0.0))
+    assert confirmed(gain, change @ change) == pytest.approx(max(expected, 0.0))
 
 
 def test_flights_that_speak_against_a_change_confirm_nothing_and_those_that_show_no_more_than_chance_cannot_tell() -> (
     None
 ):
-    assert confirmed_share(-2.0, 30.0, 3.84) == 0.0  # 6.5 before, 8.5 after
-    assert confirmed_share(-2.0, 10.0, 3.84) is None  # 1.6 before, 3.6 after
-    assert confirmed_share(0.2, 0.0, 3.84) is None
+    assert confirmed(-2.0, 30.0) == 0.0  # 6.5 before, 8.5 after
+    assert confirmed(-2.0, 10.0) is None  # 1.6 before, 3.6 after
+    assert confirmed(0.2, 0.0) is None
 
 
 UNSEEN = Gap(1.40, 1.42, 1.30, highest=1.80, enough=0.7)
@@ -44,8 +49,8 @@ UNSEEN = Gap(1.40, 1.42, 1.30, highest=1.80, enough=0.7)
 def test_a_gap_that_says_nothing_is_closed_by_what_the_likelihood_confirms() -> None:
     """A right `imu_lever_arm` of score 18 took the held-out gap from 1.429 to 1.430: `closed` was 0."""
     assert (UNSEEN.share, UNSEEN.to_json()["closed"], "confirmed" in UNSEEN.to_json()) == ("-", 0.0, False)
-    confirmed = replace(UNSEEN, confirmed=0.85)
-    assert (confirmed.share, confirmed.to_json()["closed"], confirmed.to_json()["confirmed"]) == ("85%", 0.85, 0.85)
+    likely = replace(UNSEEN, confirmed=0.85)
+    assert (likely.share, likely.to_json()["closed"], likely.to_json()["confirmed"]) == ("85%", 0.85, 0.85)
     seen = replace(UNSEEN, before=2.4, after=1.5, confirmed=0.2)
     assert seen.counted == seen.closed > 0.7
 

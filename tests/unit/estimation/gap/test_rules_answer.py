@@ -53,9 +53,9 @@ def asked(
     """A linear candidate beside a nameless term that gains 100, threshold 4; its estimate so many bounds from none at 1, which
     the nulls scatter four times as far. highest: the largest held-out gap of nulls; confirmed: by the
     likelihood of the held-out flights."""
-    patch.setattr(accepting, "held_gain", lambda *given: held)
+    likelihood = None if held is None else stub(gain=held, confirmed=lambda *given: confirmed)
+    patch.setattr(accepting, "held_out_likelihood", lambda *given: likelihood)
     patch.setattr(accepting, "held_out_gaps", lambda *given: gaps)
-    patch.setattr(accepting, "confirmed_on_holdout", lambda *given: confirmed)
     patch.setattr(accepting, "by_timing", lambda *given: timing)
     patch.setattr(accepting, "flight_gains", lambda *given: [50.0, 50.0])
     parameter = EffectParameter("x", "s", 2.0, -10.0, 10.0, none=1.0)
