@@ -20,7 +20,7 @@ from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.errors import GapError
-from estimation.gap.fit.baseline import Baseline, fit_baseline
+from estimation.gap.fit.baseline import Baseline, fit_baseline, stretch_that_holds
 from estimation.gap.fit.channel_noise import (
     bank_error,
     channel_noise,
@@ -179,8 +179,30 @@ class _Run:
         return replace(self, training=tuple(still[:count]), holdout=tuple(still[count:]))
 
     def _fitted(self, base: Model, loop: ClosedLoop | None = None) -> tuple[Setting, Baseline]:
-        """What all rounds share and the first fit. loop: of controls that answer gusts, whose answers the flights lack."""
-        options = self.options
+        """What all rounds share and the first fit; where its motion grows, in stretches over which it grows little. loop: of
+        controls that answer gusts, whose answers the flights lack."""
+        setting = self._prepared(base, loop, self.options)
+        self.tell("fitting the baseline", 0.05)
+        baseline, ran_away = None, None
+        try:
+            baseline = _fit(setting)
+        except GapError as error:
+            ran_away = error
+        longest = stretch_that_holds(setting.working, setting.prepared, baseline)
+        if longest is not None:
+            options = replace(self.options, criteria=replace(self.options.criteria, longest_record=longest))
+            try:
+                shorter = self._prepared(base, loop, options)
+                return shorter, _fit(shorter)
+            except GapError as error:
+                ran_away = ran_away or error
+        if baseline is None:
+            assert ran_away is not None
+            raise ran_away
+        return setting, baseline
+
+    def _prepared(self, base: Model, loop: ClosedLoop | None, options: Options) -> Setting:
+        """What all rounds share. loop: as in `_fitted`."""
         candidates = tuple(self.effects) if self.effects is not None else catalogue(model=base)
         candidates += missing_derivatives(base, {e.name for e in candidates})
         prepared = prepare_flights(base, candidates, self.training, self.holdout, options.criteria, loop is not None)
@@ -188,9 +210,12 @@ class _Run:
         prepared = replace(prepared, notes=notes, stale=self.stale)
         attitude_intervals, commanded = stamped_attitudes(base, self.given), rare_commands(base, self.training)
         level_std = levels(base, self.given)
-        setting = _setting(prepared, candidates, level_std, attitude_intervals, commanded, options, self.tell, loop)
-        self.tell("fitting the baseline", 0.05)
-        return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
+        return _setting(prepared, candidates, level_std, attitude_intervals, commanded, options, self.tell, loop)
+
+
+def _fit(setting: Setting) -> Baseline:
+    """The first fit. Raises GapError where its motion runs away."""
+    return fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
 
 
 def run_gap(

@@ -12,12 +12,13 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from daq.utilities.errors import UserError
 from estimation.gap.answer.result import GapResult
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.catalogue import plane
@@ -135,7 +136,10 @@ def run(kind: str, size: float, start: int, count: int, gust: float, manoeuvres:
         for i, (label, effects, seed) in enumerate(block):
             four = flights(flown[4 * i : 4 * i + 4])
             began = time.perf_counter()
-            result = run_gap(model, four[:3], four[3:], options=Options(seed=1, nulls=nulls))
+            try:
+                answer = outcome(run_gap(model, four[:3], four[3:], options=Options(seed=1, nulls=nulls)))
+            except UserError as error:  # such as of an aircraft that departs with an effect this large
+                answer = {**REFUSED, "rejected": [["", str(error)]]}
             seconds = round(time.perf_counter() - began, 1)
             row = {
                 "kind": kind,
@@ -147,11 +151,16 @@ def run(kind: str, size: float, start: int, count: int, gust: float, manoeuvres:
                 "manoeuvres": manoeuvres,
                 "seed": seed,
                 "seconds": seconds,
-                **outcome(result),
+                **answer,
             }
             with out.open("a", encoding="utf-8") as handle:
                 handle.write(json.dumps(row) + "\n")
             print(one_line(row), flush=True)
+
+
+REFUSED: Mapping[str, Any] = {
+    "verdict": "refused", "steps": [], "scores": {}, "left": [], "left_what": [], "rejected": [], "cannot": 0,
+}  # fmt: skip
 
 
 def outcome(result: GapResult) -> dict[str, Any]:

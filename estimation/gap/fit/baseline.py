@@ -19,8 +19,10 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes
 from estimation.gap.fit.fitting import ENOUGH, cost_at, fit
+from estimation.gap.fit.growing import FOLDS, GROWS, SHORTEST, growth
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local
 from estimation.gap.fit.spectra import (
+    Linear,
     NoiseModel,
     NoisePart,
     NoiseSource,
@@ -51,7 +53,6 @@ PASSES = 3  # of noise and parameters in turn; a third changes both by less than
 SPARE_PASSES = 3  # more of them where the fit has not converged
 ROUGH = 0.5  # of the log-likelihood: accuracy of a fit whose noise is not yet known
 STEP_TURNS = 2  # of stationary noise and freedom of the surfaces in turn
-GROWS = 0.15  # 1/s: motion that doubles in less than five seconds, with which no pilot flies a whole record
 CALMER = 0.5  # times the growth: so much slower another fit has to grow to be preferred
 AS_GOOD = 3.0  # of the log-likelihood: which of two fits so close is better is chance
 ALIKE = 0.005  # of the cost: what a change of the noise in the third digit makes where the base lacks an effect
@@ -280,18 +281,35 @@ def fit_baseline(
 def _calmer_fit(baseline: Baseline) -> ModelFit | None:
     """A fit as good as one whose motion grows, but with slower growth, started at the model's own values; None where there is
     none. A missing effect can bias the base either way, and nulls that run away calibrate nothing."""
-    growing = growth(baseline.problem, baseline.fit)
+    growing = fastest_growth(baseline.problem, baseline.fit)
     if growing < GROWS:
         return None
     alternative = fit(baseline.problem, baseline.problem.starts())
     close = not alternative.diverged and alternative.cost < baseline.fit.cost + max(AS_GOOD, ALIKE * baseline.fit.cost)
-    return alternative if close and growth(baseline.problem, alternative) < CALMER * growing else None
+    return alternative if close and fastest_growth(baseline.problem, alternative) < CALMER * growing else None
 
 
-def growth(problem: LikelihoodProblem, model_fit: ModelFit) -> float:
-    """Largest real part [1/s] of the eigenvalues of the motion linearised about any record; negative where all modes decay."""
-    motions = (linear_motion(problem.model, problem.simulator, s, model_fit.values) for s in problem.coarse)
-    return max(float(np.linalg.eigvals(motion.A).real.max()) for motion in motions)
+def fastest_growth(problem: LikelihoodProblem, model_fit: ModelFit) -> float:
+    """The largest `growth` [1/s] on any record."""
+    return max(growth(motion) for motion in _linear_motions(problem, model_fit.values))
+
+
+def _linear_motions(problem: LikelihoodProblem, values: Mapping[str, float]) -> list[Linear]:
+    """The motion of a model about every record."""
+    values = {**problem.starts(), **values}
+    return [linear_motion(problem.model, problem.simulator, s, values) for s in problem.coarse]
+
+
+def stretch_that_holds(model: Model, prepared: FlightRecords, baseline: Baseline | None) -> float | None:
+    """Length [s] of records over which the motion of `model` does not grow out of hand; None where those that it was fitted to are
+    no longer. baseline: the fit, None where it ran away."""
+    if baseline is not None and fastest_growth(baseline.problem, baseline.fit) < GROWS:
+        return None
+    problem = LikelihoodProblem(model, prepared.base, prepared.of(prepared.training), (), prepared.criteria)
+    fits = [by_regression(problem), {} if baseline is None else baseline.fit.values]
+    growing = max([GROWS, *(growth(m) for values in fits if values for m in _linear_motions(problem, values))])
+    longest = max(FOLDS / growing, SHORTEST)
+    return longest if longest < max(float(np.ptp(r.time)) for r in problem.records) else None
 
 
 def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | None:
@@ -326,8 +344,8 @@ def deeper_fit(baseline: Baseline, other: ModelFit) -> ModelFit | None:
     model_fit = fit_from(baseline.problem, other, ROUGH, cost - AS_GOOD)
     if model_fit.diverged or not model_fit.cost < cost - AS_GOOD:
         return None
-    growing = growth(baseline.problem, model_fit)
-    was_avoided = growing >= GROWS and growth(baseline.problem, baseline.fit) < CALMER * growing
+    growing = fastest_growth(baseline.problem, model_fit)
+    was_avoided = growing >= GROWS and fastest_growth(baseline.problem, baseline.fit) < CALMER * growing
     return None if was_avoided and model_fit.cost > cost - ALIKE * cost else model_fit
 
 

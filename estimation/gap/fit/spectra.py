@@ -120,7 +120,7 @@ class Shapes:
 
 @dataclass(frozen=True)
 class Linear:
-    """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u, with u over `controls`.
+    """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u, with u over `inputs`.
 
     dt: sample interval [s]; scale: (ny,) rms of the measured outputs about their steady values, infinite where not measured."""
 
@@ -128,36 +128,40 @@ class Linear:
     B: Array
     C: Array
     D: Array
-    controls: tuple[str, ...]
+    inputs: tuple[str, ...]
     dt: float
     scale: Array
 
 
-def linear_motion(model: Model, simulator: Simulator, segment: Segment, values: Mapping[str, float]) -> Linear:
-    """Linearise a model at the mean inputs of a record and small motion about its steady state."""
+def linear_motion(
+    model: Model, simulator: Simulator, segment: Segment, values: Mapping[str, float], inputs: Sequence[str] | None = None
+) -> Linear:
+    """Linearise a model at the mean inputs of a record and small motion about its steady state. inputs: by default its
+    controls."""
     p = simulator.vector(values)
     nx = len(model.states)
     u0 = segment.u.mean(axis=0)
-    controls = [i for i, s in enumerate(model.inputs) if s.control]
+    if inputs is None:
+        inputs = [s.name for s in model.inputs if s.control]
     points_x = steady_state(model, segment) + np.concatenate(
-        [np.zeros((1, nx)), DIFFERENCE * np.eye(nx), -DIFFERENCE * np.eye(nx), np.zeros((2 * len(controls), nx))]
+        [np.zeros((1, nx)), DIFFERENCE * np.eye(nx), -DIFFERENCE * np.eye(nx), np.zeros((2 * len(inputs), nx))]
     )
     points_u = np.repeat(u0[None], points_x.shape[0], axis=0)
-    for j, i in enumerate(controls):
+    for j, i in enumerate(model.input_names.index(n) for n in inputs):
         points_u[1 + 2 * nx + 2 * j, i] += DIFFERENCE
         points_u[2 + 2 * nx + 2 * j, i] -= DIFFERENCE
     f, _, y, _ = simulator.kernel.evaluate(points_x, points_u, p)
-    first = 1 + 2 * nx  # point of the first control
+    first = 1 + 2 * nx  # point of the first input
 
-    def by_controls(values: Array) -> Array:
+    def by_inputs(values: Array) -> Array:
         return np.asarray((values[first::2] - values[first + 1 :: 2]).T / (2 * DIFFERENCE))
 
     return Linear(
         A=(f[1 : 1 + nx] - f[1 + nx : first]).T / (2 * DIFFERENCE),
-        B=by_controls(f),
+        B=by_inputs(f),
         C=(y[1 : 1 + nx] - y[1 + nx : first]).T / (2 * DIFFERENCE),
-        D=by_controls(y),
-        controls=tuple(model.inputs[i].name for i in controls),
+        D=by_inputs(y),
+        inputs=tuple(inputs),
         dt=float(np.median(np.diff(segment.time))),
         scale=np.maximum(rms_measured(segment.z - steady_outputs(model, segment)), SMALLEST_SCALE),
     )
@@ -192,7 +196,7 @@ def shapes_of(
         parts[NoisePart(NoiseSource.RATE, name)] = response
         parts[NoisePart(NoiseSource.RATE, name, gust)] = response * (s / (s + 1 / gust))[:, None]
         parts[NoisePart(NoiseSource.TWIST, name, twist)] = response / (1 + s * twist)[:, None]
-    for j, name in enumerate(linear.controls):
+    for j, name in enumerate(linear.inputs):
         response = np.asarray(by_rates @ linear.B[:, j] + linear.D[:, j], complex)
         parts[NoisePart(NoiseSource.CONTROL, name)] = response
         # also where there is no error: all records need the same parts, and only on some could the noise be removed

@@ -76,10 +76,10 @@ def find_surface_steps(
     half-way, and of outputs that jump or bend there."""
     found: list[tuple[float, str, int, float]] = []
     for j, signal in enumerate(model.inputs):
-        if not signal.control or signal.name not in linear.controls:
+        if not signal.control or signal.name not in linear.inputs:
             continue
         step = np.diff(segment.u[:, j])
-        power = float(np.abs(linear.C @ linear.B[:, linear.controls.index(signal.name)] / linear.scale).max())
+        power = float(np.abs(linear.C @ linear.B[:, linear.inputs.index(signal.name)] / linear.scale).max())
         for k in np.flatnonzero(np.abs(step) > smallest_step(step, criteria)):
             found.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))
     found.sort(reverse=True)
@@ -87,13 +87,13 @@ def find_surface_steps(
     moving = [e for e in found if e[1] in restless][:MOST_STEPS]
     largest = sorted([*resting, *moving], key=lambda e: (e[1], e[2]))
     N, ny = len(segment), linear.C.shape[0]
-    responses = {c: _response(linear, linear.controls.index(c), N) for c in {e[1] for e in largest}}
+    responses = {c: _response(linear, linear.inputs.index(c), N) for c in {e[1] for e in largest}}
     places = [(control, k, step) for _, control, k, step in largest]
     # (ny, controls) by unit step: the jump of an output, and the change that a kink makes in one interval
     jump_by_step = np.abs(linear.D) + linear.dt * np.abs(linear.C @ linear.B)
     outputs = []
     for i, output in enumerate(model.output_names):
-        jumps = sample_jumps(jump_by_step[i], linear.controls, places, N)
+        jumps = sample_jumps(jump_by_step[i], linear.inputs, places, N)
         if jumps.max() > criteria.visible_jump * linear.scale[i]:
             outputs.append(output)
             places += [(output, int(k), float(jumps[k])) for k in np.flatnonzero(jumps)]

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from estimation.engine.kernel import Array, SegmentMotion
+from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
+from estimation.gap.fit.growing import BoundedMotion
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import ON_FORCES, NoiseModel, NoisePart, NoiseSource, linear_motion
 from estimation.gap.fit.surface_steps import find_surface_steps
@@ -100,7 +101,7 @@ class NullFlyer:
     """Flies nulls of one fitted model. modelled: per record, None where the model runs away on it. jumps: per record sample,
     output column and standard deviation of the error next to a jump. states: disturbed state -> input column of its disturbance.
     driven: per record, the inputs of the fit, with the middles between samples. intervals: per record, sample interval [s].
-    tails: per output, as of `heavy_tails`."""
+    tails: per output, as of `heavy_tails`. bounded: per record, motion that no pilot holds, None where it does not grow."""
 
     problem: LikelihoodProblem
     fit: ModelFit
@@ -111,6 +112,7 @@ class NullFlyer:
     driven: tuple[Segment, ...]
     intervals: tuple[float, ...]
     tails: tuple[Array | None, ...]
+    bounded: tuple[BoundedMotion | None, ...]
 
     @classmethod
     def build(
@@ -128,11 +130,12 @@ class NullFlyer:
             is_jump = np.array([n in steps.jumping for n in steps.name], dtype=bool)
             column = np.array([outputs[n] for n in steps.name if n in steps.jumping], dtype=int)
             jumps.append((steps.at[is_jump], column, (steps.step * steps.spread(noise.freedom))[is_jump]))
-        modelled = tuple(_modelled(problem, fit, i, errors[i]) for i in range(len(problem.records)))
+        bounded = tuple(BoundedMotion.of(problem, fit, i) for i in range(len(problem.records)))
+        modelled = tuple(_modelled(problem, fit, i, errors[i], bounded[i]) for i in range(len(problem.records)))
         inputs = tuple(problem.driven(grid, fit.values) for grid in problem.grids)
         intervals = tuple(float(np.median(np.diff(segment.time))) for segment in problem.coarse)
         tails = heavy_tails(problem, fit)
-        return cls(problem, fit, noise, modelled, tuple(jumps), states, inputs, intervals, tails)
+        return cls(problem, fit, noise, modelled, tuple(jumps), states, inputs, intervals, tails, bounded)
 
     def fly(self, index: int, rng: np.random.Generator) -> Array | None:
         """(N, ny) residual of one null of one record at the fitted parameters; None where it diverges."""
@@ -149,8 +152,8 @@ class NullFlyer:
     def observed(self, index: int, rng: np.random.Generator, driven: Segment) -> Array | None:
         """(N, ny) measured outputs of one null of one record, NaN where the record has none; None where it diverges. driven: its
         inputs with the middles between samples."""
-        motion = self.motion(index, replace(driven, u=self.disturbed(index, rng, driven)))
-        return self.measured(index, rng, motion) if motion.finite else None
+        outputs = self.flown(index, replace(driven, u=self.disturbed(index, rng, driven)))
+        return None if outputs is None else self.measured(index, rng, outputs)
 
     def disturbed(self, index: int, rng: np.random.Generator, driven: Segment) -> Array:
         """(2N - 1, nu) inputs of one record with loose surfaces and gusts."""
@@ -159,13 +162,17 @@ class NullFlyer:
         self._disturb(shaken, 0.5 * self.intervals[index], rng)
         return shaken
 
-    def motion(self, index: int, driven: Segment) -> SegmentMotion:
-        """States and outputs of the fitted model on one record. driven: its inputs with the middles between samples."""
+    def flown(self, index: int, driven: Segment) -> Array | None:
+        """(N, ny) outputs of the fitted model on one record; None where it runs away. driven: inputs with the middles between
+        samples."""
+        if (bounded := self.bounded[index]) is not None:
+            return bounded.outputs(driven.u)
         local = self.fit.locals[index]
-        return self.problem.simulator.run_by_middles(driven, {**self.fit.values, **local.parameters}, local.x0)
+        motion = self.problem.simulator.run_by_middles(driven, {**self.fit.values, **local.parameters}, local.x0)
+        return motion.y if motion.finite else None
 
-    def measured(self, index: int, rng: np.random.Generator, motion: SegmentMotion) -> Array:
-        """(N, ny) outputs of a motion of one record with the noise of the instruments, NaN where the record has none."""
+    def measured(self, index: int, rng: np.random.Generator, outputs: Array) -> Array:
+        """(N, ny) outputs of one record with the noise of the instruments, NaN where the record has none."""
         problem, coarse, interval = self.problem, self.problem.coarse[index], self.intervals[index]
         louder = problem.records[index].louder
         white = rng.standard_normal(coarse.z.shape)
@@ -176,7 +183,7 @@ class NullFlyer:
         self._wander(noise, interval, rng)
         samples, output, size = self.jumps[index]
         np.add.at(noise, (samples, output), size * rng.standard_normal(size.size))
-        observed = motion.y + noise
+        observed = outputs + noise
         observed[~np.isfinite(coarse.z)] = np.nan
         return np.asarray(observed)
 
@@ -239,13 +246,18 @@ def heavy_tails(problem: LikelihoodProblem, fit: ModelFit) -> tuple[Array | None
     return tuple(tails)
 
 
-def _modelled(problem: LikelihoodProblem, fit: ModelFit, index: int, errors: InputErrors) -> Modelled | None:
+def _modelled(
+    problem: LikelihoodProblem, fit: ModelFit, index: int, errors: InputErrors, bounded: BoundedMotion | None
+) -> Modelled | None:
     """The modelled record, without realisations of errors with which the model runs away; None where it always does."""
     local, coarse = fit.locals[index], problem.coarse[index]
     nominal = problem.modelled(index, fit.values, local)
     if nominal is None:
         return None
     names = problem.model.input_names
+    if bounded is not None:
+        courses = [errors.course(names, number) for number in range(errors.count)]
+        return Modelled(nominal, bounded.changes(courses))
     perturbed = (
         problem.modelled(index, fit.values, local, inputs=coarse.u + errors.course(names, number))
         for number in range(errors.count)

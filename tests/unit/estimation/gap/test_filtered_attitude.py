@@ -96,7 +96,7 @@ def test_a_slow_error_that_hardly_any_step_shows_is_not_known() -> None:
 def linear() -> Linear:
     """An aircraft that hardly moves: what is seen is the instruments' own."""
     return Linear(
-        A=-np.eye(4), B=np.zeros((4, 0)), C=np.zeros((5, 4)), D=np.zeros((5, 0)), controls=(), dt=STEP, scale=np.ones(5)
+        A=-np.eye(4), B=np.zeros((4, 0)), C=np.zeros((5, 4)), D=np.zeros((5, 0)), inputs=(), dt=STEP, scale=np.ones(5)
     )
 
 

@@ -162,7 +162,7 @@ def linear(outputs: int, states: int) -> Linear:
         B=np.zeros((states, 0)),
         C=np.ones((outputs, states)),
         D=np.zeros((outputs, 0)),
-        controls=(),
+        inputs=(),
         dt=STEP,
         scale=np.ones(outputs),
     )
@@ -219,7 +219,7 @@ def nowhere(count: int) -> SurfaceSteps:
 
 def test_noise_is_estimated_of_records_of_which_one_has_a_control_prepared_and_the_next_has_not() -> None:
     control = "delta_a"
-    moved = replace(linear(1, 1), controls=(control,), B=np.ones((1, 1)), D=np.zeros((1, 1)))
+    moved = replace(linear(1, 1), inputs=(control,), B=np.ones((1, 1)), D=np.zeros((1, 1)))
     quiet = shapes_of(ROLL, moved, 100, AS_SET, ("p",))
     prepared = shapes_of(ROLL, moved, 100, AS_SET, ("p",), {control: np.full(51, 1e-6)})
     residuals = [np.random.default_rng(k).standard_normal((100, 1)) for k in range(2)]
