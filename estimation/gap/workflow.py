@@ -67,6 +67,7 @@ from groundstation.flight import Flight
 
 LOOP_PASSES = 4  # fits about which the answers of the controls to gusts are found; two settle them in usual gusts
 SPIKE_PASSES = 2  # a large spike bends the first fit, so that others hide beside it
+NAMED = (GapVerdict.GAP_CLOSED, GapVerdict.GAP_REDUCED)
 
 
 @dataclass(frozen=True)
@@ -178,31 +179,26 @@ class _Run:
         still = [loop.without_answers(i, f) for i, f in enumerate(flights)]
         return replace(self, training=tuple(still[:count]), holdout=tuple(still[count:]))
 
-    def _fitted(self, base: Model, loop: ClosedLoop | None = None) -> tuple[Setting, Baseline]:
-        """What all rounds share and the first fit; where its motion grows, in stretches over which it grows little. loop: of
-        controls that answer gusts, whose answers the flights lack."""
-        setting = self._prepared(base, loop, self.options)
-        self.tell("fitting the baseline", 0.05)
-        baseline, ran_away = None, None
-        try:
-            baseline = _fit(setting)
-        except GapError as error:
-            ran_away = error
+    def in_stretches(self, setting: Setting, baseline: Baseline | None = None) -> "_Run | None":
+        """The same with records over which the motion of a fit grows little, None where it does so anyway. baseline: the fit,
+        None where it ran away."""
         longest = stretch_that_holds(setting.working, setting.prepared, baseline)
-        if longest is not None:
-            options = replace(self.options, criteria=replace(self.options.criteria, longest_record=longest))
-            try:
-                shorter = self._prepared(base, loop, options)
-                return shorter, _fit(shorter)
-            except GapError as error:
-                ran_away = ran_away or error
-        if baseline is None:
-            assert ran_away is not None
-            raise ran_away
-        return setting, baseline
+        if longest is None:
+            return None
+        self.tell(f"once more in stretches of {longest:.0f} s, over which the fitted motion grows little", 0.05)
+        return replace(
+            self, options=replace(self.options, criteria=replace(self.options.criteria, longest_record=longest))
+        )
 
-    def _prepared(self, base: Model, loop: ClosedLoop | None, options: Options) -> Setting:
+    def _fitted(self, base: Model, loop: ClosedLoop | None = None) -> tuple[Setting, Baseline]:
+        """What all rounds share and the first fit. loop: of controls that answer gusts, whose answers the flights lack."""
+        setting = self.prepared(base, loop)
+        self.tell("fitting the baseline", 0.05)
+        return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
+
+    def prepared(self, base: Model, loop: ClosedLoop | None) -> Setting:
         """What all rounds share. loop: as in `_fitted`."""
+        options = self.options
         candidates = tuple(self.effects) if self.effects is not None else catalogue(model=base)
         candidates += missing_derivatives(base, {e.name for e in candidates})
         prepared = prepare_flights(base, candidates, self.training, self.holdout, options.criteria, loop is not None)
@@ -211,11 +207,6 @@ class _Run:
         attitude_intervals, commanded = stamped_attitudes(base, self.given), rare_commands(base, self.training)
         level_std = levels(base, self.given)
         return _setting(prepared, candidates, level_std, attitude_intervals, commanded, options, self.tell, loop)
-
-
-def _fit(setting: Setting) -> Baseline:
-    """The first fit. Raises GapError where its motion runs away."""
-    return fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
 
 
 def run_gap(
@@ -244,46 +235,84 @@ def run_gap(
     model, comparison_notes = compared(full_model, flights)  # only in outputs that every flight measured
     tell("preparing the flights", 0.0)
     run = _Run.of(model, training, holdout, comparison_notes, effects, options, tell)
-    doubts, moved = [*broken_in_words(flights, full_model), *doubts_of(flights, model)], ""
+    doubts = [*broken_in_words(flights, full_model), *doubts_of(flights, model)]
     try:
-        try:
-            setting, baseline = run.set_up(model)
-        except GapError as error:
-            model = _with_estimated_starts(model, run.training, error)
-            setting, baseline = run.set_up(model)
-        for _ in range(SPIKE_PASSES):
-            if not (spikes := _spikes(baseline)):
-                break
-            run = run.without_spikes(spikes)
-            del baseline  # whose whiteners are large
-            setting, baseline = run.set_up(model, setting.loop)
-        if off := derivatives_off(setting, baseline):
-            # the one that stands out is for the search, which has to confirm it
-            outlier = outstanding(setting, baseline, off) if setting.commanded else None
-            others = tuple(n for n in off if n != outlier)
-            freed = run.set_up(with_free_derivatives(model, others))
-            if outlier or many(far_off(others, model.starts(), freed[1].fit, options.criteria), options.criteria):
-                setting, baseline = freed
-                if outlier:
-                    moved = others_freed_in_words(others)
-                else:
-                    moved = moved_in_words(off, model.starts(), baseline, biased=bool(setting.commanded))
-        doubts += turned_signs(baseline)
-        setting, search = run.searched(setting, baseline)
+        found = _searched(run, model)
     except GapError as error:
         raise GapError("; ".join([str(error), *doubts[:1]])) from error
     tell("kinematic check", 0.9)
-    measured = [as_measured(with_attitudes_between(f, options.criteria)) for f in run.sound]
-    check = kinematic_check(measured, setting.effects, options.nulls, options.seed, options.criteria, model)
+    measured = [as_measured(with_attitudes_between(f, options.criteria)) for f in found.run.sound]
+    check = kinematic_check(measured, found.setting.effects, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
-    answer = concluded(setting, search, check)
+    answer = concluded(found.setting, found.search, check)
+    if answer.verdict not in NAMED and (shorter := found.in_stretches()):
+        try:
+            again = _searched(shorter, model)
+            renewed = concluded(again.setting, again.search, check)
+        except GapError:  # nothing is lost: the first answer stands
+            renewed = answer
+        if renewed.verdict in NAMED:
+            found, answer = again, renewed
     unmoved = unmoved_in_words(flights, model)
-    remarks = (moved, late_commands(run.training, baseline), not_compared(full_model, model))
+    remarks = (found.moved, late_commands(found.run.training, found.baseline), not_compared(full_model, model))
     # a control whose channel is dead may be the unknown effect itself, so that it stands first
     is_unknown = answer.verdict is GapVerdict.UNKNOWN
     sentences = (unmoved, answer.text, *remarks) if is_unknown else (answer.text, *remarks, unmoved)
     answer = replace(answer, text=" ".join(t for t in sentences if t))
-    return _with_doubts(answer, doubts)
+    return _with_doubts(answer, [*doubts, *turned_signs(found.baseline)])
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A finished search. run: on whose flights; baseline: the first fit; moved: sentence on derivatives of a simulation that were
+    freed before, may be empty."""
+
+    run: _Run
+    setting: Setting
+    baseline: Baseline
+    search: SearchState
+    moved: str
+
+    def in_stretches(self) -> _Run | None:
+        """The run with records over which the motion that the first round fitted grows little; None where it does so anyway."""
+        return self.run.in_stretches(self.setting, self.search.rounds[0].baseline)
+
+
+def _searched(run: _Run, model: Model) -> _Found:
+    """The base fitted to the flights of a run, without wrong single values, and all rounds of the search. Raises GapError where
+    the motion runs away."""
+    try:
+        setting, baseline = run.set_up(model)
+    except GapError as error:
+        try:
+            model = _with_estimated_starts(model, run.training, error)
+            setting, baseline = run.set_up(model)
+        except GapError:
+            shorter = run.in_stretches(run.prepared(model, None))
+            if shorter is None:
+                raise
+            run = shorter
+            setting, baseline = run.set_up(model)
+    for _ in range(SPIKE_PASSES):
+        if not (spikes := _spikes(baseline)):
+            break
+        run = run.without_spikes(spikes)
+        del baseline  # whose whiteners are large
+        setting, baseline = run.set_up(model, setting.loop)
+    moved, criteria = "", run.options.criteria
+    if off := derivatives_off(setting, baseline):
+        # the one that stands out is for the search, which has to confirm it
+        outlier = outstanding(setting, baseline, off) if setting.commanded else None
+        others = tuple(n for n in off if n != outlier)
+        freed = run.set_up(with_free_derivatives(model, others))
+        if outlier or many(far_off(others, model.starts(), freed[1].fit, criteria), criteria):
+            setting, baseline = freed
+            if outlier:
+                moved = others_freed_in_words(others)
+            else:
+                moved = moved_in_words(off, model.starts(), baseline, biased=bool(setting.commanded))
+    setting, search = run.searched(setting, baseline)
+    return _Found(run, setting, baseline, search, moved)
 
 
 def _spikes(baseline: Baseline) -> Spikes:

@@ -134,7 +134,11 @@ class Linear:
 
 
 def linear_motion(
-    model: Model, simulator: Simulator, segment: Segment, values: Mapping[str, float], inputs: Sequence[str] | None = None
+    model: Model,
+    simulator: Simulator,
+    segment: Segment,
+    values: Mapping[str, float],
+    inputs: Sequence[str] | None = None,
 ) -> Linear:
     """Linearise a model at the mean inputs of a record and small motion about its steady state. inputs: by default its
     controls."""

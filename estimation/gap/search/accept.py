@@ -59,9 +59,10 @@ def accept(
 
 
 def confirmed(
-    setting: Setting, round_: Round, candidate: FittedHypothesis, nameless: float
+    setting: Setting, round_: Round, candidate: FittedHypothesis, nameless: float, nulls_of: Round | None = None
 ) -> tuple[Baseline | None, str]:
-    """(model with a significant candidate in it, ""), or (None, reason for refusal). nameless: gain of the best nameless term."""
+    """(model with a significant candidate in it, ""), or (None, reason for refusal). nameless: gain of the best nameless term.
+    nulls_of: the round whose nulls show how large a held-out gap is without any effect, by default `round_`."""
     criteria = round_.criteria
     if not explains(candidate.gain, nameless, criteria):
         return None, f"explains only {candidate.gain / nameless:.0%} of what a nameless term does"
@@ -88,7 +89,7 @@ def confirmed(
     if likelihood.gain <= -margin * chance:
         return None, "does not hold on the held-out flights"
     held = HeldOut(likelihood.gain / chance, likelihood.confirmed(chance, criteria), *gaps)
-    if not timing and not held.closes(lambda: setting.floors(round_).highest, criteria):
+    if not timing and not held.closes(lambda: setting.floors(nulls_of or round_).highest, criteria):
         return None, "closes nothing on the held-out flights"
     return child, ""
 

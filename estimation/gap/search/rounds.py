@@ -112,7 +112,7 @@ def _rival(
     for rival in better_rivals(candidates, gain / old_inflation, last.threshold, criteria):
         if deeper_fit(without, rival.fit) is not None:  # the gain comes from a better minimum of the base
             continue
-        child, _ = confirmed(setting, round_without, rival, nameless=0.0)
+        child, _ = confirmed(setting, round_without, rival, nameless=0.0, nulls_of=last)
         if child is not None:
             return rival, child
     return None

@@ -108,7 +108,7 @@ class _Outputs:
 
 
 def drawn(noise: NoiseModel, count: int, seed: int) -> Array:
-    flyer = NullFlyer(_Outputs(), None, noise, (), (), {}, (), (), ())  # type: ignore[arg-type]
+    flyer = NullFlyer(_Outputs(), None, noise, (), (), {}, (), (), (), ())  # type: ignore[arg-type]
     rng = np.random.default_rng(seed)
     made = np.sqrt(noise.measurement) * rng.standard_normal((count, 5))
     flyer._wander(made, STEP, rng)

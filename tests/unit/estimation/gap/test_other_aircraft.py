@@ -182,7 +182,7 @@ def test_another_fit_is_taken_where_it_is_as_good_and_calmer(
     own: Any = SimpleNamespace(cost=own_cost, diverged=False)
     again: Any = SimpleNamespace(cost=cost, diverged=False)
     made: Any = SimpleNamespace(problem=SimpleNamespace(starts=dict), fit=own)
-    monkeypatch.setattr(baselines, "growth", lambda problem, found: growing if found is own else other)
+    monkeypatch.setattr(baselines, "fastest_growth", lambda problem, found: growing if found is own else other)
     monkeypatch.setattr(baselines, "fit", lambda problem, start: again)
     assert (baselines._calmer_fit(made) is again) is taken
 
@@ -203,7 +203,7 @@ def test_a_base_gives_way_to_a_better_fit_of_its_own(
 ) -> None:
     again: Any = SimpleNamespace(cost=cost, diverged=False)
     made: Any = SimpleNamespace(problem=None, fit=SimpleNamespace(cost=4000.0))
-    monkeypatch.setattr(baselines, "growth", lambda problem, found: other if found is again else own)
+    monkeypatch.setattr(baselines, "fastest_growth", lambda problem, found: other if found is again else own)
     monkeypatch.setattr(baselines, "fit_from", lambda problem, found, enough, beyond: again)
     assert (deeper_fit(made, made.fit) is again) is taken
     again.diverged = True
