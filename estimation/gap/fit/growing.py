@@ -18,8 +18,9 @@ from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import Linear, linear_motion
 
 GROWS = 0.15  # 1/s: motion that doubles in less than five seconds, with which no pilot flies a whole record
-FOLDS = 5.0  # by which power of e the motion may grow in a record: 150 times the noise of its beginning
-SHORTEST = 3.0  # s, of a record
+STANDING = 0.01  # 1/s: a mode that grows or decays so slowly stands still
+FOLDS = 3.0  # by which power of e the motion may grow in a stretch: 20 times the noise of its beginning
+SHORTEST = 4.0  # s, of a stretch
 
 
 @dataclass(frozen=True)
@@ -32,15 +33,20 @@ class BoundedMotion:
     linear: Linear
 
     @classmethod
-    def of(cls, problem: LikelihoodProblem, model_fit: ModelFit, index: int) -> "BoundedMotion | None":
-        """None where the motion does not grow, or runs away with its own inputs."""
+    def of(cls, problem: LikelihoodProblem, model_fit: ModelFit) -> "tuple[BoundedMotion | None, ...]":
+        """Those of all records; None each where the motion grows on none, or where one runs away with its own inputs."""
         names, values = problem.model.input_names, model_fit.values
-        linear = linear_motion(problem.model, problem.simulator, problem.coarse[index], values, names)
-        fitted = problem.modelled(index, values, model_fit.locals[index]) if growth(linear) > GROWS else None
-        if fitted is None:
-            return None
-        inputs = problem.driven(problem.grids[index], values).u
-        return cls(fitted, inputs, replace(linear, dt=0.5 * linear.dt))
+        motions = [linear_motion(problem.model, problem.simulator, s, values, names) for s in problem.coarse]
+        if max(growth(m) for m in motions) < GROWS:
+            return (None,) * len(motions)
+        made: list[BoundedMotion | None] = []
+        for i, linear in enumerate(motions):
+            fitted, inputs = (
+                problem.modelled(i, values, model_fit.locals[i]),
+                problem.driven(problem.grids[i], values).u,
+            )
+            made.append(None if fitted is None else cls(fitted, inputs, replace(linear, dt=0.5 * linear.dt)))
+        return tuple(made)
 
     def outputs(self, inputs: Array) -> Array:
         """(N, ny) with other inputs (2N - 1, nu)."""
@@ -61,7 +67,7 @@ def growth(linear: Linear) -> float:
 
 def bounded_response(linear: Linear, courses: Array) -> Array:
     """(N, ny, k) changes of the outputs by k small courses (N, inputs, k) of the inputs, linear between samples `linear.dt` apart:
-    modes that grow faster than `GROWS` are at rest in the end, all others in the beginning."""
+    modes that grow are at rest in the end, all others in the beginning."""
     nx, h = len(linear.A), linear.dt
     growing = _projector(linear.A)
     remaining = np.eye(nx) - growing
@@ -79,8 +85,8 @@ def bounded_response(linear: Linear, courses: Array) -> Array:
 
 
 def _projector(A: Array) -> Array:
-    """(nx, nx) onto the modes that grow faster than `GROWS`, along all others."""
+    """(nx, nx) onto the modes that grow, along all others."""
     values, left, right = eig(A, left=True)
-    grows = values.real > GROWS
+    grows = values.real > STANDING
     left, right = left[:, grows], right[:, grows]
     return np.asarray(np.real(right @ np.linalg.solve(left.conj().T @ right, left.conj().T)))

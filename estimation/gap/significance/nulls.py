@@ -130,7 +130,7 @@ class NullFlyer:
             is_jump = np.array([n in steps.jumping for n in steps.name], dtype=bool)
             column = np.array([outputs[n] for n in steps.name if n in steps.jumping], dtype=int)
             jumps.append((steps.at[is_jump], column, (steps.step * steps.spread(noise.freedom))[is_jump]))
-        bounded = tuple(BoundedMotion.of(problem, fit, i) for i in range(len(problem.records)))
+        bounded = BoundedMotion.of(problem, fit)
         modelled = tuple(_modelled(problem, fit, i, errors[i], bounded[i]) for i in range(len(problem.records)))
         inputs = tuple(problem.driven(grid, fit.values) for grid in problem.grids)
         intervals = tuple(float(np.median(np.diff(segment.time))) for segment in problem.coarse)
