@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from estimation.errors import EstimationError
+from estimation.errors import DataError, EstimationError
 from estimation.estimators.output_error import output_error
 from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.decision.conclusion import concluded
@@ -76,7 +76,8 @@ class _Run:
 
     given: flights as measured, training ones first; sound: training flights without stuck channels; training, holdout: as fits
     take them. notes_before, notes_after: those of the records stand between. stale: outputs that repeat values. effects:
-    candidates, None for the whole catalogue.
+    candidates, None for the whole catalogue. stretched: in records cut where a fit grew, which is wrong about what controls
+    answer.
     """
 
     given: tuple[Flight, ...]
@@ -89,6 +90,7 @@ class _Run:
     effects: Sequence[Effect] | None
     options: Options
     tell: ProgressCallback
+    stretched: bool = False
 
     @classmethod
     def of(
@@ -136,13 +138,13 @@ class _Run:
         flights = [*self.training, *self.holdout]
         if loop is None:
             setting, baseline = self._fitted(base)
-            loop = self._loop_about(baseline)
-            if not loop.gains:
+            loop = None if self.stretched else self._loop_about(baseline)
+            if loop is None or not loop.gains:
                 return setting, baseline
         for _ in range(LOOP_PASSES):
             try:
                 setting, baseline = self._without_answers(loop)._fitted(base, loop)
-            except GapError:  # a loop in which the motion runs away is not the one that was flown
+            except (GapError, DataError):  # a loop that runs away, or steers by radians, is not the one that was flown
                 return self._fitted(base)
             renewed = ClosedLoop.of(baseline, flights, loop.gains)
             if renewed.is_near(loop, baseline.problem.records):
@@ -179,25 +181,17 @@ class _Run:
         still = [loop.without_answers(i, f) for i, f in enumerate(flights)]
         return replace(self, training=tuple(still[:count]), holdout=tuple(still[count:]))
 
-    def in_stretches(self, setting: Setting, baseline: Baseline | None = None) -> "_Run | None":
-        """The same with records over which the motion of a fit grows little, None where it does so anyway. baseline: the fit,
-        None where it ran away."""
-        longest = stretch_that_holds(setting.working, setting.prepared, baseline)
+    def in_stretches(self, baseline: Baseline) -> "_Run | None":
+        """The same with records over which the motion of a fit grows little; None where it does so anyway."""
+        longest = stretch_that_holds(baseline)
         if longest is None:
             return None
         self.tell(f"once more in stretches of {longest:.0f} s, over which the fitted motion grows little", 0.05)
-        return replace(
-            self, options=replace(self.options, criteria=replace(self.options.criteria, longest_record=longest))
-        )
+        criteria = replace(self.options.criteria, longest_record=longest)
+        return replace(self, options=replace(self.options, criteria=criteria), stretched=True)
 
     def _fitted(self, base: Model, loop: ClosedLoop | None = None) -> tuple[Setting, Baseline]:
         """What all rounds share and the first fit. loop: of controls that answer gusts, whose answers the flights lack."""
-        setting = self.prepared(base, loop)
-        self.tell("fitting the baseline", 0.05)
-        return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
-
-    def prepared(self, base: Model, loop: ClosedLoop | None) -> Setting:
-        """What all rounds share. loop: as in `_fitted`."""
         options = self.options
         candidates = tuple(self.effects) if self.effects is not None else catalogue(model=base)
         candidates += missing_derivatives(base, {e.name for e in candidates})
@@ -206,7 +200,9 @@ class _Run:
         prepared = replace(prepared, notes=notes, stale=self.stale)
         attitude_intervals, commanded = stamped_attitudes(base, self.given), rare_commands(base, self.training)
         level_std = levels(base, self.given)
-        return _setting(prepared, candidates, level_std, attitude_intervals, commanded, options, self.tell, loop)
+        setting = _setting(prepared, candidates, level_std, attitude_intervals, commanded, options, self.tell, loop)
+        self.tell("fitting the baseline", 0.05)
+        return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
 
 
 def run_gap(
@@ -245,7 +241,7 @@ def run_gap(
     check = kinematic_check(measured, found.setting.effects, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
     answer = concluded(found.setting, found.search, check)
-    if answer.verdict not in NAMED and (shorter := found.in_stretches()):
+    if answer.verdict not in NAMED and (shorter := found.run.in_stretches(found.search.rounds[0].baseline)):
         try:
             again = _searched(shorter, model)
             renewed = concluded(again.setting, again.search, check)
@@ -273,10 +269,6 @@ class _Found:
     search: SearchState
     moved: str
 
-    def in_stretches(self) -> _Run | None:
-        """The run with records over which the motion that the first round fitted grows little; None where it does so anyway."""
-        return self.run.in_stretches(self.setting, self.search.rounds[0].baseline)
-
 
 def _searched(run: _Run, model: Model) -> _Found:
     """The base fitted to the flights of a run, without wrong single values, and all rounds of the search. Raises GapError where
@@ -284,15 +276,8 @@ def _searched(run: _Run, model: Model) -> _Found:
     try:
         setting, baseline = run.set_up(model)
     except GapError as error:
-        try:
-            model = _with_estimated_starts(model, run.training, error)
-            setting, baseline = run.set_up(model)
-        except GapError:
-            shorter = run.in_stretches(run.prepared(model, None))
-            if shorter is None:
-                raise
-            run = shorter
-            setting, baseline = run.set_up(model)
+        model = _with_estimated_starts(model, run.training, error)
+        setting, baseline = run.set_up(model)
     for _ in range(SPIKE_PASSES):
         if not (spikes := _spikes(baseline)):
             break

@@ -300,15 +300,14 @@ def _linear_motions(problem: LikelihoodProblem, values: Mapping[str, float]) -> 
     return [linear_motion(problem.model, problem.simulator, s, values) for s in problem.coarse]
 
 
-def stretch_that_holds(model: Model, prepared: FlightRecords, baseline: Baseline | None) -> float | None:
-    """Length [s] of records over which the motion of `model` does not grow out of hand; None where those that it was fitted to are
-    no longer. baseline: the fit, None where it ran away."""
-    if baseline is not None and fastest_growth(baseline.problem, baseline.fit) < GROWS:
+def stretch_that_holds(baseline: Baseline) -> float | None:
+    """Length [s] of records over which the motion of a fit grows little, by its own values and by a regression; None where it
+    does not grow, or its records are no longer."""
+    problem = baseline.problem
+    if fastest_growth(problem, baseline.fit) < GROWS:
         return None
-    problem = LikelihoodProblem(model, prepared.base, prepared.of(prepared.training), (), prepared.criteria)
-    fits = [by_regression(problem), {} if baseline is None else baseline.fit.values]
-    growing = max([GROWS, *(growth(m) for values in fits if values for m in _linear_motions(problem, values))])
-    longest = max(FOLDS / growing, SHORTEST)
+    fits = [v for v in (baseline.fit.values, by_regression(problem)) if v]
+    longest = max(FOLDS / max(growth(m) for values in fits for m in _linear_motions(problem, values)), SHORTEST)
     return longest if longest < max(float(np.ptp(r.time)) for r in problem.records) else None
 
 

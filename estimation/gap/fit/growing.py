@@ -25,8 +25,8 @@ SHORTEST = 4.0  # s, of a stretch
 
 @dataclass(frozen=True)
 class BoundedMotion:
-    """One record of a fit whose motion grows. fitted: (N, ny) its outputs; inputs: (2N - 1, nu) with which, middles between samples
-    included; linear: small motion about it, over all inputs, in steps of half a sample."""
+    """One record of a fit whose motion grows. fitted: (N, ny) its outputs; inputs: (2N - 1, nu) with which, middles between
+    samples included; linear: small motion about it, over all inputs, in steps of half a sample."""
 
     fitted: Array
     inputs: Array
@@ -66,8 +66,8 @@ def growth(linear: Linear) -> float:
 
 
 def bounded_response(linear: Linear, courses: Array) -> Array:
-    """(N, ny, k) changes of the outputs by k small courses (N, inputs, k) of the inputs, linear between samples `linear.dt` apart:
-    modes that grow are at rest in the end, all others in the beginning."""
+    """(N, ny, k) changes of the outputs by k small courses (N, inputs, k) of the inputs, on straight lines between samples
+    `linear.dt` apart: modes that grow are at rest in the end, all others in the beginning."""
     nx, h = len(linear.A), linear.dt
     growing = _projector(linear.A)
     remaining = np.eye(nx) - growing

@@ -26,6 +26,7 @@ from estimation.models.base import Model
 SMALL = 0.05  # usual sizes: secant steps to both sides, within which every smooth effect is linear
 LARGE = 0.3  # usual sizes: step to one side, large enough for a play or a delay to act
 SEEN = 1e-6  # of a column's squared length: less beside the base is rounding
+ROUNDING = 1e-12  # of a column's squared length: what elimination leaves of one that the base absorbs
 TINY = 1e-300  # keeps a column without length from dividing by zero
 SMALLEST_TAIL = 1e-300  # a probability that still has a quantile
 
@@ -188,8 +189,11 @@ class Projected:
         return cls(rest[:k, :k], rest[:k, k:], np.diag(rest)[k:].copy(), np.diag(gram)[n : n + k].copy())
 
     def scores(self) -> Array:
-        """(k, m) signed scores of single columns: unit variance where the noise model is right and nothing is hidden."""
-        return self.b / np.sqrt(np.maximum(np.diag(self.B), TINY))[:, None]
+        """(k, m) signed scores of single columns: unit variance where the noise model is right and nothing is hidden; zero where
+        the base absorbs a column to rounding."""
+        square = np.diag(self.B)
+        visible = square > ROUNDING * self.raw
+        return np.where(visible[:, None], self.b / np.sqrt(np.where(visible, square, 1.0))[:, None], 0.0)
 
     def gain(self, subset: Sequence[int]) -> float:
         """Twice the log-likelihood that a set of columns gains on the data."""

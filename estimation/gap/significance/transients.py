@@ -20,7 +20,7 @@ from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round, unknown_above
-from estimation.gap.significance.screen import SEEN, SMALLEST_TAIL, TINY, shared_prior
+from estimation.gap.significance.screen import SEEN, SMALLEST_TAIL, shared_prior
 from estimation.gap.significance.tangent import (
     AT_ONCE,
     RecordTangent,
@@ -296,8 +296,8 @@ def _scored(
     """(events,) scores of all events beside those selected, zero for these; and the limit from the nulls."""
     possible = products.possible
     projected = ProjectedColumns.of(products, [c for e in selected for c in possible.members[e]], rows)
-    single = projected.b**2 / np.maximum(projected.square, TINY)[:, None]
-    single[projected.square <= SEEN * products.raw] = 0.0
+    visible = projected.square > SEEN * products.raw
+    single = np.where(visible[:, None], projected.b**2 / np.where(visible, projected.square, 1.0)[:, None], 0.0)
     gains = np.zeros((len(possible.events), projected.b.shape[1]))
     for e, members in enumerate(possible.members):
         if e not in selected:

@@ -231,8 +231,12 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
         known = stub(hypotheses=asked[:2])
         return Round(none, known, np.zeros(2), np.array([5.0, threshold]), threshold, none)
 
-    def confirmed(setting: Any, round_: Round, candidate: FittedHypothesis, nameless: float) -> tuple[str | None, str]:
-        given.update(baseline=round_.baseline, inflation=list(round_.inflation), gains=list(round_.gains))
+    def confirmed(
+        setting: Any, round_: Round, candidate: FittedHypothesis, nameless: float, nulls_of: Round
+    ) -> tuple[str | None, str]:
+        given.update(
+            baseline=round_.baseline, inflation=list(round_.inflation), gains=list(round_.gains), nulls=nulls_of
+        )
         return (None, "does not repeat") if candidate.hypothesis.label == "new" else ("child", "")
 
     def better(found: Any, gain: float, threshold: float, criteria: Any) -> list[FittedHypothesis]:
@@ -261,8 +265,10 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     record = stub(inputs=("delta_a",), input_noise={"delta_a": 0.002}, interval=0.05)
     without = stub(problem=stub(records=[record]), criteria=AS_SET, clean=None, fit=stub(cost=1000.0))
     old = stub(candidate=rival("own", 200.0, 4.0), round_=round_of(9.0))
-    found = searching._rival(stub(effects=(), prepared=stub(available=())), without, old, round_of(4.5), 100.0)
+    last = round_of(4.5)
+    found = searching._rival(stub(effects=(), prepared=stub(available=())), without, old, last, 100.0)
     assert found is not None
+    assert given.pop("nulls") is last, "the screen without the earlier effect has none"
     assert (found[0].hypothesis.label, found[1]) == ("other", "child")
     assert given.pop("gain") == pytest.approx(25.0)
     assert given.pop("beyond") == pytest.approx(1000.0 - 0.25 * (25.0 + 9.0)), "what a rival has to gain"
