@@ -67,7 +67,7 @@ from groundstation.flight import Flight
 
 LOOP_PASSES = 4  # fits about which the answers of the controls to gusts are found; two settle them in usual gusts
 SPIKE_PASSES = 2  # a large spike bends the first fit, so that others hide beside it
-NAMED = (GapVerdict.GAP_CLOSED, GapVerdict.GAP_REDUCED)
+NAMED = frozenset({GapVerdict.GAP_CLOSED, GapVerdict.GAP_REDUCED})
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,15 @@ class _Run:
             return None
         self.tell(f"once more in stretches of {longest:.0f} s, over which the fitted motion grows little", 0.05)
         criteria = replace(self.options.criteria, longest_record=longest)
-        return replace(self, options=replace(self.options, criteria=criteria), stretched=True)
+        note = (
+            f"in whole records the fitted motion grows and no name stands: fitted in stretches of up to {longest:.1f} s"
+        )
+        return replace(
+            self,
+            options=replace(self.options, criteria=criteria),
+            notes_after=(*self.notes_after, note),
+            stretched=True,
+        )
 
     def _fitted(self, base: Model, loop: ClosedLoop | None = None) -> tuple[Setting, Baseline]:
         """What all rounds share and the first fit. loop: of controls that answer gusts, whose answers the flights lack."""
@@ -247,7 +255,7 @@ def run_gap(
             renewed = concluded(again.setting, again.search, check)
         except GapError:  # nothing is lost: the first answer stands
             renewed = answer
-        if renewed.verdict in NAMED:
+        if renewed.verdict in NAMED | {GapVerdict.NO_GAP}:
             found, answer = again, renewed
     unmoved = unmoved_in_words(flights, model)
     remarks = (found.moved, late_commands(found.run.training, found.baseline), not_compared(full_model, model))

@@ -1,13 +1,18 @@
 """A fit whose motion grows: bounded responses, nulls that no pilot flies, and records short enough for it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
 from estimation.engine.kernel import Array
+from estimation.gap import workflow
+from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.criteria import AS_SET
+from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fastest_growth, fit_baseline, stretch_that_holds
 from estimation.gap.fit.channel_noise import channel_noise, sample_interval
 from estimation.gap.fit.growing import BoundedMotion, bounded_response, growth
@@ -136,6 +141,7 @@ def test_a_bounded_motion_differs_from_a_simulated_one_by_the_growing_mode(
 def test_records_are_as_short_as_the_motion_grows_fast(divergent: tuple[FlightRecords, Baseline]) -> None:
     _, baseline = divergent
     longest = stretch_that_holds(baseline)
+    assert longest is not None
     assert longest == pytest.approx(3.0 / GROWING, rel=0.25)
     criteria = replace(AS_SET, longest_record=longest)
     short = prepare_flights(DIVERGENT, (), [controlled(1), controlled(2)], (), criteria)
@@ -144,3 +150,51 @@ def test_records_are_as_short_as_the_motion_grows_fast(divergent: tuple[FlightRe
     assert stretch_that_holds(cut) is None
     steady = replace(baseline, fit=replace(baseline.fit, values={**baseline.fit.values, "L_p": 0.1}))
     assert stretch_that_holds(steady) is None
+
+
+ANSWER = GapResult(GapVerdict.NO_GAP, "", {}, (), {}, 4.0, 3.0, (), (), DIVERGENT, DIVERGENT)
+CLOSED, UNKNOWN, NOTHING = GapVerdict.GAP_CLOSED, GapVerdict.UNKNOWN, GapVerdict.NO_GAP
+BLIND, REDUCED = GapVerdict.CANNOT_TELL, GapVerdict.GAP_REDUCED
+
+
+@pytest.mark.parametrize(
+    ("whole", "grows", "stretched", "verdict"),
+    [
+        (CLOSED, True, NOTHING, CLOSED),
+        (REDUCED, True, CLOSED, REDUCED),
+        (UNKNOWN, False, CLOSED, UNKNOWN),
+        (UNKNOWN, True, CLOSED, CLOSED),
+        (NOTHING, True, REDUCED, REDUCED),
+        (BLIND, True, NOTHING, NOTHING),
+        (UNKNOWN, True, NOTHING, NOTHING),
+        (UNKNOWN, True, BLIND, UNKNOWN),
+        (NOTHING, True, UNKNOWN, NOTHING),
+        (UNKNOWN, True, None, UNKNOWN),
+    ],
+)
+def test_where_whole_records_leave_no_name_stretches_are_asked(
+    monkeypatch: pytest.MonkeyPatch,
+    divergent: tuple[FlightRecords, Baseline],
+    whole: GapVerdict,
+    grows: bool,
+    stretched: GapVerdict | None,
+    verdict: GapVerdict,
+) -> None:
+    """They settle what they name, or show to be nothing; None stands for stretches on which the motion runs away."""
+    baseline = divergent[1]
+
+    def searched(run: Any, model: Model) -> Any:
+        if run.stretched and stretched is None:
+            raise GapError("runs away")
+        assert not run.stretched or "in stretches of up to" in run.notes_after[-1]
+        first = baseline if grows else replace(baseline, fit=replace(baseline.fit, values={"L_p": -6.0, "L_a": 4.0}))
+        rounds = SimpleNamespace(rounds=[SimpleNamespace(baseline=first)])
+        setting: Any = SimpleNamespace(effects=(), verdict=stretched if run.stretched else whole)
+        return workflow._Found(run, setting, first, cast(Any, rounds), "")
+
+    monkeypatch.setattr(workflow, "_searched", searched)
+    monkeypatch.setattr(workflow, "kinematic_check", lambda *given: None)
+    monkeypatch.setattr(workflow, "late_commands", lambda *given: "")
+    monkeypatch.setattr(workflow, "turned_signs", lambda *given: [])
+    monkeypatch.setattr(workflow, "concluded", lambda setting, search, check: replace(ANSWER, verdict=setting.verdict))
+    assert workflow.run_gap(DIVERGENT, [controlled(1), controlled(2)]).verdict is verdict
