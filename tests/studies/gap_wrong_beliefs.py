@@ -74,7 +74,7 @@ def main() -> None:
                 began = time.process_time()
                 result = run_gap(model, four[:3], four[3:], options=Options(seed=1, nulls=a.nulls))
                 told = "; ".join(
-                    f"{s.effect} {s.score:.1f} of {s.threshold:.1f}, {s.holdout.closed:.2f}" if s.holdout else s.effect
+                    f"{s.effect} {s.score:.1f} of {s.threshold:.1f}, {s.holdout.counted:.2f}" if s.holdout else s.effect
                     for s in result.steps
                 )
                 names = [s.effect for s in result.steps]

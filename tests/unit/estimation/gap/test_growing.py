@@ -75,7 +75,7 @@ def test_noise_of_a_growing_motion_has_the_power_that_its_whitener_expects() -> 
 def controlled(seed: int, growing: float = GROWING, duration: float = 20.0) -> Flight:
     """Roll that grows, in gusts, held by a pilot between pulses of the aileron."""
     rng, count = np.random.default_rng(seed), round(duration / STEP)
-    time, p, aileron = STEP * np.arange(count), np.zeros(count), np.zeros(count)
+    time, p, aileron = STEP * np.arange(count, dtype=np.float64), np.zeros(count), np.zeros(count)
     pulses = 0.3 * (np.floor(time / 1.5 + seed) % 4 == 0) - 0.3 * (np.floor(time / 1.5 + seed) % 4 == 2)
     for k in range(count - 1):
         aileron[k] = pulses[k] - 0.5 * (p[k - 10] if k >= 10 else 0.0)
