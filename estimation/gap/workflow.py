@@ -255,7 +255,8 @@ def run_gap(
             renewed = concluded(again.setting, again.search, check)
         except GapError:  # nothing is lost: the first answer stands
             renewed = answer
-        if renewed.verdict in NAMED | {GapVerdict.NO_GAP}:
+        settled = renewed.verdict in NAMED | {GapVerdict.NO_GAP}
+        if settled or (answer.verdict, renewed.verdict) == (GapVerdict.CANNOT_TELL, GapVerdict.UNKNOWN):
             found, answer = again, renewed
     unmoved = unmoved_in_words(flights, model)
     remarks = (found.moved, late_commands(found.run.training, found.baseline), not_compared(full_model, model))

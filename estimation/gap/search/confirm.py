@@ -5,14 +5,14 @@ parameters to the training flights. Its log evidence (Laplace approximation) is 
 price for an estimate far from its usual size and for a prior that is wide against the bound of the estimate.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.gap.effects.base import EffectParameter, Form
 from estimation.gap.fit.baseline import ROUGH, first_values
-from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.fitting import cost_at, fit
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, freed_by
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.records.candidate_model import awakened
@@ -33,11 +33,12 @@ AT_LIMIT = 1e-6  # of a parameter's range: an estimate so near to its end was st
 AT_NOTHING = 1e-3  # usual sizes: an estimate so near to no effect has shrunk to nothing
 SMALLEST_BOUND = 1e-12  # in place of a bound of zero, so that one can divide by it
 ABOVE = 1.0  # of the log-likelihood: a fit that ends so far above the base, which it contains, is in a wrong minimum
-AFAR = 4.0  # usual sizes: start of a lag that the base may have taken for slow motion of the aircraft
+AFAR = (4.0, 8.0)  # usual sizes: starts of a lag that the base may have taken for slow motion of the aircraft
 FOLLOWS = 1.5  # times the cost of the base: derivatives fitted with a wrong lag of that size cost twice to forty times as much
 PROBE_STEPS = 2  # then a fit from that start is given up if not near that cost; the right lag needs one or two
 NEARLY = 2.0  # times that cost
 STRAYED = 0.5  # of the stated value: a derivative farther from it, and by three bounds, may stand for such a lag
+HOLDS = 0.5  # of a stated derivative by a control: with less the base has lost what the control does
 
 
 @dataclass(frozen=True)
@@ -168,12 +169,15 @@ def fit_from_afar(problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hy
     slowed = {t.input for t in hypothesis.form.transforms if t.kind in ("delay", "lag")}
     if not (slowed and strayed(problem, base_fit, slowed)):
         return None
-    null_values = values_without_effect(hypothesis.form, problem.model)
-    start = {p.name: min(null_values[p.name] + AFAR * p.typical, p.upper) for p in hypothesis.form.parameters}
-    trial = replace(problem, model=awakened(problem.model, hypothesis.form, start))
+    null_values, begun = values_without_effect(hypothesis.form, problem.model), []
+    for size in AFAR:
+        start = {p.name: min(null_values[p.name] + size * p.typical, p.upper) for p in hypothesis.form.parameters}
+        trial = replace(problem, model=awakened(problem.model, hypothesis.form, start))
+        begun.append((trial, {**first_values(trial), **start}))
+    trial, values = min(begun, key=lambda b: cost_at(*b))
     locals_ = [carried_local(local, base_fit.model, trial.model) for local in base_fit.locals]
-    held, limit = [n for n in trial.free if n in start or trial.nuisance(n)], FOLLOWS * base_fit.cost
-    values, trial_fit = {**first_values(trial), **start}, None
+    late, limit = {p.name for p in hypothesis.form.parameters}, FOLLOWS * base_fit.cost
+    held, trial_fit = [n for n in trial.free if n in late or trial.nuisance(n)], None
     for steps, cost_limit in ((PROBE_STEPS, NEARLY * limit), (FIRST_STEPS - PROBE_STEPS, limit)):
         trial_fit = fit(trial, values, locals_, iterations=steps, enough=ROUGH, held=held, beyond=limit)
         if trial_fit.diverged or trial_fit.cost > cost_limit:
@@ -186,26 +190,36 @@ def strayed(problem: LikelihoodProblem, base_fit: ModelFit, controls: Collection
     """Whether a derivative of the fitted base that may stand for a late control is far from what the model states.
 
     Such are the derivatives by the motion in the coefficients that one of `controls` changes. True also where the model states
-    none of them.
+    none of them, and where the base finds less than half of every stated derivative by `controls`: with what comes half a second
+    late nothing correlates any more.
     """
     starts, std, bounds = problem.model.starts(), base_fit.std(), problem.criteria.certain
     non_zero = {n for n in problem.parameters if not problem.nuisance(n) and starts[n] != 0.0}
     stated = {n: starts[n] for n in non_zero & beside_controls(problem.base, controls)}
-    return not stated or any(
+    if not stated or any(
         abs(base_fit.values[n] - value) > STRAYED * abs(value) + bounds * std[n] for n, value in stated.items()
-    )
+    ):
+        return True
+    shares = [
+        base_fit.values[n] / starts[n] for n in non_zero & by_controls(problem.base.definitions.values(), controls)
+    ]
+    return bool(shares) and max(shares) < HOLDS
 
 
 def beside_controls(model: Model, controls: Collection[str]) -> set[str]:
     """Names in the lines of a model that contain one of `controls`, without the factors of any control.
 
-    A control's effectiveness says nothing about when the control moves.
+    A control's effectiveness says nothing about when the control moves, as long as there is some.
     """
     all_controls = {s.name for s in model.inputs if s.control}
     lines = [text for text in model.definitions.values() if names_in(text) & set(controls)]
+    return {name for text in lines for name in names_in(text)} - by_controls(lines, all_controls)
+
+
+def by_controls(lines: Iterable[str], controls: Collection[str]) -> set[str]:
+    """Names in those products of some lines that contain one of `controls`."""
     products = [product for text in lines for product in products_in(text)]
-    effectiveness = {name for product in products if product & all_controls for name in product}
-    return {name for text in lines for name in names_in(text)} - effectiveness
+    return {name for product in products if product & set(controls) for name in product}
 
 
 def _nearer(

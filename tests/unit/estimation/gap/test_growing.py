@@ -166,6 +166,7 @@ BLIND, REDUCED = GapVerdict.CANNOT_TELL, GapVerdict.GAP_REDUCED
         (UNKNOWN, True, CLOSED, CLOSED),
         (NOTHING, True, REDUCED, REDUCED),
         (BLIND, True, NOTHING, NOTHING),
+        (BLIND, True, UNKNOWN, UNKNOWN),
         (UNKNOWN, True, NOTHING, NOTHING),
         (UNKNOWN, True, BLIND, UNKNOWN),
         (NOTHING, True, UNKNOWN, NOTHING),

@@ -10,7 +10,7 @@ from estimation.gap.fit.channel_noise import channel_noise, sample_interval
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
 from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.search import accept as accepting
-from estimation.gap.search.confirm import fit_from_afar, fit_hypothesis
+from estimation.gap.search.confirm import fit_from_afar, fit_hypothesis, strayed
 from estimation.gap.significance import measured_again
 from estimation.gap.significance.screen import Hypothesis, hypotheses_for
 from estimation.models.dependence import force_states
@@ -90,3 +90,28 @@ def test_the_bound_of_a_late_control_is_that_of_what_it_is_weighed_against(
     monkeypatch.setattr(accepting, "individual_inflation", lambda _: {found.hypothesis.key: 4.0})
     child = stub(fit=stub(values={name: 0.5}, std=lambda: {name: 0.1}))
     assert accepting.estimates_of(ROUND, found, child)[name] == (0.5, pytest.approx(bound))
+
+
+@pytest.mark.parametrize(
+    ("found", "controls", "lost"),
+    [
+        ({}, {"delta_a"}, False),
+        ({"Cl_da": -0.04}, {"delta_a"}, True),  # of -0.0963
+        ({"Cl_da": -0.05}, {"delta_a"}, False),
+        ({"Cl_da": -0.04}, {"delta_r"}, False),
+        ({"CY_dr": 0.1, "Cl_dr": -0.01}, {"delta_r"}, False),  # a yawing moment is left
+        ({"CY_dr": 0.1, "Cl_dr": -0.01, "Cn_dr": 0.002}, {"delta_r"}, True),
+        ({"Cl_p": -0.2}, {"delta_a"}, True),
+        ({"Cl_p": -0.2}, {"delta_r"}, True),  # which rolls the aircraft too
+    ],
+)
+def test_a_base_has_lost_a_control_of_which_it_finds_less_than_half(
+    found: dict[str, float], controls: set[str], lost: bool
+) -> None:
+    """Half a second behind the record nothing correlates with it any more, and all derivatives of its coefficient are open."""
+    starts = LATERAL.starts()
+    problem = stub(
+        model=LATERAL, base=LATERAL, parameters=LATERAL.free_names, nuisance=lambda name: False, criteria=AS_SET
+    )
+    fit = stub(values={**starts, **found}, std=lambda: dict.fromkeys(starts, 0.0))
+    assert strayed(problem, fit, controls) is lost
