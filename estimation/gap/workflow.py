@@ -241,7 +241,7 @@ def run_gap(
     run = _Run.of(model, training, holdout, comparison_notes, effects, options, tell)
     doubts = [*broken_in_words(flights, full_model), *doubts_of(flights, model)]
     try:
-        found = _searched(run, model)
+        found = _find(run, model)
     except GapError as error:
         raise GapError("; ".join([str(error), *doubts[:1]])) from error
     tell("kinematic check", 0.9)
@@ -251,7 +251,7 @@ def run_gap(
     answer = concluded(found.setting, found.search, check)
     if answer.verdict not in NAMED and (shorter := found.run.in_stretches(found.search.rounds[0].baseline)):
         try:
-            again = _searched(shorter, model)
+            again = _find(shorter, model)
             renewed = concluded(again.setting, again.search, check)
         except GapError:  # nothing is lost: the first answer stands
             renewed = answer
@@ -279,7 +279,7 @@ class _Found:
     moved: str
 
 
-def _searched(run: _Run, model: Model) -> _Found:
+def _find(run: _Run, model: Model) -> _Found:
     """The base fitted to the flights of a run, without wrong single values, and all rounds of the search. Raises GapError where
     the motion runs away."""
     try:

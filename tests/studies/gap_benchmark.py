@@ -158,9 +158,8 @@ def run(kind: str, size: float, start: int, count: int, gust: float, manoeuvres:
             print(one_line(row), flush=True)
 
 
-REFUSED: Mapping[str, Any] = {
-    "verdict": "refused", "steps": [], "scores": {}, "left": [], "left_what": [], "rejected": [], "cannot": 0,
-}  # fmt: skip
+NOTHING: Mapping[str, Any] = {n: [] for n in ("steps", "left", "left_what", "rejected")}
+REFUSED: Mapping[str, Any] = {**NOTHING, "verdict": "refused", "scores": {}, "cannot": 0}
 
 
 def outcome(result: GapResult) -> dict[str, Any]:

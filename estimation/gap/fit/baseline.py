@@ -19,10 +19,9 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes
 from estimation.gap.fit.fitting import ENOUGH, cost_at, fit
-from estimation.gap.fit.growing import FOLDS, GROWS, SHORTEST, growth
+from estimation.gap.fit.growing import FOLDS, GROWS, SHORTEST, fastest_growth, growth, linear_motions
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local
 from estimation.gap.fit.spectra import (
-    Linear,
     NoiseModel,
     NoisePart,
     NoiseSource,
@@ -289,25 +288,16 @@ def _calmer_fit(baseline: Baseline) -> ModelFit | None:
     return alternative if close and fastest_growth(baseline.problem, alternative) < CALMER * growing else None
 
 
-def fastest_growth(problem: LikelihoodProblem, model_fit: ModelFit) -> float:
-    """The largest `growth` [1/s] on any record."""
-    return max(growth(motion) for motion in _linear_motions(problem, model_fit.values))
-
-
-def _linear_motions(problem: LikelihoodProblem, values: Mapping[str, float]) -> list[Linear]:
-    """The motion of a model about every record."""
-    values = {**problem.starts(), **values}
-    return [linear_motion(problem.model, problem.simulator, s, values) for s in problem.coarse]
-
-
 def stretch_that_holds(baseline: Baseline) -> float | None:
     """Length [s] of records over which the motion of a fit grows little, by its own values and by a regression; None where it
     does not grow, or its records are no longer."""
     problem = baseline.problem
-    if fastest_growth(problem, baseline.fit) < GROWS:
+    growing = fastest_growth(problem, baseline.fit)
+    if growing < GROWS:
         return None
-    fits = [v for v in (baseline.fit.values, by_regression(problem)) if v]
-    longest = max(FOLDS / max(growth(m) for values in fits for m in _linear_motions(problem, values)), SHORTEST)
+    if values := by_regression(problem):
+        growing = max(growing, *(growth(m) for m in linear_motions(problem, values)))
+    longest = max(FOLDS / growing, SHORTEST)
     return longest if longest < max(float(np.ptp(r.time)) for r in problem.records) else None
 
 

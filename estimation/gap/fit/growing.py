@@ -7,7 +7,7 @@ rest in the end, integrated backwards: S. Devasia, D. Chen and B. Paden, "Nonlin
 Transactions on Automatic Control 41 (1996), 930-942, section III.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,41 +23,12 @@ FOLDS = 3.0  # by which power of e the motion may grow in a stretch: 20 times th
 SHORTEST = 4.0  # s, of a stretch
 
 
-@dataclass(frozen=True)
-class BoundedMotion:
-    """One record of a fit whose motion grows. fitted: (N, ny) its outputs; inputs: (2N - 1, nu) with which, middles between
-    samples included; linear: small motion about it, over all inputs, in steps of half a sample."""
-
-    fitted: Array
-    inputs: Array
-    linear: Linear
-
-    @classmethod
-    def of(cls, problem: LikelihoodProblem, model_fit: ModelFit) -> "tuple[BoundedMotion | None, ...]":
-        """Those of all records; None each where the motion grows on none, or where one runs away with its own inputs."""
-        names, values = problem.model.input_names, model_fit.values
-        motions = [linear_motion(problem.model, problem.simulator, s, values, names) for s in problem.coarse]
-        if max(growth(m) for m in motions) < GROWS:
-            return (None,) * len(motions)
-        made: list[BoundedMotion | None] = []
-        for i, linear in enumerate(motions):
-            fitted, inputs = (
-                problem.modelled(i, values, model_fit.locals[i]),
-                problem.driven(problem.grids[i], values).u,
-            )
-            made.append(None if fitted is None else cls(fitted, inputs, replace(linear, dt=0.5 * linear.dt)))
-        return tuple(made)
-
-    def outputs(self, inputs: Array) -> Array:
-        """(N, ny) with other inputs (2N - 1, nu)."""
-        return np.asarray(self.fitted + bounded_response(self.linear, (inputs - self.inputs)[:, :, None])[::2, :, 0])
-
-    def changes(self, courses: Sequence[Array]) -> Array:
-        """(k, N, ny) by changes (N, nu) of the inputs, on straight lines between samples."""
-        if not courses:
-            return np.zeros((0, *self.fitted.shape))
-        whole = replace(self.linear, dt=2.0 * self.linear.dt)
-        return np.moveaxis(bounded_response(whole, np.stack(courses, axis=2)), 2, 0)
+def linear_motions(
+    problem: LikelihoodProblem, values: Mapping[str, float], inputs: Sequence[str] | None = None
+) -> list[Linear]:
+    """The motion of a model about every record. inputs: by default its controls."""
+    values = {**problem.starts(), **values}
+    return [linear_motion(problem.model, problem.simulator, s, values, inputs) for s in problem.coarse]
 
 
 def growth(linear: Linear) -> float:
@@ -65,23 +36,43 @@ def growth(linear: Linear) -> float:
     return float(np.linalg.eigvals(linear.A).real.max())
 
 
-def bounded_response(linear: Linear, courses: Array) -> Array:
-    """(N, ny, k) changes of the outputs by k small courses (N, inputs, k) of the inputs, on straight lines between samples
-    `linear.dt` apart: modes that grow are at rest in the end, all others in the beginning."""
-    nx, h = len(linear.A), linear.dt
-    growing = _projector(linear.A)
-    remaining = np.eye(nx) - growing
-    # over one interval the motion and the integral of its response to a constant input
-    block = expm(h * np.block([[linear.A, linear.B], [np.zeros((linear.B.shape[1], nx + linear.B.shape[1]))]]))
-    forward, backward = remaining @ block[:nx, :nx], growing @ expm(-h * linear.A)
-    drive = np.einsum("xu,nuk->nxk", block[:nx, nx:], 0.5 * (courses[1:] + courses[:-1]))
-    states, later = np.zeros((len(courses), nx, courses.shape[2])), np.zeros((nx, courses.shape[2]))
-    for n, push in enumerate(drive):
-        states[n + 1] = forward @ states[n] + remaining @ push
-    for n in range(len(drive) - 1, -1, -1):
-        later = backward @ (later - drive[n])
-        states[n] += later
-    return np.asarray(linear.C @ states + linear.D @ courses)
+def fastest_growth(problem: LikelihoodProblem, model_fit: ModelFit) -> float:
+    """The largest `growth` [1/s] on any record."""
+    return max(growth(motion) for motion in linear_motions(problem, model_fit.values))
+
+
+@dataclass(frozen=True)
+class BoundedResponse:
+    """Small motion in steps: modes that grow are at rest in the end, all others in the beginning.
+
+    forward: (nx, nx) over one step, of the others; backward: of those that grow, over one step back; push: (nx, nu) by an input
+    that is constant over a step; growing: (nx, nx) projector onto the modes that grow. linear: the motion, in such steps.
+    """
+
+    linear: Linear
+    forward: Array
+    backward: Array
+    push: Array
+    growing: Array
+
+    @classmethod
+    def of(cls, linear: Linear) -> "BoundedResponse":
+        """In steps of `linear.dt`."""
+        (nx, nu), h, growing = linear.B.shape, linear.dt, _projector(linear.A)
+        block = expm(h * np.block([[linear.A, linear.B], [np.zeros((nu, nx + nu))]]))
+        forward, backward = (np.eye(nx) - growing) @ block[:nx, :nx], growing @ expm(-h * linear.A)
+        return cls(linear, forward, backward, block[:nx, nx:], growing)
+
+    def outputs(self, courses: Array) -> Array:
+        """(N, ny, k) changes of the outputs by k small courses (N, nu, k) of the inputs, on straight lines between steps."""
+        pushes = np.einsum("xu,nuk->nxk", self.push, 0.5 * (courses[1:] + courses[:-1]))
+        states, later = np.zeros((len(courses), *pushes.shape[1:])), np.zeros(pushes.shape[1:])
+        for n, push in enumerate(pushes):
+            states[n + 1] = self.forward @ states[n] + push - self.growing @ push
+        for n in range(len(pushes) - 1, -1, -1):
+            later = self.backward @ (later - pushes[n])
+            states[n] += later
+        return np.asarray(self.linear.C @ states + self.linear.D @ courses)
 
 
 def _projector(A: Array) -> Array:
@@ -90,3 +81,39 @@ def _projector(A: Array) -> Array:
     grows = values.real > STANDING
     left, right = left[:, grows], right[:, grows]
     return np.asarray(np.real(right @ np.linalg.solve(left.conj().T @ right, left.conj().T)))
+
+
+@dataclass(frozen=True)
+class BoundedMotion:
+    """One record of a fit whose motion grows. fitted: (N, ny) its outputs; inputs: (2N - 1, nu) with which, middles between
+    samples included; linear: small motion about it, over all inputs, in steps of one sample; by_middles: its response in steps
+    of half a sample."""
+
+    fitted: Array
+    inputs: Array
+    linear: Linear
+    by_middles: BoundedResponse
+
+    @classmethod
+    def of(cls, problem: LikelihoodProblem, model_fit: ModelFit) -> "tuple[BoundedMotion | None, ...]":
+        """Those of all records; None each where the motion grows on none, or where one runs away with its own inputs."""
+        motions = linear_motions(problem, model_fit.values, problem.model.input_names)
+        if max(growth(m) for m in motions) < GROWS:
+            return (None,) * len(motions)
+        made: list[BoundedMotion | None] = []
+        for linear, grid, (i, local) in zip(motions, problem.grids, enumerate(model_fit.locals), strict=True):
+            fitted = problem.modelled(i, model_fit.values, local)
+            inputs = problem.driven(grid, model_fit.values).u
+            halves = BoundedResponse.of(replace(linear, dt=0.5 * linear.dt))
+            made.append(None if fitted is None else cls(fitted, inputs, linear, halves))
+        return tuple(made)
+
+    def outputs(self, inputs: Array) -> Array:
+        """(N, ny) with other inputs (2N - 1, nu)."""
+        return np.asarray(self.fitted + self.by_middles.outputs((inputs - self.inputs)[:, :, None])[::2, :, 0])
+
+    def changes(self, courses: Sequence[Array]) -> Array:
+        """(k, N, ny) by changes (N, nu) of the inputs, on straight lines between samples."""
+        if not courses:
+            return np.zeros((0, *self.fitted.shape))
+        return np.moveaxis(BoundedResponse.of(self.linear).outputs(np.stack(courses, axis=2)), 2, 0)

@@ -250,14 +250,13 @@ def _modelled(
     problem: LikelihoodProblem, fit: ModelFit, index: int, errors: InputErrors, bounded: BoundedMotion | None
 ) -> Modelled | None:
     """The modelled record, without realisations of errors with which the model runs away; None where it always does."""
+    names = problem.model.input_names
+    if bounded is not None:
+        return Modelled(bounded.fitted, bounded.changes([errors.course(names, n) for n in range(errors.count)]))
     local, coarse = fit.locals[index], problem.coarse[index]
     nominal = problem.modelled(index, fit.values, local)
     if nominal is None:
         return None
-    names = problem.model.input_names
-    if bounded is not None:
-        courses = [errors.course(names, number) for number in range(errors.count)]
-        return Modelled(nominal, bounded.changes(courses))
     perturbed = (
         problem.modelled(index, fit.values, local, inputs=coarse.u + errors.course(names, number))
         for number in range(errors.count)

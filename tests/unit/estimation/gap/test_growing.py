@@ -13,9 +13,9 @@ from estimation.gap import workflow
 from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.criteria import AS_SET
 from estimation.gap.errors import GapError
-from estimation.gap.fit.baseline import Baseline, fastest_growth, fit_baseline, stretch_that_holds
+from estimation.gap.fit.baseline import Baseline, fit_baseline, stretch_that_holds
 from estimation.gap.fit.channel_noise import channel_noise, sample_interval
-from estimation.gap.fit.growing import BoundedMotion, bounded_response, growth
+from estimation.gap.fit.growing import BoundedMotion, BoundedResponse, fastest_growth, growth
 from estimation.gap.fit.spectra import Linear
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
@@ -34,6 +34,10 @@ def linear(A: Array, B: Array, step: float = STEP) -> Linear:
     """Motion that shows all its states."""
     n, m = B.shape
     return Linear(A, B, np.eye(n), np.zeros((n, m)), ("delta_a",) * m, step, np.ones(n))
+
+
+def bounded_response(motion: Linear, courses: Array) -> Array:
+    return BoundedResponse.of(motion).outputs(courses)
 
 
 def test_a_mode_that_grows_is_at_rest_after_the_last_disturbance_and_moves_before_the_first() -> None:
@@ -193,7 +197,7 @@ def test_where_whole_records_leave_no_name_stretches_are_asked(
         setting: Any = SimpleNamespace(effects=(), verdict=stretched if run.stretched else whole)
         return workflow._Found(run, setting, first, cast(Any, rounds), "")
 
-    monkeypatch.setattr(workflow, "_searched", searched)
+    monkeypatch.setattr(workflow, "_find", searched)
     monkeypatch.setattr(workflow, "kinematic_check", lambda *given: None)
     monkeypatch.setattr(workflow, "late_commands", lambda *given: "")
     monkeypatch.setattr(workflow, "turned_signs", lambda *given: [])
