@@ -37,9 +37,15 @@ class Gap:
 
     @property
     def says_nothing(self) -> bool:
-        """Whether a closed share has no meaning: nothing stood above the floor, or little is closed of a gap that flights with
-        nothing hidden have too."""
-        return self.within_floor or (self.before <= self.highest and self.closed < self.enough)
+        """Whether a closed share has no meaning: nothing stood above the floor, little is closed of a gap that flights with nothing
+        hidden have too, or weather makes the gap grow with an effect that the likelihood confirms."""
+        outgrown = self.grows and self.confirmed is not None
+        return self.within_floor or outgrown or (self.before <= self.highest and self.closed < self.enough)
+
+    @property
+    def grows(self) -> bool:
+        """Whether the gap is no smaller with the effect."""
+        return self.after >= self.before
 
     @property
     def within_floor(self) -> bool:
@@ -69,7 +75,7 @@ class Gap:
 
     @property
     def _closed_of_nothing(self) -> float:
-        return 1.0 if self.after < self.before else 0.0
+        return 0.0 if self.grows else 1.0
 
     def to_json(self) -> dict[str, float]:
         data = {

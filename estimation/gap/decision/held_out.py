@@ -15,11 +15,6 @@ from estimation.gap.fit.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.significance.measure import Floors, plain_residuals, rms_over_noise
 
-FAR = 3.0
-"""Times the largest gap with nothing hidden: a held-out flight beyond that is another one. Seven sets with nothing hidden were at
-0.83 to 1.06, one with four times the gusts on that flight at 1.6, a dead aileron at 7.7, one of the wrong sign at 14
-(2026-11-28)."""
-
 
 def not_predicted(baseline: Baseline, prepared: FlightRecords, floor: Floors) -> NotPredicted | None:
     """The held-out flight farthest from the model, where the gap of all is too large; None otherwise, without held-out flights,
@@ -28,7 +23,7 @@ def not_predicted(baseline: Baseline, prepared: FlightRecords, floor: Floors) ->
         return None
     problem, fit = baseline.held_out
     gap = rms_over_noise(problem, fit, baseline.scatter)
-    if gap <= FAR * floor.highest:
+    if gap <= baseline.criteria.another_flight * floor.highest:
         return None
     squares = [
         (plain_residuals(problem, fit, i, baseline.scatter) / baseline.scatter) ** 2 for i in range(len(fit.residuals))
@@ -57,7 +52,7 @@ def held_out_step(unlike: NotPredicted, gap: Gap, floor: Floors) -> EffectStep:
         "a held-out flight that the model does not predict",
         Where(" and ".join(unlike.channels), unlike.channels, unlike.segments, f"on {unlike.flight}"),
         unlike.gap,
-        FAR * unlike.highest,
+        floor.criteria.another_flight * unlike.highest,
         gap,
         f"look at the instruments and the configuration of {unlike.flight}, or hold another flight out",
         Gap(unlike.gap, unlike.gap, floor.holdout_median or unlike.highest, unlike.highest),

@@ -181,13 +181,15 @@ class HeldOut:
 
         highest: gives the upper end of the gap with nothing hidden. Where the gap shrinks and is larger than those, it decides. A
         gap that shrinks may be chance's where nulls have one as large: then the likelihood must not speak against the effect,
-        unless it can tell nothing. One that grows must be such a gap, in which a small effect hardly shows, and the likelihood
-        must gain more than chance gives it.
+        unless it can tell nothing. Where it grows the likelihood must gain more than chance gives it; and the gap must be such a
+        one, in which a small effect hardly shows, or the likelihood must confirm the effect.
         """
         if self.after < self.before:
             return self.gain > 0.0 or self.before > highest() or self.confirmed is None
-        beyond_chance = self.gain > ndtri(criteria.null_level) ** 2
-        return bool(beyond_chance and max(self.before, self.after) <= highest())
+        if not self.gain > ndtri(criteria.null_level) ** 2:
+            return False
+        is_confirmed = self.confirmed is not None and self.confirmed >= criteria.closed_share
+        return max(self.before, self.after) <= highest() * (criteria.another_flight if is_confirmed else 1.0)
 
 
 def flight_gains(round_: Round, candidate: FittedHypothesis) -> list[float]:

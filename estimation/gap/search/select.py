@@ -99,9 +99,9 @@ def noise_candidates(round_: Round) -> list[int]:
 
 def held_first(ranked: Sequence[FittedHypothesis], criteria: Criteria) -> tuple[FittedHypothesis, ...]:
     """The candidates in their order, except that a derivative which the base holds at a fixed number goes before a leading term
-    that the base lacks, where it gains about as much. At one angle of attack a wrong `Cn_beta` and a missing `Cn_alpha_beta`
-    leave the same residuals, and chance would decide."""
-    held = [c for c in ranked if c.hypothesis.form.frees and c.gain >= ranked[0].gain - criteria.certain**2]
+    that the base lacks, where the evidence for it is about as much. At one angle of attack a wrong `Cn_beta` and a missing
+    `Cn_alpha_beta` leave the same residuals, and chance would decide."""
+    held = [c for c in ranked if c.hypothesis.form.frees and 2.0 * (ranked[0].evidence - c.evidence) <= criteria.certain**2]
     if not held or ranked[0].hypothesis.form.frees:
         return tuple(ranked)
     return (held[0], *(c for c in ranked if c is not held[0]))

@@ -71,7 +71,8 @@ class HeldOutLikelihood:
     """What the held-out flights say of one model beside another.
 
     With r the whitened residual of the first and d the change of the prediction by the second: gain, of the likelihood (twice its
-    logarithm), 2r'd - d'd, infinite where one of the motions runs away; predicted: d'd, None where one does.
+    logarithm), 2r'd - d'd where both have one covariance, infinite where one of the motions runs away; predicted: d'd, None where
+    one does.
     """
 
     gain: float
@@ -106,7 +107,10 @@ def held_out_likelihood(before: Baseline, after: Baseline) -> HeldOutLikelihood 
     )
     if first is None or second is None:  # both run away: no gain
         return HeldOutLikelihood(0.0 if first is second else np.inf if first is None else -np.inf, None)
-    return HeldOutLikelihood(float(first[0, 0] - second[0, 0]), float(first[1, 1]))
+    # gusts act through the model: about each of the two, one noise has another covariance
+    determinants = [sum(w.log_determinant for w in problem.whiteners) for problem, _ in (held_before, held_after)]
+    gain = first[0, 0] + determinants[0] - second[0, 0] - determinants[1]
+    return HeldOutLikelihood(float(gain), float(first[1, 1]))
 
 
 def _products_given_training(
@@ -175,7 +179,8 @@ def gaps(before: Baseline, after: Baseline, floor: Floors, chance: float = 1.0) 
     if held is None or floor.holdout_median is None:
         return training, None
     held_out = Gap(*held, floor.holdout_median, floor.highest, enough)
-    likelihood = held_out_likelihood(before, after) if held_out.says_nothing else None
+    asked = held_out.says_nothing or held_out.grows
+    likelihood = held_out_likelihood(before, after) if asked else None
     if likelihood is None:
         return training, held_out
     return training, replace(held_out, confirmed=likelihood.confirmed(chance, before.criteria))

@@ -13,7 +13,7 @@ from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.answer.words import conclude, describe_not_predicted, describe_step
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision import held_out
-from estimation.gap.decision.held_out import FAR, held_out_step, not_predicted
+from estimation.gap.decision.held_out import held_out_step, not_predicted
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.spectra import rms_measured
 from estimation.gap.pages.first_screen import next_steps
@@ -110,15 +110,16 @@ def judged(monkeypatch: pytest.MonkeyPatch, gap: float) -> Any:
     model = SimpleNamespace(output_names=("p", "beta"))
     baseline = SimpleNamespace(held_out=(problem, fit), scatter=np.ones(2), criteria=AS_SET, model=model)
     prepared = SimpleNamespace(names=("f0", "f1", "f2", "f3"))
-    floor = SimpleNamespace(highest=2.0, holdout_median=1.5)
+    floor = SimpleNamespace(highest=2.0, holdout_median=1.5, criteria=AS_SET)
     return not_predicted(*cast(Any, (baseline, prepared, floor)))
 
 
 def test_a_held_out_flight_is_unlike_the_others_half_as_far_again_as_nothing_hidden(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert judged(monkeypatch, 2.0 * FAR) is None
-    found = judged(monkeypatch, 2.0 * FAR + 0.01)
+    farthest = 2.0 * AS_SET.another_flight
+    assert judged(monkeypatch, farthest) is None
+    found = judged(monkeypatch, farthest + 0.01)
     assert (found.flight, found.channels, found.highest) == ("f3", ("beta",), 2.0)
     ((start, end),) = found.segments
     assert (start, end) == pytest.approx((5.0, 8.0), abs=0.6)
@@ -131,7 +132,7 @@ def test_without_held_out_flights_nothing_is_said_of_them() -> None:
 
 def test_the_words_on_such_a_flight_say_which_where_and_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     found = judged(monkeypatch, 9.0)
-    floor = cast(Any, SimpleNamespace(highest=2.0, holdout_median=1.5))
+    floor = cast(Any, SimpleNamespace(highest=2.0, holdout_median=1.5, criteria=AS_SET))
     step = held_out_step(found, Gap(1.2, 1.2, 1.2), floor)
     text = describe_step(replace(step, text=""))
     assert text.startswith(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import Gap, GapVerdict
-from estimation.gap.answer.words import describe_step
+from estimation.gap.answer.words import describe_step, not_in_held_out_gap
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.decide import Named, closed_by
 from estimation.gap.search.state import Options
@@ -53,6 +53,14 @@ def test_a_gap_that_says_nothing_is_closed_by_what_the_likelihood_confirms() -> 
     assert (likely.share, likely.to_json()["closed"], likely.to_json()["confirmed"]) == ("85%", 0.85, 0.85)
     seen = replace(UNSEEN, before=2.4, after=1.5, confirmed=0.2)
     assert seen.counted == seen.closed > 0.7
+
+
+def test_a_gap_that_weather_makes_grow_beside_a_likelihood_that_confirms_says_nothing() -> None:
+    """A right `aileron_lag` in gusts: the gap grew from 4.81 to 5.69, the likelihood gained 166 where it predicted 94."""
+    grown = Gap(4.81, 5.69, 3.58, highest=4.72, enough=0.7)
+    assert (grown.says_nothing, grown.counted) == (False, 0.0)
+    assert replace(grown, confirmed=0.93).counted == 0.93
+    assert "grows from 4.81 to 5.69" in not_in_held_out_gap(replace(grown, confirmed=0.93))
 
 
 def test_together_names_close_the_least_that_is_confirmed_of_one_and_what_training_flights_leave_open_counts() -> None:

@@ -100,8 +100,12 @@ def asked(
         ({"gaps": (1.455, 1.478), "held": 8.0, "score": 7.0}, ""),
         ({"gaps": (1.455, 1.478), "held": 7.0, "score": 7.0}, "closes nothing"),
         ({"gaps": (1.455, 1.478), "timing": True}, ""),
+        # a lag of an aileron in gusts: its likelihood gained 166 where it predicted 94, while the gap grew
+        ({"gaps": (4.0, 4.7), "held": 166.0, "confirmed": 0.93}, ""),
+        ({"gaps": (4.0, 4.7), "held": 166.0, "confirmed": 0.69}, "closes nothing"),
+        ({"gaps": (4.0, 4.9), "held": 166.0, "confirmed": 0.93}, "closes nothing"),  # beyond three times the highest
         (
-            {"gaps": (684.0, 1638.0), "score": 7.0, "held": 100.0},
+            {"gaps": (684.0, 1638.0), "score": 7.0, "held": 100.0, "confirmed": 1.0},
             "closes nothing",
         ),  # an inertia of a model aeroplane, 46 times what it is
         ({"bounds": 3.05}, ""),
