@@ -101,7 +101,8 @@ def held_first(ranked: Sequence[FittedHypothesis], criteria: Criteria) -> tuple[
     """The candidates in their order, except that a derivative which the base holds at a fixed number goes before a leading term
     that the base lacks, where the evidence for it is about as much. At one angle of attack a wrong `Cn_beta` and a missing
     `Cn_alpha_beta` leave the same residuals, and chance would decide."""
-    held = [c for c in ranked if c.hypothesis.form.frees and 2.0 * (ranked[0].evidence - c.evidence) <= criteria.certain**2]
+    behind = [2.0 * (ranked[0].evidence - c.evidence) for c in ranked]
+    held = [c for c, b in zip(ranked, behind, strict=True) if c.hypothesis.form.frees and b <= criteria.certain**2]
     if not held or ranked[0].hypothesis.form.frees:
         return tuple(ranked)
     return (held[0], *(c for c in ranked if c is not held[0]))
