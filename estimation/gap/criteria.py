@@ -220,8 +220,8 @@ class Criteria:
         "recordings/gap/a and four fresh sets of sticking and stale vanes get no name with it (2026-11-21)")
     another_flight: float = criterion(3.0, "largest gap with nothing hidden",
         "a held-out flight with a larger gap is another one, which the model does not predict, and no likelihood confirms a name",
-        "seven sets with nothing hidden were at 0.83 to 1.06, one with four times the gusts on that flight at 1.6, a dead aileron at "
-        "7.7, one of the wrong sign at 14 (2026-11-28)")
+        "seven sets with nothing hidden were at 0.83 to 1.06, one with four times the gusts on that flight at 1.6, a dead "
+        "aileron at 7.7, one of the wrong sign at 14 (2026-11-28)")
     blind_share: float = criterion(0.12, "effects asked",
         "share that could not have been seen, above which the flights cannot tell",
         "lowered from 0.3 (2026-11-21), reason not on record")

@@ -32,6 +32,7 @@ from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.attitudes import with_attitudes_between
 from estimation.gap.records.broken import (
+    BESIDE_PARABOLA,
     Spikes,
     broken_in_words,
     spikes_in,
@@ -320,11 +321,13 @@ def _spikes(baseline: Baseline) -> Spikes:
     filtered = filtered_attitudes(records, outputs, channel_noise(records), criteria)
     for problem, model_fit in fits:
         controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
-        for record, segment, residual in zip(problem.records, problem.coarse, model_fit.residuals, strict=True):
+        left_open = baseline.left_open(problem, model_fit, BESIDE_PARABOLA)
+        each = zip(problem.records, problem.coarse, model_fit.residuals, left_open, strict=True)
+        for record, segment, residual, paths in each:
             stepping = stepping_samples(segment.u[:, controls], criteria)
             columns = found.setdefault(record.flight, {})
-            for signal, course in zip(problem.model.outputs, residual.T, strict=True):
-                at = segment.first + np.flatnonzero(spikes_in(course, stepping, farthest, MOST_WILD))
+            for signal, course, path in zip(problem.model.outputs, residual.T, paths.T, strict=True):
+                at = segment.first + np.flatnonzero(spikes_in(course, stepping, path, farthest, MOST_WILD))
                 if at.size and signal.name not in filtered:
                     columns.setdefault(signal.source, []).extend(at.tolist())
     return {flight: {c: np.array(at) for c, at in columns.items()} for flight, columns in found.items() if columns}

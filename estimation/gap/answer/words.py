@@ -47,7 +47,7 @@ def not_in_held_out_gap(held: Gap) -> str:
     """A sentence on held-out flights whose gap does not show an effect."""
     text = f" The held-out flights did not show it in their gap ({held.before:.2f}, up to {held.highest:.2f} with nothing hidden)"
     if held.grows and held.before > held.highest:
-        text = f" The gap of the held-out flights grows from {held.before:.2f} to {held.after:.2f}, by slow errors as gusts leave them"
+        text = f" The gap of the held-out flights grows ({held.before:.2f} to {held.after:.2f}), as slow errors of gusts make it"
     if held.confirmed is None:
         return f"{text}: the share closed there speaks neither for it nor against it."
     return f"{text}; by their likelihood they confirm {held.confirmed:.0%} of what it predicts for them."

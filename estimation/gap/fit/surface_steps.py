@@ -24,6 +24,7 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import idct
 from scipy.linalg import expm
+from scipy.ndimage import correlate1d
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
@@ -62,6 +63,12 @@ class SurfaceSteps:
     def spectrum(self) -> Array:
         """(frequencies, 2 ny, m) of the responses."""
         return spectrum_of(self.response)
+
+    def scatter(self, freedom: Mapping[str, float], weights: Array) -> Array:
+        """(N, ny) standard deviations that the displacements leave in a weighted sum of neighbouring samples of the outputs.
+        freedom: as in `NoiseModel`; weights: (odd,) of the samples before, at and behind each."""
+        weighted = correlate1d(self.response, weights, axis=0, mode="nearest")
+        return np.asarray(np.sqrt(weighted**2 @ self.spread(freedom) ** 2))
 
     def spread(self, freedom: Mapping[str, float]) -> Array:
         """(m,) prior standard deviations of the displacements, in steps. freedom: as in `NoiseModel`."""

@@ -43,24 +43,38 @@ def without_stuck(flight: Flight, columns: Iterable[str]) -> Flight:
 def beside_neighbours(residual: Array) -> Array:
     """(N,) a residual (N,) less a parabola through the three samples on either side, in its robust scatter; NaN where not
     measured."""
+    return _away(residual)[0]
+
+
+def _away(residual: Array) -> tuple[Array, float]:
+    """See `beside_neighbours`; and the robust scatter, infinite where it is not known."""
     rows = np.flatnonzero(np.isfinite(residual))
     result = np.full(residual.size, np.nan)
-    if rows.size >= FEWEST:
-        away = np.convolve(np.pad(residual[rows], 3, mode="reflect"), BESIDE_PARABOLA, "valid")
-        scatter = MAD_TO_SIGMA * float(np.median(np.abs(away)))
-        result[rows] = away / scatter if scatter > 0.0 else 0.0
-    return result
+    if rows.size < FEWEST:
+        return result, np.inf
+    away = np.convolve(np.pad(residual[rows], 3, mode="reflect"), BESIDE_PARABOLA, "valid")
+    scatter = MAD_TO_SIGMA * float(np.median(np.abs(away))) or np.inf
+    result[rows] = away / scatter
+    return result, scatter
 
 
-def spikes_in(residual: Array, stepping: NDArray[np.bool_], farthest: float, most: float) -> NDArray[np.bool_]:
+def spikes_in(
+    residual: Array, stepping: NDArray[np.bool_], left_open: Array, farthest: float, most: float
+) -> NDArray[np.bool_]:
     """(N,) single samples of a residual (N,), NaN where not measured, that leave their neighbours by more than `farthest`
-    standard deviations. stepping: (N,) samples near a step of a control, which are judged by their own scatter where that is
-    larger; none at all where more than the share `most` stand out, which is no accident."""
-    level = np.nan_to_num(np.abs(beside_neighbours(residual)))
+    standard deviations; none at all where more than the share `most` stand out, which is no accident.
+
+    stepping: (N,) samples near a step of a control, which are judged by their own scatter where that is larger. left_open: (N,)
+    standard deviation that unknown paths of surfaces leave in a residual beside its neighbours (`BESIDE_PARABOLA`): at the
+    fastest moves of an aileron a roll rate is off by many times its noise, and right.
+    """
+    away, scatter = _away(residual)
+    level = np.nan_to_num(np.abs(away))
     at_steps = level[stepping & np.isfinite(residual)]
     wider = max(1.0, MAD_TO_SIGMA * float(np.median(at_steps))) if at_steps.size >= FEWEST else 1.0
+    usual = np.hypot(np.where(stepping, wider, 1.0), left_open / scatter)
     neighbours = np.maximum(np.roll(level, 1), np.roll(level, -1))
-    spikes = (level > np.where(stepping, wider, 1.0) * farthest) & (neighbours < BESIDE_SPIKE * level)
+    spikes = (level > usual * farthest) & (neighbours < BESIDE_SPIKE * level)
     return spikes if spikes.sum() <= max(2, most * np.isfinite(residual).sum()) else np.zeros_like(spikes)
 
 

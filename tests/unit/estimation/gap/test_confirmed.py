@@ -60,7 +60,7 @@ def test_a_gap_that_weather_makes_grow_beside_a_likelihood_that_confirms_says_no
     grown = Gap(4.81, 5.69, 3.58, highest=4.72, enough=0.7)
     assert (grown.says_nothing, grown.counted) == (False, 0.0)
     assert replace(grown, confirmed=0.93).counted == 0.93
-    assert "grows from 4.81 to 5.69" in not_in_held_out_gap(replace(grown, confirmed=0.93))
+    assert "grows (4.81 to 5.69)" in not_in_held_out_gap(replace(grown, confirmed=0.93))
 
 
 def test_together_names_close_the_least_that_is_confirmed_of_one_and_what_training_flights_leave_open_counts() -> None:
