@@ -8,9 +8,6 @@ until nothing is significant. `estimation.gap.search` defines these words.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from scipy.special import ndtri
-
 from estimation.errors import DataError, EstimationError
 from estimation.estimators.output_error import output_error
 from estimation.gap.answer.result import GapResult, GapVerdict
@@ -29,19 +26,10 @@ from estimation.gap.fit.channel_noise import (
     sample_interval,
 )
 from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of
+from estimation.gap.fit.spikes import Spikes, spikes_about, spikes_in_words, without_spikes
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.attitudes import with_attitudes_between
-from estimation.gap.records.broken import (
-    BESIDE_PARABOLA,
-    Spikes,
-    broken_in_words,
-    spikes_in,
-    spikes_in_words,
-    stepping_samples,
-    unmoved_in_words,
-    without_spikes,
-    without_stuck,
-)
+from estimation.gap.records.broken import broken_in_words, unmoved_in_words, without_stuck
 from estimation.gap.records.candidate_model import rare_commands, stamped_attitudes, with_dormant, with_nuisance
 from estimation.gap.records.doubts import doubts_of, refuse_twice, sample_notes, stale_channels
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
@@ -63,7 +51,6 @@ from estimation.gap.significance.kinematic_check import kinematic_check
 from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
 from estimation.models.dependence import force_states
-from estimation.prepare.plausible import MOST_WILD
 from groundstation.flight import Flight
 
 LOOP_PASSES = 4  # fits about which the answers of the controls to gusts are found; two settle them in usual gusts
@@ -289,7 +276,7 @@ def _find(run: _Run, model: Model) -> _Found:
         model = _with_estimated_starts(model, run.training, error)
         setting, baseline = run.set_up(model)
     for _ in range(SPIKE_PASSES):
-        if not (spikes := _spikes(baseline)):
+        if not (spikes := spikes_about(baseline)):
             break
         run = run.without_spikes(spikes)
         del baseline  # whose whiteners are large
@@ -308,29 +295,6 @@ def _find(run: _Run, model: Model) -> _Found:
                 moved = moved_in_words(off, model.starts(), baseline, biased=bool(setting.commanded))
     setting, search = run.searched(setting, baseline)
     return _Found(run, setting, baseline, search, moved)
-
-
-def _spikes(baseline: Baseline) -> Spikes:
-    """Single values that a fit does not follow, on training and held-out flights. A filter's attitude has none: it is smoother
-    than a model is right."""
-    criteria, found = baseline.criteria, dict[int, dict[str, list[int]]]()
-    values = sum(np.isfinite(r.z).sum() for r in baseline.prepared.records)
-    farthest = -float(ndtri(0.5 * (1.0 - criteria.null_level) / values))  # of any of them, were they Gaussian noise
-    fits = [(baseline.problem, baseline.fit), *([baseline.held_out] if baseline.held_out else [])]
-    records, outputs = baseline.problem.records, baseline.problem.model.output_names
-    filtered = filtered_attitudes(records, outputs, channel_noise(records), criteria)
-    for problem, model_fit in fits:
-        controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
-        left_open = baseline.left_open(problem, model_fit, BESIDE_PARABOLA)
-        each = zip(problem.records, problem.coarse, model_fit.residuals, left_open, strict=True)
-        for record, segment, residual, paths in each:
-            stepping = stepping_samples(segment.u[:, controls], criteria)
-            columns = found.setdefault(record.flight, {})
-            for signal, course, path in zip(problem.model.outputs, residual.T, paths.T, strict=True):
-                at = segment.first + np.flatnonzero(spikes_in(course, stepping, path, farthest, MOST_WILD))
-                if at.size and signal.name not in filtered:
-                    columns.setdefault(signal.source, []).extend(at.tolist())
-    return {flight: {c: np.array(at) for c, at in columns.items()} for flight, columns in found.items() if columns}
 
 
 def _setting(

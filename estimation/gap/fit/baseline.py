@@ -116,13 +116,6 @@ class Baseline:
         residuals, scatter = model_fit.residuals, self.scatter
         return whiteners_for(model_fit.model, self.prepared, records, values, noise, residuals, scatter, self.noise)
 
-    def left_open(self, problem: LikelihoodProblem, model_fit: ModelFit, weights: Array) -> list[Array]:
-        """(N, ny) standard deviations that the unknown paths of surfaces leave in a weighted sum of neighbouring samples of the
-        outputs, for every record of a problem. weights: as in `SurfaceSteps.scatter`."""
-        motions = zip(linear_motions(problem, model_fit.values), problem.coarse, problem.records, strict=True)
-        steps = (find_surface_steps(problem.model, m, s, self.criteria, r.restless) for m, s, r in motions)
-        return [e.scatter(self.noise.freedom, weights) for e in steps]
-
     def on_holdout(self, noise: NoiseModel) -> tuple[LikelihoodProblem, ModelFit] | None:
         """The fitted model on the held-out flights with `noise`: parameters frozen, initial states and biases fitted.
 

@@ -17,9 +17,9 @@ from estimation.engine.simulate import Segment
 from estimation.gap.fit.growing import BoundedMotion
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import ON_FORCES, NoiseModel, NoisePart, NoiseSource, linear_motion
+from estimation.gap.fit.spikes import beside_neighbours, stepping_samples
 from estimation.gap.fit.surface_steps import find_surface_steps
 from estimation.gap.random_streams import Stream
-from estimation.gap.records.broken import beside_neighbours, stepping_samples
 from estimation.gap.records.candidate_model import DISTURBANCE, RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.models.base import Model

@@ -13,7 +13,7 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.records.broken import beside_neighbours
+from estimation.gap.fit.spikes import beside_neighbours
 from estimation.gap.significance.calibration import (
     like_the_flights,
     null_inflation,

@@ -4,18 +4,19 @@ import numpy as np
 import pytest
 
 from estimation.engine.kernel import Array
-from estimation.gap import workflow
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.fit.surface_steps import SurfaceSteps
-from estimation.gap.records.broken import (
-    BESIDE_PARABOLA,
+from estimation.gap.fit import spikes
+from estimation.gap.fit.spikes import (
     beside_neighbours,
+    left_open,
+    spikes_about,
     spikes_in,
     spikes_in_words,
     stepping_samples,
     without_spikes,
 )
+from estimation.gap.fit.surface_steps import SurfaceSteps
 from estimation.gap.workflow import Options, _Run, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
@@ -44,8 +45,8 @@ def with_level(sample: int, level: float) -> Array:
 
 @pytest.mark.parametrize(("level", "found"), [(4.7, []), (5.1, [250])])
 def test_a_single_value_far_from_its_neighbours_is_a_spike(level: float, found: list[int]) -> None:
-    spikes = spikes_in(with_level(250, level), NOWHERE, CLOSED, FARTHEST, MOST)
-    assert np.flatnonzero(spikes).tolist() == found
+    at = spikes_in(with_level(250, level), NOWHERE, CLOSED, FARTHEST, MOST)
+    assert np.flatnonzero(at).tolist() == found
 
 
 def test_noise_and_slow_motion_have_no_spike_and_gaps_are_none() -> None:
@@ -120,9 +121,9 @@ def test_an_attitude_of_a_filter_has_no_spikes(monkeypatch: pytest.MonkeyPatch) 
     model, flown = load_model("longitudinal", "cdfp"), fourth.fly(4702, kind, (14.5, 16.5))
     run = _Run.of(model, flown, (), (), None, Options(nulls=20), lambda what, share: None)
     _, baseline = run.set_up(model)
-    assert not any("theta" in columns for columns in workflow._spikes(baseline).values())
-    monkeypatch.setattr(workflow, "filtered_attitudes", lambda *given: ())
-    assert all(len(columns["theta"]) > 5 for columns in workflow._spikes(baseline).values())
+    assert not any("theta" in columns for columns in spikes_about(baseline).values())
+    monkeypatch.setattr(spikes, "filtered_attitudes", lambda *given: ())
+    assert all(len(columns["theta"]) > 5 for columns in spikes_about(baseline).values())
 
 
 def test_the_fastest_moves_of_an_aileron_leave_no_spikes() -> None:
@@ -131,11 +132,11 @@ def test_the_fastest_moves_of_an_aileron_leave_no_spikes() -> None:
     model, flown = load_model("lateral", "cdfp"), flights(truth.fly(requests({}, 71000, 0.15, "rich")))
     run = _Run.of(model, flown[:3], (), (), None, Options(nulls=20), lambda what, share: None)
     _, baseline = run.set_up(model)
-    (left_open, *_) = baseline.left_open(baseline.problem, baseline.fit, BESIDE_PARABOLA)
+    (opened, *_) = left_open(baseline.problem, baseline.fit, baseline.noise)
     roll_rate = model.output_names.index("p")
-    assert left_open.shape == baseline.fit.residuals[0].shape
-    assert left_open[:, roll_rate].max() > 3.0 * baseline.scatter[roll_rate]
-    assert not any(workflow._spikes(baseline).values())
+    assert opened.shape == baseline.fit.residuals[0].shape
+    assert opened[:, roll_rate].max() > 3.0 * baseline.scatter[roll_rate]
+    assert not any(spikes_about(baseline).values())
 
 
 def test_what_a_displacement_leaves_beside_its_neighbours_is_its_response_weighed() -> None:
