@@ -26,7 +26,7 @@ class Gap:
 
     floor, highest: median and upper end of the same for simulated flights with nothing hidden; enough: closed share from which
     the gap counts as closed; confirmed: share of what the effect predicts for held-out flights that their likelihood confirms,
-    None for training flights and where these flights cannot tell."""
+    None for training flights and where these flights cannot tell; gained: whether that likelihood is larger with the effect."""
 
     before: float
     after: float
@@ -34,6 +34,7 @@ class Gap:
     highest: float = 0.0
     enough: float = 1.0
     confirmed: float | None = None
+    gained: bool = False
 
     @property
     def says_nothing(self) -> bool:
@@ -68,14 +69,14 @@ class Gap:
     @property
     def counted(self) -> float:
         """The closed share for the verdict. Where the gap says nothing it is what the likelihood confirms; without that, whatever
-        made the gap smaller closed it."""
+        made the gap smaller, or the likelihood larger, closed it."""
         if not self.says_nothing:
             return self.closed
         return self._closed_of_nothing if self.confirmed is None else self.confirmed
 
     @property
     def _closed_of_nothing(self) -> float:
-        return 0.0 if self.grows else 1.0
+        return 0.0 if self.grows and not self.gained else 1.0
 
     def to_json(self) -> dict[str, float]:
         data = {

@@ -89,7 +89,7 @@ def confirmed(
     if likelihood.gain <= -margin * chance:
         return None, "does not hold on the held-out flights"
     held = HeldOut(likelihood.gain / chance, likelihood.confirmed(chance, criteria), *gaps)
-    if not timing and not held.closes(lambda: setting.floors(nulls_of or round_).highest, criteria):
+    if not timing and not held.closes(lambda: setting.floors(nulls_of or round_).highest, strong, criteria):
         return None, "closes nothing on the held-out flights"
     return child, ""
 
@@ -176,20 +176,22 @@ class HeldOut:
     before: float
     after: float
 
-    def closes(self, highest: Callable[[], float], criteria: Criteria) -> bool:
+    def closes(self, highest: Callable[[], float], strong: bool, criteria: Criteria) -> bool:
         """Whether the effect closes something there, by the figure that will be printed.
 
-        highest: gives the upper end of the gap with nothing hidden. Where the gap shrinks and is larger than those, it decides. A
-        gap that shrinks may be chance's where nulls have one as large: then the likelihood must not speak against the effect,
-        unless it can tell nothing. Where it grows the likelihood must gain more than chance gives it; and the gap must be such a
-        one, in which a small effect hardly shows, or the likelihood must confirm the effect.
+        highest: gives the upper end of the gap with nothing hidden; strong: `is_strong`. A gap that shrinks decides where it was
+        larger than those of nulls; otherwise it may be chance's, and the likelihood must not speak against the effect, unless it
+        can tell nothing. A gap that grows must be no larger than those of nulls, in which a small effect hardly shows, or belong
+        to a flight that the model still predicts and whose likelihood confirms the effect; and that likelihood must gain more
+        than chance gives it, anything where it can tell nothing of a strong effect.
         """
         if self.after < self.before:
             return self.gain > 0.0 or self.before > highest() or self.confirmed is None
-        if not self.gain > ndtri(criteria.null_level) ** 2:
-            return False
         is_confirmed = self.confirmed is not None and self.confirmed >= criteria.closed_share
-        return max(self.before, self.after) <= highest() * (criteria.another_flight if is_confirmed else 1.0)
+        if max(self.before, self.after) > highest() * (criteria.another_flight if is_confirmed else 1.0):
+            return False
+        tells_nothing = strong and self.confirmed is None
+        return bool(self.gain > (0.0 if tells_nothing else ndtri(criteria.null_level) ** 2))
 
 
 def flight_gains(round_: Round, candidate: FittedHypothesis) -> list[float]:

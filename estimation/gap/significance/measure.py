@@ -183,7 +183,8 @@ def gaps(before: Baseline, after: Baseline, floor: Floors, chance: float = 1.0) 
     likelihood = held_out_likelihood(before, after) if asked else None
     if likelihood is None:
         return training, held_out
-    return training, replace(held_out, confirmed=likelihood.confirmed(chance, before.criteria))
+    confirmed = likelihood.confirmed(chance, before.criteria)
+    return training, replace(held_out, confirmed=confirmed, gained=likelihood.gain > 0.0)
 
 
 def held_out_gaps(before: Baseline, after: Baseline) -> tuple[float, float] | None:

@@ -49,6 +49,7 @@ UNSEEN = Gap(1.40, 1.42, 1.30, highest=1.80, enough=0.7)
 def test_a_gap_that_says_nothing_is_closed_by_what_the_likelihood_confirms() -> None:
     """A right `imu_lever_arm` of score 18 took the held-out gap from 1.429 to 1.430: `closed` was 0."""
     assert (UNSEEN.share, UNSEEN.to_json()["closed"], "confirmed" in UNSEEN.to_json()) == ("-", 0.0, False)
+    assert replace(UNSEEN, gained=True).to_json()["closed"] == 1.0
     likely = replace(UNSEEN, confirmed=0.85)
     assert (likely.share, likely.to_json()["closed"], likely.to_json()["confirmed"]) == ("85%", 0.85, 0.85)
     seen = replace(UNSEEN, before=2.4, after=1.5, confirmed=0.2)

@@ -100,6 +100,11 @@ def asked(
         ({"gaps": (1.455, 1.478), "held": 8.0, "score": 7.0}, ""),
         ({"gaps": (1.455, 1.478), "held": 7.0, "score": 7.0}, "closes nothing"),
         ({"gaps": (1.455, 1.478), "timing": True}, ""),
+        # a right tilt of an inertial unit, score 8: the likelihood predicted 1.4 and gained 0.4
+        ({"gaps": (1.305, 1.315), "held": 0.4, "score": 7.0, "confirmed": None}, ""),
+        ({"gaps": (1.305, 1.315), "held": -0.4, "score": 7.0, "confirmed": None}, "closes nothing"),
+        ({"gaps": (1.305, 1.315), "held": 0.4, "score": 5.9, "confirmed": None}, "closes nothing"),
+        ({"gaps": (1.605, 1.615), "held": 0.4, "score": 7.0, "confirmed": None}, "closes nothing"),
         # a lag of an aileron in gusts: its likelihood gained 166 where it predicted 94, while the gap grew
         ({"gaps": (4.0, 4.7), "held": 166.0, "confirmed": 0.93}, ""),
         ({"gaps": (4.0, 4.7), "held": 166.0, "confirmed": 0.69}, "closes nothing"),
