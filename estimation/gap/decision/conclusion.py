@@ -76,7 +76,11 @@ class _Conclusion:
 
 def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> GapResult:
     """The answer: verdict, steps and words from the state after all rounds."""
-    state = _decided(setting, search)
+    return _concluded(_decided(setting, search), check)
+
+
+def _concluded(state: _Conclusion, check: KinematicCheck) -> GapResult:
+    setting, search = state.setting, state.search
     replaced = None
     if not setting.steered and not state.decision.doubted:
         replaced = without_doubted(setting, search, state.findings, state.named, state.decision)
@@ -88,9 +92,10 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     if replaced is None and state.event is None and not state.decision.doubted:
         continuation = names_beside(setting, search, state.model, state.shapes, state.decision)
     if continuation is not None:
-        renewed = in_its_place(setting, search, state.findings, continuation)
-        if renewed is not None:
-            return concluded(setting, renewed, check)
+        if (renewed := in_its_place(setting, search, state.findings, continuation)) is not None:
+            further = _decided(setting, renewed)
+            if further.decision.kept > state.decision.kept:  # or the same search would follow, without end
+                return _concluded(further, check)
         _add_names(state, continuation)
     return _answer(state, check, rejected_hypotheses(search, continuation))
 

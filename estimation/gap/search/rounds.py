@@ -166,12 +166,14 @@ def _better_base(setting: Setting, round_: Round, choice: Choice) -> Baseline | 
 def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
     """Add one effect after the other to `baseline` as long as one is accepted; then test the residuals for anything nameless.
 
-    Raises GapError where already the first baseline cannot be screened.
+    Effects that were in the model before and come back end the search too: it would go on in circles. Raises GapError where
+    already the first baseline cannot be screened.
     """
     findings: list[AcceptedEffect] = []
     rounds: list[Round] = []
     rejected: list[Rejected] = []
-    restarts, sharpened = 0, False
+    restarts, sharpened, in_circles = 0, False, False
+    before = set[frozenset[tuple[str, str]]]()  # sets of effects that were in the model
     while True:
         try:
             round_ = setting.screened(baseline, len(rounds))
@@ -183,7 +185,7 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
             break
         rounds.append(round_)
         omnibus = examine(round_)
-        if len(findings) == setting.options.most:
+        if len(findings) == setting.options.most or in_circles:
             break
         setting.tell(f"round {len(rounds)}: full fits", setting.options.progress(len(rounds)))
         choice = choose(round_)
@@ -209,6 +211,9 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
             if revised is not None:
                 findings, replaced = revised
                 rejected += replaced
+        effects = frozenset(f.candidate.hypothesis.key for f in findings)
+        in_circles = effects in before
+        before.add(effects)
         baseline = findings[-1].child
         round_.tangent.forget()
     return SearchState(tuple(findings), tuple(rounds), omnibus, tuple(rejected))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -313,6 +313,34 @@ def test_a_shape_takes_the_place_of_a_doubted_name_beside_which_the_others_stand
 
 
 # ------------------------------------------------------------------------------------------------ a name in place of a shape
+@pytest.mark.parametrize(("stand", "asked"), [([0, 0], 2), ([0, 2, 2], 3), ([0, 1, 2, 2], 4)])
+def test_names_in_place_of_a_shape_are_concluded_from_as_long_as_more_of_them_stand(
+    monkeypatch: pytest.MonkeyPatch, stand: list[int], asked: int
+) -> None:
+    """A clipped gyro: two names stood in place of a shape, were withdrawn beside what was left, and were found again without
+    end."""
+    states = iter(stand)
+    decided: list[Any] = []
+
+    def state(setting: Any, search: Any) -> Any:
+        decision = stub(kept=next(states), doubted=False)
+        decided.append(stub(setting=setting, search=search, decision=decision, findings=(), named=(), event=None))
+        vars(decided[-1]).update(model=None, shapes=None)
+        return decided[-1]
+
+    monkeypatch.setattr(concluding, "_decided", state)
+    monkeypatch.setattr(concluding, "without_doubted", lambda *given: None)
+    monkeypatch.setattr(concluding, "_search_unnamed", lambda *given: None)
+    monkeypatch.setattr(concluding, "names_beside", lambda *given: "names")
+    monkeypatch.setattr(concluding, "in_its_place", lambda *given: "further rounds")
+    monkeypatch.setattr(concluding, "_add_names", lambda *given: None)
+    monkeypatch.setattr(concluding, "rejected_hypotheses", lambda *given: ())
+    monkeypatch.setattr(concluding, "_answer", lambda state, check, rejected: state)
+    answer = concluding.concluded(*cast(Any, (stub(steered=False), "rounds", None)))
+    assert len(decided) == asked
+    assert answer is decided[-2], "the last that had more names"
+
+
 @pytest.mark.parametrize(("room", "named", "taken"), [(4, True, True), (4, False, False), (3, True, False)])
 def test_rounds_about_the_names_that_stood_beside_a_shape_may_name_what_it_stood_for(
     monkeypatch: pytest.MonkeyPatch, room: int, named: bool, taken: bool

@@ -343,6 +343,25 @@ def test_rounds_go_on_until_nothing_is_accepted_or_enough_is(monkeypatch: pytest
     assert seen == [0, 1], "a last round examines what is left"
 
 
+def test_effects_that_drop_each_other_in_turn_end_the_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of two drops the other: without an end the search went round in circles."""
+    turn = iter("abababab")
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
+    monkeypatch.setattr(searching, "accept", lambda *given: (finding(next(turn)), []))
+    monkeypatch.setattr(searching, "backward_check", lambda setting, findings: ([findings[-1]], []))
+    numbers: list[int] = []
+
+    def screened(baseline: Any, number: int) -> Any:
+        numbers.append(number)
+        return ROUND
+
+    setting: Any = stub(screened=screened, options=Options(most=4), tell=lambda *given: None, prepared=None)
+    state = run_rounds(setting, stub())
+    assert [f.candidate.hypothesis.label for f in state.findings] == ["a"]
+    assert numbers == [0, 1, 2, 3], "the last round examines what is left"
+
+
 def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a significant candidate leads its base to is not gained by it; two better valleys a round, and no more."""
     leads, score, seen = {"first": "second", "second": "third", "third": "fourth"}, 10.0, []
