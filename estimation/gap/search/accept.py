@@ -23,6 +23,8 @@ from estimation.gap.significance.measure import held_out_gaps, held_out_likeliho
 from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
 from estimation.gap.significance.omnibus import Omnibus
 
+HELD_OUT = "on the held-out flights"  # how a reason ends that comes from them
+
 
 def accept(
     setting: Setting, round_: Round, choice: Choice, omnibus: Omnibus, shapes: Callable[[], float] = lambda: 0.0
@@ -30,10 +32,12 @@ def accept(
     """The first candidate that is significant and `confirmed`, or None; and the candidates refused before it, with reasons.
 
     A score counts less where the candidate gains also on flights without it, whose controls are measured again (`MeasuredAgain`).
+    Behind one that the held-out flights do not confirm only as good an explanation is asked, not what is left to a lesser one.
     shapes: gives the gain of the best nameless function of one variable; called only where a candidate is significant.
     """
     rejected: list[Rejected] = []
     refused_keys: set[tuple[str, str]] = set()
+    unconfirmed: FittedHypothesis | None = None  # the first of which the held-out flights show nothing
     nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
     shape = shapes() if any(c.score >= round_.threshold for c in choice.candidates) else 0.0
     nameless = max(nameless, shape)
@@ -42,13 +46,17 @@ def accept(
         if candidate.score < round_.threshold:
             break
         score = candidate.score * math.sqrt(remeasured.share(candidate.gain, candidate.fit))
+        child = None
         if score < round_.threshold:
             remainder = f"{score:.1f} of {round_.threshold:.1f} is left"
             reason = f"{NOT_ITS_OWN} ({remainder})"
-            child = None
+        elif unconfirmed is not None and not explains(score**2, unconfirmed.score**2, round_.criteria):
+            reason = f"explains only {(score / unconfirmed.score) ** 2:.0%} of what {unconfirmed.hypothesis.label} does"
         else:
             candidate = replace(candidate, score=score)
             child, reason = confirmed(setting, round_, candidate, nameless)
+            if reason.endswith(HELD_OUT) and unconfirmed is None:
+                unconfirmed = candidate
         if child is not None:
             is_doubtful = doubtful(candidate, shape, round_.threshold, round_.criteria)
             others = choice.without(refused_keys)
@@ -87,10 +95,10 @@ def confirmed(
     if likelihood is None or gaps is None:
         return child, ""
     if likelihood.gain <= -margin * chance:
-        return None, "does not hold on the held-out flights"
+        return None, f"does not hold {HELD_OUT}"
     held = HeldOut(likelihood.gain / chance, likelihood.confirmed(chance, criteria), *gaps)
     if not timing and not held.closes(lambda: setting.floors(nulls_of or round_).highest, strong, criteria):
-        return None, "closes nothing on the held-out flights"
+        return None, f"closes nothing {HELD_OUT}"
     return child, ""
 
 

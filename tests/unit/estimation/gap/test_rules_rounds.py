@@ -130,6 +130,22 @@ def test_the_first_candidate_that_is_confirmed_becomes_the_effect(
     assert said == [Rejected("a", "no")]
 
 
+@pytest.mark.parametrize(("score", "named"), [(6.9, "explains only 74% of what a does"), (7.0, "")])
+def test_behind_one_that_the_held_out_flights_do_not_confirm_only_as_good_an_explanation_is_asked(
+    monkeypatch: pytest.MonkeyPatch, own_gains: dict[str, float], score: float, named: str
+) -> None:
+    """In gusts of 0.9 deg a hidden `Cl_beta3` of score 7.6 closed nothing held out, and a `Cl_p_abs_p` of 5.7 did."""
+
+    def confirmed(setting: Any, round_: Any, one: FittedHypothesis, nameless: float) -> tuple[Any, str]:
+        return ("child", "") if one.hypothesis.label == "b" else (None, f"closes nothing {accepting.HELD_OUT}")
+
+    monkeypatch.setattr(accepting, "confirmed", confirmed)
+    rivals = (candidate("a", score=8.0), candidate("b", score=score))
+    finding, said = accept(SETTING, ROUND, Choice(rivals, {}, ()), REST)
+    assert (finding is None) is bool(named)
+    assert [r.why for r in said[1:]] == ([named] if named else [])
+
+
 @pytest.mark.parametrize(
     ("gain", "shape", "doubted"),
     [(4880.0, 5000.0, False), (4800.0, 5000.0, True), (75.0, 90.0, False), (75.0, 107.0, False), (75.0, 109.0, True)],
