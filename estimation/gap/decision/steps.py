@@ -169,7 +169,8 @@ def migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
 
 
 def undetectable(round_: Round) -> list[Effect]:
-    """Effects of which `criteria.blind_size` usual sizes would not have passed the threshold on these flights."""
+    """Effects of which `criteria.blind_size` usual sizes would not have passed the threshold on these flights, and those that
+    could not be asked."""
     screen, projected = round_.screen, round_.screen.projected()
     scores: dict[str, float] = {}
     effects = {h.effect.name: h.effect for h in screen.hypotheses}
@@ -178,7 +179,9 @@ def undetectable(round_: Round) -> list[Effect]:
         per_unit = np.sqrt(max(float(projected.B[c, c]), 0.0) / round_.inflation[column.hypothesis])
         scores[name] = max(scores.get(name, 0.0), float(per_unit * column.parameter.typical))
     size, threshold = round_.criteria.blind_size, round_.threshold
-    return [effects[n] for n, score in scores.items() if size * score < threshold and not effects[n].tied_to]
+    unasked = {h.effect.name: h.effect for h in screen.runaway if h.effect.name not in effects}
+    unseen = [effects[n] for n, score in scores.items() if size * score < threshold and not effects[n].tied_to]
+    return [*unseen, *unasked.values()]
 
 
 def effect_scores(round_: Round) -> dict[str, float]:

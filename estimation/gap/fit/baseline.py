@@ -20,7 +20,7 @@ from estimation.gap.errors import GapError
 from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes
 from estimation.gap.fit.fitting import ENOUGH, cost_at, fit
 from estimation.gap.fit.growing import FOLDS, GROWS, SHORTEST, fastest_growth, growth, linear_motions
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, integration_steps
 from estimation.gap.fit.spectra import (
     NoiseModel,
     NoisePart,
@@ -145,7 +145,8 @@ def whiteners_for(
     values: of the model's parameters, about which its motion is linearised. earlier: a noise model to start the estimate from.
     """
     base, criteria = prepared.base, prepared.criteria
-    simulator = Simulator.build(model, (), substeps=1, hold="linear")
+    # slow errors need no finer steps than the fits, half a sample long
+    simulator = Simulator.build(model, (), substeps=integration_steps(0.5 * records[0].interval), hold="linear")
     segments = [r.segment(model, base) for r in records]
     motions = [linear_motion(model, simulator, s, values) for s in segments]
     shapes = [

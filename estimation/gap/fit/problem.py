@@ -9,6 +9,7 @@ up, and the share is an unknown (`edge_<control>`). So is that in the interval b
 that answers the motion has already turned back.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,7 +30,13 @@ from estimation.signals.curves import half_way, inner_slopes
 WIDTHS = 4.0  # prior widths to which the path of a surface between samples may go
 # unknown of the edges of a control -> intervals behind the steepest one
 EDGES: Mapping[str, int] = {"edge_{}": 0, "behind_edge_{}": 1}
+LONGEST_STEP = 0.03  # s, of the integration: with it a vane that lags by 12 ms is stable (2.78 of its time constants)
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
+
+
+def integration_steps(interval: float) -> int:
+    """Steps of the integration within an interval [s]."""
+    return max(1, math.ceil(interval / LONGEST_STEP))
 
 
 @dataclass(frozen=True)
@@ -211,12 +218,18 @@ class LikelihoodProblem:
 
     @cached_property
     def simulator(self) -> Simulator:
-        return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1, hold="linear")
+        names = (*self.parameters, *self.local_names)
+        return Simulator.build(self.model, names, substeps=self.substeps, hold="linear")
 
     @cached_property
     def parameterless_simulator(self) -> Simulator:
         """The simulator without derivatives by any parameter."""
-        return Simulator.build(self.model, (), substeps=1, hold="linear")
+        return Simulator.build(self.model, (), substeps=self.substeps, hold="linear")
+
+    @cached_property
+    def substeps(self) -> int:
+        """Integration steps between two instants of `grids`."""
+        return integration_steps(0.5 * max(r.interval for r in self.records))
 
     def starts(self) -> dict[str, float]:
         """Start values of everything shared, held parameters included."""

@@ -130,7 +130,7 @@ class ModelMotion:
             terms={n: INCREMENT.format(n) for n in lines},
             observed=[Signal(n) for n in names if n not in model.output_names],
         )
-        simulator = Simulator.build(probe, (), substeps=1, hold="linear")
+        simulator = Simulator.build(probe, (), substeps=problem.substeps, hold="linear")
         segments, courses = [], []
         for i, local in enumerate(fit.locals):
             inputs = problem.driven(problem.grids[i], fit.values)

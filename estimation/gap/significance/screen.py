@@ -104,7 +104,7 @@ def hypotheses_for(model: Model, effects: Sequence[Effect], available: frozenset
 class Screen:
     """The linearised problem. shared: (n,) names; columns: of the hypotheses; grams: per record, of whitened columns [shared |
     hypotheses | residuals] with the unknowns of the record alone eliminated; prior: Gram matrix of the shared priors, of the same
-    size; flights: of each record."""
+    size; flights: of each record; runaway: hypotheses that cannot be asked, since the motion runs away with little of them."""
 
     shared: tuple[str, ...]
     hypotheses: tuple[Hypothesis, ...]
@@ -112,6 +112,7 @@ class Screen:
     grams: tuple[Array, ...]
     prior: Array
     flights: tuple[int, ...]
+    runaway: tuple[Hypothesis, ...] = ()
 
     @property
     def n(self) -> int:
@@ -225,19 +226,24 @@ def build_screen(tangent: Tangent, hypotheses: Sequence[Hypothesis]) -> Screen:
     columns: list[HypothesisColumn] = []
     changes: list[list[Array]] = []
     included: list[Hypothesis] = []
+    runaway: list[Hypothesis] = []
     for hypothesis in hypotheses:
         sensitivities = [
             (p, sensitivity(problem, fit, fit.residuals, hypothesis, p)) for p in hypothesis.form.parameters
         ]
-        if any(c is None or max(np.abs(x).max() for x in c) == 0.0 for _, c in sensitivities):
-            continue  # diverges, or these flights do not excite it at all
+        if any(c is None for _, c in sensitivities):
+            runaway.append(hypothesis)
+            continue
+        if any(max(np.abs(x).max() for x in c or ()) == 0.0 for _, c in sensitivities):
+            continue  # these flights do not excite it at all
         for parameter, change in sensitivities:
             columns.append(HypothesisColumn(len(included), parameter))
             changes.append(change or [])
         included.append(hypothesis)
     grams = tuple(tangent.record(i).gram_with([c[i] for c in changes]) for i in range(len(problem.records)))
     prior = shared_prior(problem, fit, grams[0].shape[0], len(columns))
-    return Screen(problem.free, tuple(included), tuple(columns), grams, prior, tuple(r.flight for r in problem.records))
+    flights = tuple(r.flight for r in problem.records)
+    return Screen(problem.free, tuple(included), tuple(columns), grams, prior, flights, tuple(runaway))
 
 
 def shared_prior(problem: LikelihoodProblem, fit: ModelFit, size: int, k: int) -> Array:

@@ -239,6 +239,15 @@ def test_an_effect_is_hidden_that_twice_its_usual_size_would_not_have_shown(powe
     assert not undetectable(asked(gram, tied_to=("CY_0",))), "what no flight shows is said elsewhere"
 
 
+def test_an_effect_that_could_not_be_asked_is_one_that_was_not_seen() -> None:
+    seen = asked(np.diag([4.0, 1.0]))
+    assert undetectable(seen) == []
+    (a,) = seen.screen.hypotheses
+    other = replace(a, effect=replace(a.effect, name="other"))
+    seen.screen = replace(seen.screen, runaway=(a, other))
+    assert [e.name for e in undetectable(seen)] == ["other"], "another form of `a` was asked"
+
+
 def test_the_smallest_size_seen_gives_the_threshold() -> None:
     assert detectable_sizes(asked(np.diag([4.0, 1.0]))) == pytest.approx({"a": 2.0})
 
