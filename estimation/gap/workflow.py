@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from estimation.errors import DataError, EstimationError
 from estimation.estimators.output_error import output_error
 from estimation.gap.answer.result import GapResult, GapVerdict
+from estimation.gap.answer.words import unconfirmed_in_words
 from estimation.gap.decision.conclusion import concluded
 from estimation.gap.decision.lineage import late_commands, turned_signs
 from estimation.gap.effects import catalogue
@@ -250,7 +251,9 @@ def run_gap(
     remarks = (found.moved, late_commands(found.run.training, found.baseline), not_compared(full_model, model))
     # a control whose channel is dead may be the unknown effect itself, so that it stands first
     is_unknown = answer.verdict is GapVerdict.UNKNOWN
-    sentences = (unmoved, answer.text, *remarks) if is_unknown else (answer.text, *remarks, unmoved)
+    sentences = [unmoved, answer.text, *remarks] if is_unknown else [answer.text, *remarks, unmoved]
+    if answer.verdict in (GapVerdict.NO_GAP, GapVerdict.CANNOT_TELL):
+        sentences.append(unconfirmed_in_words(answer.rejected))
     answer = replace(answer, text=" ".join(t for t in sentences if t))
     return _with_doubts(answer, [*doubts, *turned_signs(found.baseline)])
 

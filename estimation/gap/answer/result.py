@@ -188,12 +188,20 @@ class EffectStep:
         }  # fmt: skip
 
 
+HELD_OUT = "on the held-out flights"  # how a reason ends that comes from them
+
+
 @dataclass(frozen=True)
 class Rejected:
     """A hypothesis or shape that was not accepted."""
 
     effect: str
     why: str
+
+    @property
+    def unconfirmed(self) -> bool:
+        """Whether it is significant on the training flights, and the held-out flights alone speak against it."""
+        return self.why.endswith(HELD_OUT)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from estimation.gap.answer.result import EffectStep, Gap, GapVerdict
+from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Rejected
 from estimation.gap.answer.shape import (
     TURN,
     Happened,
@@ -177,6 +177,17 @@ def describe_not_predicted(unlike: NotPredicted) -> str:
         f"the model does not predict the held-out {unlike.flight}: a gap of {unlike.gap:.3g}, up to {unlike.highest:.3g} with "
         f"nothing hidden{place}{_example(unlike.segments)}. Look at the instruments, the signs and the configuration of "
         f"{unlike.flight} before anything is concluded from it."
+    )
+
+
+def unconfirmed_in_words(rejected: Sequence[Rejected]) -> str:
+    """A sentence on effects that only the held-out flights speak against; empty without any."""
+    reasons = [f"{r.effect} {r.why}" for r in rejected if r.unconfirmed]
+    if not reasons:
+        return ""
+    return (
+        f"On the training flights something stands out that these do not confirm ({', '.join(dict.fromkeys(reasons))}): fly once "
+        "more before you rely on there being no gap."
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from estimation.gap.answer.result import Rejected
+from estimation.gap.answer.result import HELD_OUT, Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.problem import prior_cost
@@ -22,8 +22,6 @@ from estimation.gap.significance.calibration import Round, inflation_by_hypothes
 from estimation.gap.significance.measure import held_out_gaps, held_out_likelihood
 from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
 from estimation.gap.significance.omnibus import Omnibus
-
-HELD_OUT = "on the held-out flights"  # how a reason ends that comes from them
 
 
 def accept(
@@ -55,14 +53,14 @@ def accept(
         else:
             candidate = replace(candidate, score=score)
             child, reason = confirmed(setting, round_, candidate, nameless)
-            if reason.endswith(HELD_OUT) and unconfirmed is None:
-                unconfirmed = candidate
         if child is not None:
             is_doubtful = doubtful(candidate, shape, round_.threshold, round_.criteria)
             others = choice.without(refused_keys)
             return AcceptedEffect(round_, others, candidate, round_.baseline, child, is_doubtful), rejected
         refused_keys.add(candidate.hypothesis.key)
         rejected.append(Rejected(candidate.hypothesis.label, reason))
+        if rejected[-1].unconfirmed and unconfirmed is None:
+            unconfirmed = candidate
     return None, rejected
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.gap.answer.result import Gap, GapVerdict
-from estimation.gap.answer.words import describe_step, not_in_held_out_gap
+from estimation.gap.answer.result import HELD_OUT, Gap, GapVerdict, Rejected
+from estimation.gap.answer.words import describe_step, not_in_held_out_gap, unconfirmed_in_words
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.decide import Named, closed_by
 from estimation.gap.search.state import Options
@@ -86,3 +86,10 @@ def test_a_quarter_of_the_usual_side_force_is_confirmed_by_flights_whose_gap_doe
     assert step.holdout.after > step.holdout.before
     assert step.holdout.confirmed == pytest.approx(1.0, abs=0.1)
     assert "by their likelihood they confirm" in describe_step(step)
+
+
+def test_what_only_the_held_out_flights_speak_against_is_said() -> None:
+    weak, refused = Rejected("CY_da", "fits 5% of its usual size"), Rejected("Cl_beta3", f"closes nothing {HELD_OUT}")
+    assert unconfirmed_in_words([weak]) == ""
+    said = unconfirmed_in_words([weak, refused, refused])
+    assert "(Cl_beta3 closes nothing on the held-out flights): fly once more" in said

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimation.gap.answer.result import Rejected
+from estimation.gap.answer.result import HELD_OUT, Rejected
 from estimation.gap.criteria import AS_SET
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
@@ -137,7 +137,7 @@ def test_behind_one_that_the_held_out_flights_do_not_confirm_only_as_good_an_exp
     """In gusts of 0.9 deg a hidden `Cl_beta3` of score 7.6 closed nothing held out, and a `Cl_p_abs_p` of 5.7 did."""
 
     def confirmed(setting: Any, round_: Any, one: FittedHypothesis, nameless: float) -> tuple[Any, str]:
-        return ("child", "") if one.hypothesis.label == "b" else (None, f"closes nothing {accepting.HELD_OUT}")
+        return ("child", "") if one.hypothesis.label == "b" else (None, f"closes nothing {HELD_OUT}")
 
     monkeypatch.setattr(accepting, "confirmed", confirmed)
     rivals = (candidate("a", score=8.0), candidate("b", score=score))
