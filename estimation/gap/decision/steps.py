@@ -180,8 +180,8 @@ def undetectable(round_: Round) -> list[Effect]:
         scores[name] = max(scores.get(name, 0.0), float(per_unit * column.parameter.typical))
     size, threshold = round_.criteria.blind_size, round_.threshold
     unasked = {h.effect.name: h.effect for h in screen.runaway if h.effect.name not in effects}
-    unseen = [effects[n] for n, score in scores.items() if size * score < threshold and not effects[n].tied_to]
-    return [*unseen, *unasked.values()]
+    unseen = [*(effects[n] for n, score in scores.items() if size * score < threshold), *unasked.values()]
+    return [e for e in unseen if not e.tied_to]
 
 
 def effect_scores(round_: Round) -> dict[str, float]:

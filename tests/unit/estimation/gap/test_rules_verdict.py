@@ -244,7 +244,8 @@ def test_an_effect_that_could_not_be_asked_is_one_that_was_not_seen() -> None:
     assert undetectable(seen) == []
     (a,) = seen.screen.hypotheses
     other = replace(a, effect=replace(a.effect, name="other"))
-    seen.screen = replace(seen.screen, runaway=(a, other))
+    tied = replace(a, effect=replace(a.effect, name="tied", tied_to=("CY_0",)))
+    seen.screen = replace(seen.screen, runaway=(a, other, tied))
     assert [e.name for e in undetectable(seen)] == ["other"], "another form of `a` was asked"
 
 
