@@ -39,8 +39,8 @@ class Gap:
     @property
     def says_nothing(self) -> bool:
         """Whether a closed share has no meaning: nothing stood above the floor, little is closed of a gap that flights with
-        nothing hidden have too, or weather makes the gap grow with an effect that the likelihood confirms."""
-        outgrown = self.grows and self.confirmed is not None
+        nothing hidden have too, or weather makes the gap grow with an effect that the likelihood confirms or does not doubt."""
+        outgrown = self.grows and (self.gained or self.confirmed is not None)
         return self.within_floor or outgrown or (self.before <= self.highest and self.closed < self.enough)
 
     @property

@@ -206,11 +206,12 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
         if finding is None:
             break
         findings.append(finding)
-        if len(findings) > 1:
-            revised = backward_check(setting, findings)
-            if revised is not None:
-                findings, replaced = revised
-                rejected += replaced
+        for _ in range(setting.options.most):  # an effect that stood beside one that fell is asked again
+            revised = backward_check(setting, findings) if len(findings) > 1 else None
+            if revised is None:
+                break
+            findings, replaced = revised
+            rejected += replaced
         effects = frozenset(f.candidate.hypothesis.key for f in findings)
         in_circles = effects in before
         before.add(effects)

@@ -61,6 +61,9 @@ def test_a_gap_that_weather_makes_grow_beside_a_likelihood_that_confirms_says_no
     grown = Gap(4.81, 5.69, 3.58, highest=4.72, enough=0.7)
     assert (grown.says_nothing, grown.counted) == (False, 0.0)
     assert replace(grown, confirmed=0.93).counted == 0.93
+    unsure = replace(grown, gained=True)
+    assert (unsure.share, unsure.counted) == ("-", 1.0)
+    assert "neither for it nor against it" in not_in_held_out_gap(unsure)
     assert "grows (4.81 to 5.69)" in not_in_held_out_gap(replace(grown, confirmed=0.93))
 
 

@@ -359,6 +359,21 @@ def test_rounds_go_on_until_nothing_is_accepted_or_enough_is(monkeypatch: pytest
     assert seen == [0, 1], "a last round examines what is left"
 
 
+def test_effects_are_asked_again_until_all_of_them_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a false third name a `Cl_da` took the place of a `Cl_beta`, was joined by it again, and stayed."""
+    a, b, c = finding("a"), finding("b"), finding("c")
+    found = iter([a, b, None])
+    revisions = iter([([b, c], []), ([c], []), None])
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
+    monkeypatch.setattr(searching, "accept", lambda *given: (next(found), []))
+    monkeypatch.setattr(searching, "sharper_base", lambda *given: None)
+    monkeypatch.setattr(searching, "backward_check", lambda *given: next(revisions))
+    setting: Any = stub(screened=lambda *given: ROUND, options=Options(most=4), tell=lambda *given: None, prepared=None)
+    assert [f.candidate.hypothesis.label for f in run_rounds(setting, stub()).findings] == ["c"]
+    assert list(revisions) == [None], "one effect alone has none beside it"
+
+
 def test_effects_that_drop_each_other_in_turn_end_the_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of two drops the other: without an end the search went round in circles."""
     turn = iter("abababab")
