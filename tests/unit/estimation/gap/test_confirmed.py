@@ -1,6 +1,8 @@
 """What held-out flights confirm of a small effect, which their gap does not show."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from estimation.gap.answer.words import describe_step, not_in_held_out_gap, unco
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.decide import Named, closed_by
 from estimation.gap.search.state import Options
+from estimation.gap.significance import measure
 from estimation.gap.significance.measure import HeldOutLikelihood
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
@@ -96,3 +99,19 @@ def test_what_only_the_held_out_flights_speak_against_is_said() -> None:
     assert unconfirmed_in_words([weak]) == ""
     said = unconfirmed_in_words([weak, refused, refused])
     assert "(Cl_beta3 closes nothing on the held-out flights): fly once more" in said
+
+
+def test_the_likelihood_of_two_models_has_the_determinants_of_both_covariances(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gusts act through the model. With the energies alone a right `indicial_lag` lost 10 where 5 was predicted."""
+
+    def about(determinants: tuple[float, ...]) -> Any:
+        problem = SimpleNamespace(whiteners=[SimpleNamespace(log_determinant=d) for d in determinants])
+        return problem, SimpleNamespace(residuals=(np.zeros((4, 1)),))
+
+    first, second = about((-100.0, 7.0)), about((-90.0, -21.0))
+    products = iter([np.array([[50.0, 0.0], [0.0, 5.0]]), np.array([[60.0]])])
+    monkeypatch.setattr(measure, "_products_given_training", lambda *given: next(products))
+    before = SimpleNamespace(on_holdout=lambda noise: first)
+    after = SimpleNamespace(noise=None, held_out=second)
+    found = measure.held_out_likelihood(*cast(Any, (before, after)))
+    assert found == HeldOutLikelihood(gain=(50.0 - 93.0) - (60.0 - 111.0), predicted=5.0)
