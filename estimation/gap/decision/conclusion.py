@@ -80,6 +80,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
 
 
 def _concluded(state: _Conclusion, check: KinematicCheck) -> GapResult:
+    """The answer from the decision on the effects of the rounds."""
     setting, search = state.setting, state.search
     replaced = None
     if not setting.steered and not state.decision.doubted:
@@ -92,12 +93,21 @@ def _concluded(state: _Conclusion, check: KinematicCheck) -> GapResult:
     if replaced is None and state.event is None and not state.decision.doubted:
         continuation = names_beside(setting, search, state.model, state.shapes, state.decision)
     if continuation is not None:
-        if (renewed := in_its_place(setting, search, state.findings, continuation)) is not None:
-            further = _decided(setting, renewed)
-            if further.decision.kept > state.decision.kept:  # or the same search would follow, without end
-                return _concluded(further, check)
+        further = _with_more_names(state, continuation)
+        if further is not None:
+            return _concluded(further, check)
         _add_names(state, continuation)
     return _answer(state, check, rejected_hypotheses(search, continuation))
+
+
+def _with_more_names(state: _Conclusion, continuation: ShapeContinuation) -> _Conclusion | None:
+    """The decision after the rounds that name what was behind a shape; None where no more names stand than before, for then the
+    same search would follow, without end."""
+    renewed = in_its_place(state.setting, state.search, state.findings, continuation)
+    if renewed is None:
+        return None
+    further = _decided(state.setting, renewed)
+    return further if further.decision.kept > state.decision.kept else None
 
 
 def _decided(setting: Setting, search: SearchState) -> _Conclusion:

@@ -46,13 +46,8 @@ def spikes_about(baseline: Baseline) -> Spikes:
     filtered = filtered_attitudes(records, outputs, channel_noise(records), criteria)
     for problem, model_fit in fits:
         controls = [i for i, s in enumerate(problem.model.inputs) if s.control]
-        each = zip(
-            problem.records,
-            problem.coarse,
-            model_fit.residuals,
-            left_open(problem, model_fit, baseline.noise),
-            strict=True,
-        )
+        opened = left_open(problem, model_fit, baseline.noise)
+        each = zip(problem.records, problem.coarse, model_fit.residuals, opened, strict=True)
         for record, segment, residual, paths in each:
             stepping = stepping_samples(segment.u[:, controls], criteria)
             columns = found.setdefault(record.flight, {})

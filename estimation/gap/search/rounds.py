@@ -163,6 +163,18 @@ def _better_base(setting: Setting, round_: Round, choice: Choice) -> Baseline | 
         return None
 
 
+def _standing(setting: Setting, findings: list[AcceptedEffect]) -> tuple[list[AcceptedEffect], list[Rejected]]:
+    """The findings after a `backward_check`, repeated where one fell: those that stood beside it are asked again; and why."""
+    fallen: list[Rejected] = []
+    for _ in range(setting.options.most):
+        revised = backward_check(setting, findings) if len(findings) > 1 else None
+        if revised is None:
+            break
+        findings, reasons = revised
+        fallen += reasons
+    return findings, fallen
+
+
 def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
     """Add one effect after the other to `baseline` as long as one is accepted; then test the residuals for anything nameless.
 
@@ -206,12 +218,8 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
         if finding is None:
             break
         findings.append(finding)
-        for _ in range(setting.options.most):  # an effect that stood beside one that fell is asked again
-            revised = backward_check(setting, findings) if len(findings) > 1 else None
-            if revised is None:
-                break
-            findings, replaced = revised
-            rejected += replaced
+        findings, fallen = _standing(setting, findings)
+        rejected += fallen
         effects = frozenset(f.candidate.hypothesis.key for f in findings)
         in_circles = effects in before
         before.add(effects)
