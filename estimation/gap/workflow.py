@@ -38,6 +38,7 @@ from estimation.gap.records.own_motion import only_following, without_hardware_o
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
 from estimation.gap.records.sampling import at_own_rates, flown_apart, with_lost_rows, without_unseen_moves
 from estimation.gap.search.free_base import (
+    answers_an_effect,
     derivatives_off,
     far_off,
     many,
@@ -122,20 +123,26 @@ class _Run:
         )
 
     def set_up(self, base: Model, loop: ClosedLoop | None = None) -> tuple[Setting, Baseline]:
-        """What all rounds share and the first fit, for `base`; with the closed loop in both where a control answers gusts. loop:
-        that of an earlier fit to these flights."""
-        flights = [*self.training, *self.holdout]
+        """What all rounds share and the first fit, for `base`; with the closed loop in both where a control answers gusts and no
+        effect that the base lacks explains that. loop: that of an earlier fit to these flights."""
         if loop is None:
             setting, baseline = self._fitted(base)
             loop = None if self.stretched else self._loop_about(baseline)
             if loop is None or not loop.gains:
                 return setting, baseline
+            if answers_an_effect(setting, baseline, loop, self._flights):
+                return replace(setting, loop_left_open=loop), baseline
+        return self._in_loop(base, loop)
+
+    def _in_loop(self, base: Model, loop: ClosedLoop) -> tuple[Setting, Baseline]:
+        """The same with a closed loop; with controls as given where it runs away, or steers by radians: it is not the one that was
+        flown."""
         for _ in range(LOOP_PASSES):
             try:
                 setting, baseline = self._without_answers(loop)._fitted(base, loop)
-            except (GapError, DataError):  # a loop that runs away, or steers by radians, is not the one that was flown
+            except (GapError, DataError):
                 return self._fitted(base)
-            renewed = ClosedLoop.of(baseline, flights, loop.gains)
+            renewed = ClosedLoop.of(baseline, self._flights, loop.gains)
             if renewed.is_near(loop, baseline.problem.records):
                 break
             loop = renewed
@@ -143,8 +150,8 @@ class _Run:
 
     def _loop_about(self, baseline: Baseline) -> ClosedLoop:
         """The closed loop about a fit that takes controls as given, with the gains of those that answer gusts."""
-        base, flights = baseline.prepared.base, [*self.training, *self.holdout]
-        loop = ClosedLoop.of(baseline, flights, feedback_of(baseline.problem.records, base))
+        base = baseline.prepared.base
+        loop = ClosedLoop.of(baseline, self._flights, feedback_of(baseline.problem.records, base))
         if not (felt := loop.felt(baseline)):
             return replace(loop, gains={})
         # de-noising takes off part of what follows the motion, unless asked to keep it
@@ -153,16 +160,30 @@ class _Run:
         return replace(loop, gains={n: gains[n] for n in felt})
 
     def searched(self, setting: Setting, baseline: Baseline) -> tuple[Setting, SearchState]:
-        """All rounds; once more with the controls as given, where beside the effects that were found no control answers gusts: a
-        pilot answers what a missing effect does too."""
-        search, loop = run_rounds(setting, baseline), setting.loop
-        if loop is None or not search.findings:
-            return setting, search
+        """All rounds; where a control seems to answer gusts, in the closed loop or with controls as given, whichever is likelier,
+        and the other way where the effects found contradict that: a pilot answers what a missing effect does too."""
+        first = setting, run_rounds(setting, baseline)
+        loop, is_closed = setting.loop or setting.loop_left_open, setting.loop is not None
+        if loop is None or self._explains_answers(first[1], loop, is_closed) != is_closed:
+            return first
+        setting, baseline = self._fitted(setting.base) if is_closed else self._in_loop(setting.base, loop)
+        if not is_closed and setting.loop is None:  # it runs away
+            return first
+        second = setting, run_rounds(setting, baseline)
+        return first if not is_closed and self._explains_answers(second[1], loop, True) else second
+
+    def _explains_answers(self, search: SearchState, loop: ClosedLoop, is_closed: bool) -> bool:
+        """Whether beside the effects that were found no control answers gusts any more; False where none was found. is_closed:
+        whether the records of the search lack what `loop` answers."""
+        if not search.findings:
+            return False
         child = search.findings[-1].child
-        if ClosedLoop.of(child, [*self.training, *self.holdout], loop.gains).felt(child, loop):
-            return setting, search
-        setting, baseline = self._fitted(setting.base)
-        return setting, run_rounds(setting, baseline)
+        return not ClosedLoop.of(child, self._flights, loop.gains).felt(child, loop if is_closed else None)
+
+    @property
+    def _flights(self) -> tuple[Flight, ...]:
+        """All flights as fits take them, training ones first."""
+        return (*self.training, *self.holdout)
 
     def _without_answers(self, loop: ClosedLoop) -> "_Run":
         """The same with the controls of all flights as they would have been in still air."""

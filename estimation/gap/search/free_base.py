@@ -1,4 +1,6 @@
-"""Free all derivatives of a base that holds them at fixed numbers, before the search, where several of these are off.
+"""What is settled about a base before the search: whether all its derivatives are freed, and whether controls answer gusts.
+
+A base may hold its derivatives at fixed numbers; all are freed where several of these are off.
 
 A user's simulation takes its derivatives from a handbook or a wind tunnel. A single wrong one is an answer of the search and gets
 its name. Many that are off by some per cent each are no such answer, and together they hide the effect that is missing: with 14
@@ -13,13 +15,17 @@ import numpy as np
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Group
 from estimation.gap.fit.baseline import Baseline, fit_from
+from estimation.gap.fit.closed_loop import ClosedLoop
 from estimation.gap.fit.problem import ModelFit
+from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.search.state import Setting
-from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for
+from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess
 from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model, Parameter, ParameterRole
 from estimation.models.expressions import names_in
+from groundstation.flight import Flight
 
+LEADING = 3  # hypotheses of the largest gain by linear theory, of which one may be what a pilot answers
 FACTOR = "k_"  # prefix of the factor on a simulation's coefficient; with all its derivatives free it is redundant
 SIMULATED = "_sim"  # suffix of the value that the simulation itself gives a coefficient
 OFF = 0.1  # prior width of a derivative for which the model has no parameter, as a share of the simulation's value
@@ -45,6 +51,25 @@ def derivatives_off(setting: Setting, baseline: Baseline) -> tuple[str, ...]:
             problem = replace(problem, model=problem.model.freed(name))
             model_fit = fit_from(problem, model_fit)
     return tuple(h.form.frees[0] for h in hypotheses)
+
+
+def answers_an_effect(
+    setting: Setting, baseline: Baseline, loop: ClosedLoop, flights: Sequence[Flight]
+) -> bool:
+    """Whether the controls of `loop` answer what an effect does that the base lacks, and no gusts: with one of the leading
+    hypotheses in the base no control moves with the residuals any more. flights: of the fit, training ones first."""
+    problem, model_fit = baseline.problem, baseline.fit
+    hypotheses = hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
+    screen = build_screen(Tangent(problem, model_fit), hypotheses)
+    for h in np.argsort(-linear_gains(screen, problem))[:LEADING]:
+        hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, int(h))
+        trial, trial_fit = fit_hypothesis(problem, model_fit, hypothesis, guess)
+        if trial_fit.diverged:
+            continue
+        child = replace(baseline, problem=trial, fit=trial_fit)
+        if not ClosedLoop.of(child, flights, loop.gains).felt(child):
+            return True
+    return False
 
 
 def many(off: Sequence[str], criteria: Criteria) -> bool:

@@ -74,7 +74,7 @@ class Setting:
     dormant, which is what is fitted. following: controls that only follow the motion; excluded_effects: not tested for that
     reason. commanded: controls known from logged commands -> interval of the commands [s], from `rare_commands`. errors: per
     record, errors of its inputs. scatter: (ny,) standard deviations of the outputs' white noise. tell: reports progress. loop:
-    closed by controls that answer gusts.
+    closed by controls that answer gusts; loop_left_open: not closed, for an effect explains what they answer.
     """
 
     base: Model
@@ -90,6 +90,7 @@ class Setting:
     options: Options
     tell: ProgressCallback
     loop: ClosedLoop | None = None
+    loop_left_open: ClosedLoop | None = None
 
     @property
     def steered(self) -> bool:
