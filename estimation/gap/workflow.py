@@ -135,8 +135,7 @@ class _Run:
         return self._in_loop(base, loop)
 
     def _in_loop(self, base: Model, loop: ClosedLoop) -> tuple[Setting, Baseline]:
-        """The same with a closed loop; with controls as given where it runs away, or steers by radians: it is not the one that was
-        flown."""
+        """The same with a closed loop; with controls as given where it runs away or steers by radians, as none does in flight."""
         for _ in range(LOOP_PASSES):
             try:
                 setting, baseline = self._without_answers(loop)._fitted(base, loop)

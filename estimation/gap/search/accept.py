@@ -21,24 +21,23 @@ from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
 from estimation.gap.significance.measure import held_out_gaps, held_out_likelihood
 from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
-from estimation.gap.significance.omnibus import Omnibus
+from estimation.gap.significance.omnibus import Remainder
 
 
 def accept(
-    setting: Setting, round_: Round, choice: Choice, omnibus: Omnibus, shapes: Callable[[], float] = lambda: 0.0
+    setting: Setting, round_: Round, choice: Choice, rest: Remainder, shapes: Callable[[], float] = lambda: 0.0
 ) -> tuple[AcceptedEffect | None, list[Rejected]]:
     """The first candidate that is significant and `confirmed`, or None; and the candidates refused before it, with reasons.
 
     A score counts less where the candidate gains also on flights without it, whose controls are measured again (`MeasuredAgain`).
     Behind one that the held-out flights do not confirm only as good an explanation is asked, not what is left to a lesser one.
-    shapes: gives the gain of the best nameless function of one variable; called only where a candidate is significant.
+    rest: of the residuals of `round_`. shapes: gives the gain of the best nameless function of one variable; called only where a
+    candidate is significant.
     """
     rejected: list[Rejected] = []
     refused_keys: set[tuple[str, str]] = set()
     unconfirmed: FittedHypothesis | None = None  # the first of which the held-out flights show nothing
-    nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
     shape = shapes() if any(c.score >= round_.threshold for c in choice.candidates) else 0.0
-    nameless = max(nameless, shape)
     remeasured = MeasuredAgain(round_.baseline, setting.options.seed)
     for candidate in choice.candidates:
         if candidate.score < round_.threshold:
@@ -52,6 +51,8 @@ def accept(
             reason = f"explains only {(score / unconfirmed.score) ** 2:.0%} of what {unconfirmed.hypothesis.label} does"
         else:
             candidate = replace(candidate, score=score)
+            most = max(rest.most, shape)  # known without the controls measured again
+            nameless = most if explains(candidate.gain, most, round_.criteria) else max(rest.nameless, shape)
             child, reason = confirmed(setting, round_, candidate, nameless)
         if child is not None:
             is_doubtful = doubtful(candidate, shape, round_.threshold, round_.criteria)

@@ -53,9 +53,7 @@ def derivatives_off(setting: Setting, baseline: Baseline) -> tuple[str, ...]:
     return tuple(h.form.frees[0] for h in hypotheses)
 
 
-def answers_an_effect(
-    setting: Setting, baseline: Baseline, loop: ClosedLoop, flights: Sequence[Flight]
-) -> bool:
+def answers_an_effect(setting: Setting, baseline: Baseline, loop: ClosedLoop, flights: Sequence[Flight]) -> bool:
     """Whether the controls of `loop` answer what an effect does that the base lacks, and no gusts: with one of the leading
     hypotheses in the base no control moves with the residuals any more. flights: of the fit, training ones first."""
     problem, model_fit = baseline.problem, baseline.fit

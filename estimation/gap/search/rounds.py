@@ -31,7 +31,7 @@ from estimation.gap.search.sharper import sharper_base
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
 from estimation.gap.shapes.places import ModelMotion, places_of, rank
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
-from estimation.gap.significance.omnibus import examine
+from estimation.gap.significance.omnibus import Remainder
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess
 from estimation.gap.significance.tangent import Tangent
 
@@ -196,7 +196,7 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
             rejected.append(Rejected(label, f"the model with it cannot be examined: {error}"))
             break
         rounds.append(round_)
-        omnibus = examine(round_)
+        rest = Remainder(round_)
         if len(findings) == setting.options.most or in_circles:
             break
         setting.tell(f"round {len(rounds)}: full fits", setting.options.progress(len(rounds)))
@@ -207,7 +207,7 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
             rounds.pop()
             continue
         restarts = 0
-        finding, refused = accept(setting, round_, choice, omnibus, partial(shape_gain, setting, round_))
+        finding, refused = accept(setting, round_, choice, rest, partial(shape_gain, setting, round_))
         sharper = sharper_base(round_, choice) if finding is None and not sharpened else None
         sharpened = sharper is not None
         if sharper is not None:
@@ -225,4 +225,4 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
         before.add(effects)
         baseline = findings[-1].child
         round_.tangent.forget()
-    return SearchState(tuple(findings), tuple(rounds), omnibus, tuple(rejected))
+    return SearchState(tuple(findings), tuple(rounds), rest.omnibus, tuple(rejected))

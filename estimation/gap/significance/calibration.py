@@ -13,8 +13,11 @@ from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.significance.nulls import InputErrors, NullFlyer, fly_nulls
-from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains
+from estimation.gap.significance.screen import Screen, Signatures, hypotheses_for, linear_gains
 from estimation.gap.significance.tangent import Tangent
+
+FIRST_NULLS = 50  # flown before it is known whether more are needed: they give a threshold to 5 %
+CLEAR = 2.0  # thresholds: nothing so far above one of the first nulls is below that of all
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,11 @@ class Round:
         """(hypotheses,) scores of the data in units of their scatter on the nulls."""
         return np.sqrt(self.gains / self.inflation)
 
+    @property
+    def clear(self) -> bool:
+        """Whether the largest score is so far above the threshold that more nulls would change nothing."""
+        return bool(self.standardised().max(initial=0.0) > CLEAR * self.threshold)
+
 
 def inflation_by_hypothesis(round_: Round) -> dict[tuple[str, str], float]:
     """Hypothesis -> its inflation on the nulls, by linear theory."""
@@ -61,22 +69,34 @@ def screen_round(
     seed: int,
     tell: Callable[[int], None] = lambda done: None,
 ) -> Round:
-    """Screen every applicable hypothesis and calibrate the scores on simulated nulls."""
-    problem = baseline.problem
-    flyer = NullFlyer.build(problem, baseline.fit, baseline.noise, errors)
-    null_residuals = fly_nulls(flyer, nulls, seed, tell)
-    if len(null_residuals) < baseline.criteria.nulls_least * nulls:
-        raise GapError(
-            f"only {len(null_residuals)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
-        )
-    nulls = len(null_residuals)  # without those that ran away: enough for a threshold
+    """Screen every applicable hypothesis and calibrate the scores on up to `nulls` simulated nulls: on the first of them where
+    something stands clearly out. tell: called with the number of nulls so far. Raises GapError where most of them run away."""
+    flyer = NullFlyer.build(baseline.problem, baseline.fit, baseline.noise, errors)
     hypotheses = hypotheses_for(baseline.clean, effects, prepared.available)
-    tangent = Tangent(problem, baseline.fit, tuple(null_residuals))
-    screen = build_screen(tangent, hypotheses)
+    signatures = Signatures.of(baseline.problem, baseline.fit, hypotheses)
+    source, flown = fly_nulls(flyer, nulls, seed), list[tuple[Array, ...]]()
+    for count in dict.fromkeys((min(FIRST_NULLS, nulls), nulls)):
+        while len(flown) < count and (null := next(source, None)) is not None:
+            flown.append(null)
+            tell(len(flown))
+        if len(flown) < min(count, baseline.criteria.nulls_least * nulls):
+            raise GapError(
+                f"only {len(flown)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
+            )
+        round_ = _calibrated(baseline, signatures, flown)
+        if len(round_.null_residuals) == count and round_.clear:
+            break
+    return round_
+
+
+def _calibrated(baseline: Baseline, signatures: Signatures, flown: Sequence[tuple[Array, ...]]) -> Round:
+    """The round with these nulls, without those that are not comparable with the flights."""
+    problem, tangent = baseline.problem, Tangent(baseline.problem, baseline.fit, tuple(flown))
+    screen = signatures.screened(tangent)
     comparable = like_the_flights(screen.projected().energy, baseline.criteria)
     if not comparable.all():
         screen, tangent = screen.with_nulls(comparable), tangent.of(comparable)
-        nulls = len(tangent.nulls)
+    nulls = len(tangent.nulls)
     gains = linear_gains(screen, problem, 0)
     null_gains = linear_gains(screen, problem, slice(1, 1 + nulls))
     inflation = null_inflation(screen, nulls)

@@ -5,7 +5,7 @@ adds sensor noise to the outputs, treats the inputs as de-noised noisy measureme
 the same linear algebra as the flights. Thresholds, floors and inflation factors come from nulls; none is assumed.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -279,15 +279,14 @@ def _forgetting(rate: Array, h: float, memory: float, rng: np.random.Generator) 
     return decaying_sum(decay, drive)
 
 
-def fly_nulls(flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None]) -> list[tuple[Array, ...]]:
-    """`count` nulls, each a tuple of residuals per record; fewer where many diverge. The same seed gives the same nulls."""
-    nulls: list[tuple[Array, ...]] = []
-    for number in range(2 * count):
-        if len(nulls) == count:
+def fly_nulls(flyer: NullFlyer, most: int, seed: int) -> Iterator[tuple[Array, ...]]:
+    """Up to `most` nulls, each a tuple of residuals per record; fewer where many diverge. The same seed gives the same nulls."""
+    finite = 0
+    for number in range(2 * most):
+        if finite == most:
             break
         rng = Stream.NULLS.generator(seed, number)
         residuals = [flyer.fly(i, rng) for i in range(len(flyer.problem.records))]
         if all(r is not None for r in residuals):
-            nulls.append(tuple(r for r in residuals if r is not None))
-            tell(len(nulls))
-    return nulls
+            finite += 1
+            yield tuple(r for r in residuals if r is not None)

@@ -7,6 +7,7 @@ and energy that grows with some activity (a clipped, stale or sticking sensor er
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -45,21 +46,48 @@ class Omnibus:
         return self.score > self.threshold
 
 
+@dataclass(frozen=True)
+class Remainder:
+    """What the residuals of a round's baseline still hold. Each part is computed when it is first asked for: of a round in which
+    an effect is accepted mostly only a bound is needed."""
+
+    round_: Round
+
+    @cached_property
+    def _terms(self) -> tuple[list[OmnibusSignal], Array]:
+        return nameless_terms(self.round_.tangent)
+
+    @property
+    def most(self) -> float:
+        """Largest gain of a nameless term before what the noise of controls gives it is taken off: never below `nameless`."""
+        return max((s.gain for s in self._terms[0]), default=0.0)
+
+    @property
+    def nameless(self) -> float:
+        """Gain of the best nameless term."""
+        return max((s.gain for s in self.omnibus.leading if s.kind == "term"), default=0.0)
+
+    @cached_property
+    def omnibus(self) -> Omnibus:
+        """All three families."""
+        problem, model_fit = self.round_.baseline.problem, self.round_.baseline.fit
+        criteria, nulls = self.round_.criteria, len(self.round_.null_residuals)
+        terms, term_null = self._terms
+        white = whitened(self.round_)
+        times, time_null = restless_times(problem, white, nulls)
+        activity, activity_null = scatter_with_activity(problem, model_fit, white, nulls)
+        largest = np.max([term_null, time_null, activity_null], axis=0)
+        omnibus = summed_up([*terms, *times, *activity], largest, criteria)
+        doubtful = [s for s in terms if s.score > omnibus.threshold]
+        if not doubtful:
+            return omnibus
+        terms = [*(s for s in terms if s not in doubtful), *beyond_control_noise(self.round_, doubtful)]
+        return summed_up([*terms, *times, *activity], largest, criteria)
+
+
 def examine(round_: Round) -> Omnibus:
     """All three families on the residuals of a round's baseline."""
-    problem, model_fit, criteria = round_.baseline.problem, round_.baseline.fit, round_.criteria
-    nulls = len(round_.null_residuals)
-    terms, term_null = nameless_terms(round_.tangent)
-    white = whitened(round_)
-    times, time_null = restless_times(problem, white, nulls)
-    activity, activity_null = scatter_with_activity(problem, model_fit, white, nulls)
-    largest = np.max([term_null, time_null, activity_null], axis=0)
-    omnibus = summed_up([*terms, *times, *activity], largest, criteria)
-    doubtful = [s for s in terms if s.score > omnibus.threshold]
-    if not doubtful:
-        return omnibus
-    terms = [*(s for s in terms if s not in doubtful), *beyond_control_noise(round_, doubtful)]
-    return summed_up([*terms, *times, *activity], largest, criteria)
+    return Remainder(round_).omnibus
 
 
 def summed_up(signals: Sequence[OmnibusSignal], largest: Array, criteria: Criteria) -> Omnibus:

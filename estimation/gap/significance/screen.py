@@ -220,30 +220,50 @@ def equivalent_z(gain: float, unknowns: int) -> float:
     return float(-ndtri(tail / 2)) if tail > SMALLEST_TAIL else float(np.sqrt(gain))
 
 
+@dataclass(frozen=True)
+class Signatures:
+    """Hypotheses linearised about a fit. columns: their unknowns, in order; changes: per column, per record (N, ny) change of the
+    outputs; runaway: as of `Screen`."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    columns: tuple[HypothesisColumn, ...]
+    changes: tuple[list[Array], ...]
+    runaway: tuple[Hypothesis, ...]
+
+    @classmethod
+    def of(cls, problem: LikelihoodProblem, fit: ModelFit, hypotheses: Sequence[Hypothesis]) -> "Signatures":
+        """Without those that the flights do not excite at all."""
+        columns: list[HypothesisColumn] = []
+        changes: list[list[Array]] = []
+        included: list[Hypothesis] = []
+        runaway: list[Hypothesis] = []
+        for hypothesis in hypotheses:
+            sensitivities = [
+                (p, sensitivity(problem, fit, fit.residuals, hypothesis, p)) for p in hypothesis.form.parameters
+            ]
+            if any(c is None for _, c in sensitivities):
+                runaway.append(hypothesis)
+                continue
+            if any(max(np.abs(x).max() for x in c or ()) == 0.0 for _, c in sensitivities):
+                continue
+            for parameter, change in sensitivities:
+                columns.append(HypothesisColumn(len(included), parameter))
+                changes.append(change or [])
+            included.append(hypothesis)
+        return cls(tuple(included), tuple(columns), tuple(changes), tuple(runaway))
+
+    def screened(self, tangent: Tangent) -> Screen:
+        """Beside the residuals of a tangent about the same fit."""
+        problem = tangent.problem
+        grams = tuple(tangent.record(i).gram_with([c[i] for c in self.changes]) for i in range(len(problem.records)))
+        prior = shared_prior(problem, tangent.fit, grams[0].shape[0], len(self.columns))
+        flights = tuple(r.flight for r in problem.records)
+        return Screen(problem.free, self.hypotheses, self.columns, grams, prior, flights, self.runaway)
+
+
 def build_screen(tangent: Tangent, hypotheses: Sequence[Hypothesis]) -> Screen:
     """Linearise all hypotheses at the fit of a tangent. Raises GapError where its motion cannot be linearised."""
-    problem, fit = tangent.problem, tangent.fit
-    columns: list[HypothesisColumn] = []
-    changes: list[list[Array]] = []
-    included: list[Hypothesis] = []
-    runaway: list[Hypothesis] = []
-    for hypothesis in hypotheses:
-        sensitivities = [
-            (p, sensitivity(problem, fit, fit.residuals, hypothesis, p)) for p in hypothesis.form.parameters
-        ]
-        if any(c is None for _, c in sensitivities):
-            runaway.append(hypothesis)
-            continue
-        if any(max(np.abs(x).max() for x in c or ()) == 0.0 for _, c in sensitivities):
-            continue  # these flights do not excite it at all
-        for parameter, change in sensitivities:
-            columns.append(HypothesisColumn(len(included), parameter))
-            changes.append(change or [])
-        included.append(hypothesis)
-    grams = tuple(tangent.record(i).gram_with([c[i] for c in changes]) for i in range(len(problem.records)))
-    prior = shared_prior(problem, fit, grams[0].shape[0], len(columns))
-    flights = tuple(r.flight for r in problem.records)
-    return Screen(problem.free, tuple(included), tuple(columns), grams, prior, flights, tuple(runaway))
+    return Signatures.of(tangent.problem, tangent.fit, hypotheses).screened(tangent)
 
 
 def shared_prior(problem: LikelihoodProblem, fit: ModelFit, size: int, k: int) -> Array:

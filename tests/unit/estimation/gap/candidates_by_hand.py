@@ -10,8 +10,9 @@ from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.search.confirm import FittedHypothesis
+from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.nameless_terms import OmnibusSignal
-from estimation.gap.significance.omnibus import Omnibus
+from estimation.gap.significance.omnibus import Omnibus, Remainder
 from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Screen
 from estimation.models.base import InputTransform, Model, Parameter
 from estimation.models.base import Signal as Variable
@@ -63,3 +64,10 @@ ROUND = stub(threshold=4.0, baseline="base", criteria=AS_SET, tangent=stub(forge
 REST = Omnibus(
     9.0, 5.0, (OmnibusSignal("term", "r", "beta", 9.0, gain=80.0), OmnibusSignal("time", "r", "burst", 8.0, gain=1e9))
 )
+
+
+def remainder(round_: Round, most: float = 80.0) -> Remainder:
+    """With REST for an answer, and `most` before the controls are measured again."""
+    rest = Remainder(round_)
+    vars(rest).update(omnibus=REST, _terms=([OmnibusSignal("term", "r", "beta", 9.0, gain=most)], None))
+    return rest

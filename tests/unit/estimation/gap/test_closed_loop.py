@@ -1,18 +1,24 @@
 """Controls that answer gusts: their gains, what they would have done in still air, and the loop that the model closes."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from estimation.engine.simulate import Segment, Simulator
+from estimation.gap import workflow
 from estimation.gap.fit.baseline import Baseline, fit_baseline
 from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of
 from estimation.gap.records.flight_records import prepare_flights
-from estimation.gap.workflow import Options, _setting, run_gap
+from estimation.gap.search.rounds import run_rounds
+from estimation.gap.search.state import SearchState, Setting
+from estimation.gap.workflow import Options, _Run, _setting, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights as second_flights
 from tests.studies.gap_benchmark import requests
+from tests.unit.estimation.gap.candidates_by_hand import stub
 from tests.unit.estimation.gap.roll import ROLL
 
 DEG = np.pi / 180
@@ -97,13 +103,59 @@ def test_answers_are_felt_again_about_a_fit_in_the_loop_whose_records_lack_them(
     assert not again.felt(baseline)
 
 
-def test_an_effect_that_a_pilot_answers_is_named_beside_controls_as_given() -> None:
+def test_an_effect_that_a_pilot_answers_is_named_beside_controls_as_given(monkeypatch: pytest.MonkeyPatch) -> None:
     """The yaw that a propeller makes with incidence moved a levelled aircraft, and the ailerons answered that: in a closed loop
     it was named beside an unknown of 14.1 of 5.7."""
+    searches: list[bool] = []
+
+    def counted(setting: Setting, baseline: Baseline) -> SearchState:
+        searches.append(setting.loop is not None)
+        return run_rounds(setting, baseline)
+
+    monkeypatch.setattr(workflow, "run_rounds", counted)
     flights = second_flights(truth.fly(requests({"p_factor": 1.0}, 66401019, 0.15, "rich")))
     result = run_gap(load_model("lateral", "cdfp"), flights[:3], flights[3:], options=Options(nulls=20))
     assert [s.effect for s in result.steps] == ["p_factor"]
     assert not any("answers gusts" in note for note in result.notes)
+    assert searches == [False], "one search, for with the leading hypothesis no control answered gusts"
+
+
+OPEN, CLOSED = "controls as given", "in the loop"
+
+
+@pytest.mark.parametrize(
+    ("begun", "explained", "searched", "answer"),
+    [
+        (OPEN, {OPEN}, [OPEN], OPEN),  # the hypothesis that explains what controls answer becomes an effect
+        (OPEN, set(), [OPEN, CLOSED], CLOSED),  # it does not, and they answer gusts
+        (OPEN, {CLOSED}, [OPEN, CLOSED], OPEN),  # nor do they in the loop
+        (CLOSED, set(), [CLOSED], CLOSED),
+        (CLOSED, {CLOSED}, [CLOSED, OPEN], OPEN),  # a pilot answered what the effect does
+    ],
+)
+def test_a_search_that_contradicts_its_loop_is_made_the_other_way(
+    monkeypatch: pytest.MonkeyPatch, begun: str, explained: set[str], searched: list[str], answer: str
+) -> None:
+    """explained: searches beside whose effects no control answers gusts."""
+    made: list[str] = []
+    settings = {OPEN: stub(base="base", loop=None, loop_left_open="loop"), CLOSED: stub(base="base", loop="loop")}
+    run = _Run((), (), (), (), (), (), (), None, OPTIONS, lambda what, share: None)
+    monkeypatch.setattr(_Run, "_fitted", lambda *given: (settings[OPEN], OPEN))
+    monkeypatch.setattr(_Run, "_in_loop", lambda *given: (settings[CLOSED], CLOSED))
+    monkeypatch.setattr(_Run, "_explains_answers", lambda self, search, loop, is_closed: search in explained)
+    monkeypatch.setattr(workflow, "run_rounds", lambda setting, baseline: (made.append(baseline), baseline)[1])
+    assert run.searched(settings[begun], begun) == (settings[answer], answer)  # type: ignore[comparison-overlap, arg-type]
+    assert made == searched
+
+
+def test_without_a_loop_that_holds_the_first_search_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that runs away is not flown, and the same search would be made again."""
+    setting: Any = stub(base="base", loop=None, loop_left_open="loop")
+    run = _Run((), (), (), (), (), (), (), None, OPTIONS, lambda what, share: None)
+    monkeypatch.setattr(_Run, "_in_loop", lambda *given: (setting, "again"))
+    monkeypatch.setattr(_Run, "_explains_answers", lambda *given: False)
+    monkeypatch.setattr(workflow, "run_rounds", lambda setting, baseline: baseline)
+    assert run.searched(setting, "first") == (setting, "first")  # type: ignore[comparison-overlap, arg-type]
 
 
 def closed(flights: list[Flight], loop: ClosedLoop, passes: int) -> tuple[Baseline, ClosedLoop]:

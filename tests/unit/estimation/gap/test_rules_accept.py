@@ -20,7 +20,7 @@ from estimation.gap.search.accept import (
 from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.select import Choice
 from estimation.gap.search.state import Options
-from tests.unit.estimation.gap.candidates_by_hand import REST, ROUND, candidate, stub
+from tests.unit.estimation.gap.candidates_by_hand import REST, ROUND, candidate, remainder, stub
 
 SETTING: Any = stub(options=Options())
 
@@ -84,7 +84,7 @@ def test_what_the_noise_of_the_controls_gives_is_no_effect(
     monkeypatch.setattr(accepting, "confirmed", lambda *_: ("child", ""))
     one = candidate("a", evidence=50.0)
     own_gains[str(one.gain)] = share
-    finding, said = accept(SETTING, ROUND, Choice((one,), {}, ()), REST)
+    finding, said = accept(SETTING, ROUND, Choice((one,), {}, ()), remainder(ROUND))
     assert (finding is not None) is stands
     assert stands or "controls are measured again" in said[0].why
     assert finding is None or finding.candidate.score == pytest.approx(one.score * np.sqrt(share))
@@ -101,12 +101,26 @@ def test_the_first_candidate_that_is_confirmed_becomes_the_effect(
 
     monkeypatch.setattr(accepting, "confirmed", confirmed)
     rivals = tuple(candidate(n, evidence=50.0) for n in ("a", "b", "c"))
-    finding, said = accept(SETTING, ROUND, Choice(rivals, {}, ()), REST)
+    finding, said = accept(SETTING, ROUND, Choice(rivals, {}, ()), remainder(ROUND))
     assert asked == [("a", 80.0), ("b", 80.0)], "a nameless term is the strongest term, not a burst"
     assert finding is not None
     assert (finding.candidate, finding.child) == (rivals[1], "child")
     assert finding.choice.weights == pytest.approx({"b": 0.5, "c": 0.5})
     assert said == [Rejected("a", "no")]
+
+
+def test_controls_are_measured_again_only_where_a_bound_of_the_nameless_gain_refuses_a_candidate(
+    monkeypatch: pytest.MonkeyPatch, own_gains: dict[str, float]
+) -> None:
+    """The answer is that of the gain itself: the bound is never below it."""
+    asked: list[float] = []
+    monkeypatch.setattr(accepting, "confirmed", lambda *given: (asked.append(given[3]), ("child", ""))[1])
+    one = candidate(score=8.0)  # gains 64
+    sufficient, too_large = remainder(ROUND, one.gain / 0.75), remainder(ROUND, one.gain / 0.74)
+    del vars(sufficient)["omnibus"]  # a stub of a round has none to be examined
+    for rest in (sufficient, too_large):
+        accept(SETTING, ROUND, Choice((one,), {}, ()), rest)
+    assert asked == [pytest.approx(one.gain / 0.75), REST.leading[0].gain]
 
 
 @pytest.mark.parametrize(("score", "named"), [(6.9, "explains only 74% of what a does"), (7.0, "")])
@@ -120,7 +134,7 @@ def test_behind_one_that_the_held_out_flights_do_not_confirm_only_as_good_an_exp
 
     monkeypatch.setattr(accepting, "confirmed", confirmed)
     rivals = (candidate("a", score=8.0), candidate("b", score=score))
-    finding, said = accept(SETTING, ROUND, Choice(rivals, {}, ()), REST)
+    finding, said = accept(SETTING, ROUND, Choice(rivals, {}, ()), remainder(ROUND))
     assert (finding is None) is bool(named)
     assert [r.why for r in said[1:]] == ([named] if named else [])
 
@@ -138,7 +152,7 @@ def test_a_name_is_doubted_where_a_shape_gains_clearly_more_and_by_what_is_signi
 
 def test_nothing_below_the_threshold_is_asked() -> None:
     rivals = (candidate(score=3.9),)
-    assert accept(SETTING, ROUND, Choice(rivals, {}, ()), REST) == (None, [])
+    assert accept(SETTING, ROUND, Choice(rivals, {}, ()), remainder(ROUND)) == (None, [])
 
 
 @pytest.mark.parametrize(("shape", "nameless"), [(30.0, 80.0), (900.0, 900.0)])
@@ -152,6 +166,12 @@ def test_a_name_is_held_against_a_shape_without_one(
         return None, "no"
 
     monkeypatch.setattr(accepting, "confirmed", confirmed)
-    accept(SETTING, ROUND, Choice((candidate(evidence=50.0),), {}, ()), REST, lambda: shape)
+    accept(SETTING, ROUND, Choice((candidate(evidence=50.0),), {}, ()), remainder(ROUND), lambda: shape)
     assert asked == [nameless]
-    accept(SETTING, ROUND, Choice((candidate(score=3.9),), {}, ()), REST, lambda: pytest.fail("asked for nothing"))
+    accept(
+        SETTING,
+        ROUND,
+        Choice((candidate(score=3.9),), {}, ()),
+        remainder(ROUND),
+        lambda: pytest.fail("asked for nothing"),
+    )

@@ -29,7 +29,7 @@ from estimation.gap.search.sharper import holds_an_effect
 from estimation.gap.search.state import AcceptedEffect, Options
 from estimation.gap.significance.calibration import Round
 from estimation.models.base import Parameter
-from tests.unit.estimation.gap.candidates_by_hand import REST, ROUND, candidate, hypothesis, stub
+from tests.unit.estimation.gap.candidates_by_hand import ROUND, candidate, hypothesis, remainder, stub
 from tests.unit.estimation.gap.roll import ROLL
 
 SETTING: Any = stub(options=Options())
@@ -169,7 +169,7 @@ def test_a_model_that_cannot_be_examined_is_withdrawn_and_what_was_found_before_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found = iter([finding("a"), finding("b")])
-    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "Remainder", remainder)
     monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
     monkeypatch.setattr(searching, "backward_check", lambda *given: None)
     monkeypatch.setattr(searching, "accept", lambda *given: (next(found), []))
@@ -192,7 +192,7 @@ def test_a_model_that_cannot_be_examined_is_withdrawn_and_what_was_found_before_
 
 def test_rounds_go_on_until_nothing_is_accepted_or_enough_is(monkeypatch: pytest.MonkeyPatch) -> None:
     found = [finding("a"), finding("b"), None]
-    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "Remainder", remainder)
     monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, (Rejected("z", "weak"),)))
     monkeypatch.setattr(searching, "backward_check", lambda *given: None)
     seen: list[int] = []
@@ -221,7 +221,7 @@ def test_effects_are_asked_again_until_all_of_them_stand(monkeypatch: pytest.Mon
     a, b, c = finding("a"), finding("b"), finding("c")
     found = iter([a, b, None])
     revisions = iter([([b, c], []), ([c], []), None])
-    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "Remainder", remainder)
     monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
     monkeypatch.setattr(searching, "accept", lambda *given: (next(found), []))
     monkeypatch.setattr(searching, "sharper_base", lambda *given: None)
@@ -234,7 +234,7 @@ def test_effects_are_asked_again_until_all_of_them_stand(monkeypatch: pytest.Mon
 def test_effects_that_drop_each_other_in_turn_end_the_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of two drops the other: without an end the search went round in circles."""
     turn = iter("abababab")
-    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "Remainder", remainder)
     monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
     monkeypatch.setattr(searching, "accept", lambda *given: (finding(next(turn)), []))
     monkeypatch.setattr(searching, "backward_check", lambda setting, findings: ([findings[-1]], []))
@@ -264,7 +264,7 @@ def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPa
         seen.append((baseline.name, number))
         return stub(threshold=4.0, baseline=baseline)
 
-    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "Remainder", remainder)
     monkeypatch.setattr(searching, "choose", choose)
     monkeypatch.setattr(searching, "deeper_fit", lambda baseline, fit: leads.get(baseline.name))
     monkeypatch.setattr(searching, "fit_baseline", lambda model, clean, prepared, scatter, found, noise: base(found))
@@ -293,7 +293,7 @@ def test_a_round_is_asked_once_more_with_noise_that_holds_no_effect(monkeypatch:
         seen.append((baseline.name, number))
         return stub(threshold=4.0, baseline=baseline)
 
-    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "Remainder", remainder)
     monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
     monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
     monkeypatch.setattr(searching, "sharper_base", lambda *given: sharp)
