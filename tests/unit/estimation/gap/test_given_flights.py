@@ -180,6 +180,14 @@ def test_a_copy_with_fewer_digits_and_a_clock_of_its_own_is_the_same_record() ->
     assert one_record_twice([one, other]) is None, "a tenth of the noise apart"
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_simulation_that_ran_away_is_compared_without_a_word() -> None:
+    """Its values beyond single precision had shown the user an overflow before the sentence on what is wrong with them."""
+    away = {c: np.where(TIME > TIME[-20], 1e300, v) for c, v in motion(1).items()}
+    assert one_record_twice([named("one", away), named("two", motion(2))]) is None
+    assert one_record_twice([named("one", away), named("two", motion(2)), named("again", away)]) == (0, 2)
+
+
 def test_aircraft_at_rest_and_flights_that_begin_alike_are_not_one_record() -> None:
     rest = {c: np.full(COUNT, 0.01) for c in motion(1)}
     assert one_record_twice([named("one", rest), named("two", rest)]) is None
