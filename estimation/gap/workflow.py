@@ -172,9 +172,12 @@ class _Run:
         return first if not is_closed and self._explains_answers(second[1], loop, True) else second
 
     def _explains_answers(self, search: SearchState, loop: ClosedLoop, is_closed: bool) -> bool:
-        """Whether beside the effects that were found no control answers gusts any more; False where none was found. is_closed:
-        whether the records of the search lack what `loop` answers."""
-        if not search.findings:
+        """Whether beside the effects that were found no control answers gusts any more; False where none was found.
+
+        With controls as given one of them has to be clear, for small ones come from gusts that a control answers. is_closed:
+        whether the records of the search lack what `loop` answers.
+        """
+        if not search.findings or not (is_closed or any(f.clear for f in search.findings)):
             return False
         child = search.findings[-1].child
         return not ClosedLoop.of(child, self._flights, loop.gains).felt(child, loop if is_closed else None)

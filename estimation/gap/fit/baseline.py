@@ -145,8 +145,10 @@ def whiteners_for(
     values: of the model's parameters, about which its motion is linearised. earlier: a noise model to start the estimate from.
     """
     base, criteria = prepared.base, prepared.criteria
-    # slow errors need no finer steps than the fits, half a sample long
-    simulator = Simulator.build(model, (), substeps=integration_steps(0.5 * records[0].interval), hold="linear")
+    # slow errors need no finer steps than those of the fits, for half a sample; the lag of an instrument does
+    has_lags = len(model.states) > len(base.states)
+    longest = records[0].interval if has_lags else 0.5 * records[0].interval
+    simulator = Simulator.build(model, (), substeps=integration_steps(longest), hold="linear")
     segments = [r.segment(model, base) for r in records]
     motions = [linear_motion(model, simulator, s, values) for s in segments]
     shapes = [

@@ -55,10 +55,13 @@ def derivatives_off(setting: Setting, baseline: Baseline) -> tuple[str, ...]:
 
 def answers_an_effect(setting: Setting, baseline: Baseline, loop: ClosedLoop, flights: Sequence[Flight]) -> bool:
     """Whether the controls of `loop` answer what an effect does that the base lacks, and no gusts: with one of the leading
-    hypotheses in the base no control moves with the residuals any more. flights: of the fit, training ones first."""
+    hypotheses in the base no control moves with the residuals any more. flights: of the fit, training ones first.
+
+    Late or loose controls are not asked: what one that answers gusts does beside its record looks like a dead zone of it.
+    """
     problem, model_fit = baseline.problem, baseline.fit
     hypotheses = hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
-    screen = build_screen(Tangent(problem, model_fit), hypotheses)
+    screen = build_screen(Tangent(problem, model_fit), [h for h in hypotheses if not h.form.transforms])
     for h in np.argsort(-linear_gains(screen, problem))[:LEADING]:
         hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, int(h))
         trial, trial_fit = fit_hypothesis(problem, model_fit, hypothesis, guess)

@@ -11,14 +11,16 @@ from estimation.gap.fit.baseline import Baseline, fit_baseline
 from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of
 from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.search.rounds import run_rounds
-from estimation.gap.search.state import SearchState, Setting
+from estimation.gap.search.select import Choice
+from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.workflow import Options, _Run, _setting, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
+from tests.studies import gap_nulls
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights as second_flights
 from tests.studies.gap_benchmark import requests
-from tests.unit.estimation.gap.candidates_by_hand import stub
+from tests.unit.estimation.gap.candidates_by_hand import ROUND, candidate, stub
 from tests.unit.estimation.gap.roll import ROLL
 
 DEG = np.pi / 180
@@ -156,6 +158,36 @@ def test_without_a_loop_that_holds_the_first_search_stands(monkeypatch: pytest.M
     monkeypatch.setattr(_Run, "_explains_answers", lambda *given: False)
     monkeypatch.setattr(workflow, "run_rounds", lambda setting, baseline: baseline)
     assert run.searched(setting, "first") == (setting, "first")  # type: ignore[comparison-overlap, arg-type]
+
+
+@pytest.mark.parametrize(
+    ("score", "is_closed", "felt", "explains"),
+    [
+        (8.1, False, (), True),
+        (8.1, False, ("delta_a",), False),
+        (7.9, False, (), False),  # not clear: a dead zone of 5.1 of 3.9 was named where the aileron answered gusts
+        (7.9, True, (), True),
+        (7.9, True, ("delta_a",), False),
+    ],
+)
+def test_with_controls_as_given_only_a_clear_effect_explains_what_they_answer(
+    monkeypatch: pytest.MonkeyPatch, score: float, is_closed: bool, felt: tuple[str, ...], explains: bool
+) -> None:
+    monkeypatch.setattr(ClosedLoop, "of", lambda *given: stub(felt=lambda child, taken_off: felt))
+    found = AcceptedEffect(ROUND, Choice((), {}, ()), candidate(score=score), stub(), stub())  # of a threshold of 4
+    run = _Run((), (), (), (), (), (), (), None, OPTIONS, lambda what, share: None)
+    loop: Any = stub(gains={})
+    assert run._explains_answers(SearchState((found,), (), stub(), ()), loop, is_closed) is explains
+    assert not run._explains_answers(SearchState((), (), stub(), ()), loop, is_closed)
+
+
+def test_a_dead_zone_does_not_explain_an_aileron_that_answers_gusts() -> None:
+    """What it does beside its record looks like one: the loop stayed open, and the dead zone was named."""
+    model, training, holdout = gap_nulls.KINDS["fourth: gusty"]("lateral", 2922)
+    run = _Run.of(model, training, holdout, (), None, OPTIONS, lambda what, share: None)
+    setting, _ = run.set_up(model)
+    assert setting.loop is not None
+    assert tuple(setting.loop.gains) == ("delta_a",)
 
 
 def closed(flights: list[Flight], loop: ClosedLoop, passes: int) -> tuple[Baseline, ClosedLoop]:
