@@ -189,8 +189,8 @@ class Criteria:
         "right names gain 0.996 to 20 times as much (40 effects, size 1.5), a cubic for dead bands 0.79 to 0.955 "
         "(2026-11-25); a wrong formula of the right parity closed .83 and .96, the right one 1.00 (2026-11-22)")
     strong: float = criterion(1.5, "thresholds",
-        "above it linear theory and held-out flights may contradict an effect a little, and a nameless rest beside names that "
-        "bring the gap within that of the nulls is no ordinary scatter", FOREIGN)
+        "above it linear theory and held-out flights may contradict an effect a little, it may be what controls answer and no "
+        "gusts, and a nameless rest beside names that bring the gap within that of the nulls is no ordinary scatter", FOREIGN)
     certain: float = criterion(3.0, "standard deviations",
         "of one unknown: less may be chance (a size, a delay of a surface beside that of sampling, the change of a derivative, "
         "the gain on held-out flights, the lead of a rival over an accepted effect); more may be an outlier (energy of a single "

@@ -37,6 +37,7 @@ from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
 from estimation.gap.records.sampling import at_own_rates, flown_apart, with_lost_rows, without_unseen_moves
+from estimation.gap.search.accept import is_strong
 from estimation.gap.search.free_base import (
     answers_an_effect,
     derivatives_off,
@@ -174,10 +175,12 @@ class _Run:
     def _explains_answers(self, search: SearchState, loop: ClosedLoop, is_closed: bool) -> bool:
         """Whether beside the effects that were found no control answers gusts any more; False where none was found.
 
-        With controls as given one of them has to be clear, for small ones come from gusts that a control answers. is_closed:
+        With controls as given one of them has to be strong, for small ones come from gusts that a control answers. is_closed:
         whether the records of the search lack what `loop` answers.
         """
-        if not search.findings or not (is_closed or any(f.clear for f in search.findings)):
+        criteria = self.options.criteria
+        strong = [f for f in search.findings if is_strong(f.candidate.score, f.round_.threshold, criteria)]
+        if not (search.findings if is_closed else strong):
             return False
         child = search.findings[-1].child
         return not ClosedLoop.of(child, self._flights, loop.gains).felt(child, loop if is_closed else None)

@@ -14,6 +14,7 @@ import numpy as np
 
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Group
+from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_from
 from estimation.gap.fit.closed_loop import ClosedLoop
 from estimation.gap.fit.problem import ModelFit
@@ -61,7 +62,10 @@ def answers_an_effect(setting: Setting, baseline: Baseline, loop: ClosedLoop, fl
     """
     problem, model_fit = baseline.problem, baseline.fit
     hypotheses = hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
-    screen = build_screen(Tangent(problem, model_fit), [h for h in hypotheses if not h.form.transforms])
+    try:
+        screen = build_screen(Tangent(problem, model_fit), [h for h in hypotheses if not h.form.transforms])
+    except GapError:  # about a fit that is barely stable nothing is known
+        return False
     for h in np.argsort(-linear_gains(screen, problem))[:LEADING]:
         hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, int(h))
         trial, trial_fit = fit_hypothesis(problem, model_fit, hypothesis, guess)

@@ -14,7 +14,7 @@ from estimation.gap.records.candidate_model import awakened
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.select import Choice
-from estimation.gap.significance.calibration import CLEAR, Round, screen_round
+from estimation.gap.significance.calibration import Round, screen_round
 from estimation.gap.significance.measure import Floors, floors
 from estimation.gap.significance.nulls import InputErrors
 from estimation.gap.significance.omnibus import Omnibus
@@ -53,11 +53,6 @@ class AcceptedEffect:
     parent: Baseline
     child: Baseline
     doubted: bool = False
-
-    @property
-    def clear(self) -> bool:
-        """Whether it stands as clearly out of the nulls as what needs few of them."""
-        return self.candidate.score > CLEAR * self.round_.threshold
 
 
 @dataclass(frozen=True)

@@ -311,9 +311,7 @@ def _fingerprints(flight: Flight, columns: Sequence[str], steps: Array) -> set[i
     """A hash of every window of ROWS_IN_A_ROW rows in which the values move. steps: (columns,) to which values are rounded."""
     courses = [np.round(flight[c] / q) if q != 1.0 else flight[c] for c, q in zip(columns, steps, strict=True)]
     # single precision, so that a file with seven digits is equal; as bits, so that NaN equals NaN; + 0.0 makes -0.0 equal 0.0
-    with np.errstate(
-        over="ignore"
-    ):  # beyond its range, as of a simulation that ran away, values are infinite and alike
+    with np.errstate(over="ignore"):  # beyond its range, as where a simulation ran away, all values are infinite
         rows = np.column_stack([v.astype(np.float32) + np.float32(0.0) for v in courses]).view(np.uint32)
     changes = np.concatenate([[0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1))])
     return {
