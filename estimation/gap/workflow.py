@@ -113,7 +113,7 @@ class _Run:
 
     def without_spikes(self, spikes: Spikes) -> "_Run":
         """The same with the spikes of flights left out. spikes: by index of the flight, training ones first."""
-        count, flights = len(self.training), [*self.training, *self.holdout]
+        count, flights = len(self.training), self._flights
         clean = [without_spikes(f, spikes.get(i, {})) for i, f in enumerate(flights)]
         sound = [
             without_spikes(f, spikes.get(i, {})) if len(f) == len(clean[i]) else f for i, f in enumerate(self.sound)
@@ -179,8 +179,7 @@ class _Run:
         whether the records of the search lack what `loop` answers.
         """
         criteria = self.options.criteria
-        strong = [f for f in search.findings if is_strong(f.candidate.score, f.round_.threshold, criteria)]
-        if not (search.findings if is_closed else strong):
+        if not any(is_closed or is_strong(f.candidate.score, f.round_.threshold, criteria) for f in search.findings):
             return False
         child = search.findings[-1].child
         return not ClosedLoop.of(child, self._flights, loop.gains).felt(child, loop if is_closed else None)
@@ -192,7 +191,7 @@ class _Run:
 
     def _without_answers(self, loop: ClosedLoop) -> "_Run":
         """The same with the controls of all flights as they would have been in still air."""
-        count, flights = len(self.training), [*self.training, *self.holdout]
+        count, flights = len(self.training), self._flights
         still = [loop.without_answers(i, f) for i, f in enumerate(flights)]
         return replace(self, training=tuple(still[:count]), holdout=tuple(still[count:]))
 

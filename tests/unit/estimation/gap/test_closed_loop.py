@@ -142,23 +142,23 @@ def test_a_search_that_contradicts_its_loop_is_made_the_other_way(
     """explained: searches beside whose effects no control answers gusts."""
     made: list[str] = []
     settings = {OPEN: stub(base="base", loop=None, loop_left_open="loop"), CLOSED: stub(base="base", loop="loop")}
-    run = _Run((), (), (), (), (), (), (), None, OPTIONS, lambda what, share: None)
+    run: Any = _Run((), (), (), (), (), (), (), None, OPTIONS, lambda what, share: None)
     monkeypatch.setattr(_Run, "_fitted", lambda *given: (settings[OPEN], OPEN))
     monkeypatch.setattr(_Run, "_in_loop", lambda *given: (settings[CLOSED], CLOSED))
     monkeypatch.setattr(_Run, "_explains_answers", lambda self, search, loop, is_closed: search in explained)
     monkeypatch.setattr(workflow, "run_rounds", lambda setting, baseline: (made.append(baseline), baseline)[1])
-    assert run.searched(settings[begun], begun) == (settings[answer], answer)  # type: ignore[comparison-overlap, arg-type]
+    assert run.searched(settings[begun], begun) == (settings[answer], answer)
     assert made == searched
 
 
 def test_without_a_loop_that_holds_the_first_search_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that runs away is not flown, and the same search would be made again."""
     setting: Any = stub(base="base", loop=None, loop_left_open="loop")
-    run = _Run((), (), (), (), (), (), (), None, OPTIONS, lambda what, share: None)
+    run: Any = _Run((), (), (), (), (), (), (), None, OPTIONS, lambda what, share: None)
     monkeypatch.setattr(_Run, "_in_loop", lambda *given: (setting, "again"))
     monkeypatch.setattr(_Run, "_explains_answers", lambda *given: False)
     monkeypatch.setattr(workflow, "run_rounds", lambda setting, baseline: baseline)
-    assert run.searched(setting, "first") == (setting, "first")  # type: ignore[comparison-overlap, arg-type]
+    assert run.searched(setting, "first") == (setting, "first")
 
 
 @pytest.mark.parametrize(

@@ -50,5 +50,7 @@ def test_slow_errors_of_controls_stay_beside_a_vane_that_lags_little(lag: float)
     if lag:
         values["beta_lag"] = lag
     _, whiteners = whiteners_for(lagging, baseline.prepared, records, values, baseline.noise, (), baseline.scatter)
-    assert whiteners[0].slack is not None
-    assert whiteners[0].slack.rows.shape[1] == baseline.problem.whiteners[0].slack.rows.shape[1]  # type: ignore[union-attr]
+    slack, of_base = whiteners[0].slack, baseline.problem.whiteners[0].slack
+    assert slack is not None
+    assert of_base is not None
+    assert slack.rows.shape[1] == of_base.rows.shape[1]
