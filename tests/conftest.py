@@ -17,6 +17,7 @@ from hypothesis import settings
 
 from tests.support.long_tests import long_tests
 from tests.support.paths import ROOT
+from tests.support.unwritten_figures import unwritten_figures
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -136,6 +137,13 @@ def rng(request: pytest.FixtureRequest) -> np.random.Generator:
     seed = sum(ord(c) * 31**i for i, c in enumerate(request.node.name)) % 2**32
     print(f"seed {seed}")
     return np.random.default_rng(seed)
+
+
+@pytest.fixture(name="unwritten_figures")
+def _unwritten_figures() -> Iterator[None]:
+    """Figures are made and not written: for tests that look at the rest of a page."""
+    with unwritten_figures():
+        yield
 
 
 @pytest.fixture(scope="session")

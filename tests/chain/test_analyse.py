@@ -18,7 +18,7 @@ from sideslip.verbs.analyse import analyse
 from tests.chain.autopilot_logs import BOOT, dataflash
 from tests.cli.docs.blocks import files_of
 
-pytestmark = [pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("unwritten_figures")]
 
 
 def described(kind: int, size: int, name: str, layout: str, labels: str) -> bytes:

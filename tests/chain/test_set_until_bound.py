@@ -84,7 +84,7 @@ def test_a_set_ends_or_goes_on_by_what_is_known(
     calibration = NOMINAL_DIRECTORY / "cdfp"
     sequencer = {"manoeuvre": str(set_file(tmp_path / "m.toml")), "until": until, "most_sets": sets}
     scenario = load_scenario("nominal").altered(
-        flight={"duration_s": 34.0, "manoeuvres": "none"}, ground={"launch_s": 8.0, "after_s": 0.0}
+        flight={"duration_s": 10.0 + SET_S * sets, "manoeuvres": "none"}, ground={"launch_s": 8.0, "after_s": 0.0}
     )
     scenario = scenario.altered(
         logger={"sequencer": sequencer, "identification": {}},

@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import click
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 import sideslip as ss
 from daq.identification.monitor import threshold
@@ -302,14 +301,9 @@ ANSWERS = (
 )
 
 
-def blank(self: Figure, file: BinaryIO, **_: object) -> None:
-    """In place of `Figure.savefig`: the figure has been made, and is not written."""
-    file.write(b"<svg/>")
-
-
 @pytest.mark.parametrize("name", ANSWERS)
 def test_every_answer_follows_the_protocol(
-    name: str, answers: Callable[[str], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, answers: Callable[[str], Any], tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     """The figures of the largest page, that of estimates, are written in tests/cli/test_api.py; here they are only made."""
     import matplotlib as mpl
@@ -318,7 +312,7 @@ def test_every_answer_follows_the_protocol(
     from matplotlib import pyplot as plt
 
     if name.startswith("estimate"):
-        monkeypatch.setattr(Figure, "savefig", blank)
+        request.getfixturevalue("unwritten_figures")
     answer = answers(name)
     assert answer.summary() == "\n".join(answer.lines())
     assert answer._repr_html_().count("<tr>") > 1

@@ -13,6 +13,7 @@ import pytest
 from scipy.io import savemat
 
 from groundstation.live.config import usual_ports
+from tests.support import unwritten_figures
 from tests.support.paths import RECORDINGS, ROOT
 
 WITHOUT = """
@@ -90,6 +91,7 @@ VERBS = (
 )
 IN_A_ROW = """
 import sideslip
+{}
 for words in {}:
     try:
         sideslip.main(["--quiet", *words])
@@ -104,7 +106,7 @@ def test_the_verbs_of_ground_and_analysis(tmp_path: Path) -> None:
     savemat(tmp_path / "log.mat", {"time": time, "p": np.sin(time), "V": 15 + 0 * time})
     run(tmp_path, "--version")
     environment = {**os.environ, "PYTHONPATH": f"{tmp_path / 'site'}{os.pathsep}{ROOT}", "SIDESLIP_TRACEBACK": "1"}
-    program = IN_A_ROW.format([[*map(str, words)] for words in VERBS])
+    program = IN_A_ROW.format(unwritten_figures.IN_A_PROCESS, [[*map(str, words)] for words in VERBS])
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )

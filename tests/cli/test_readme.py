@@ -21,8 +21,9 @@ def commands_of(page: str) -> list[str]:
     return [line for name, block in blocks if not name for line in block.splitlines() if line.startswith("sideslip ")]
 
 
-# What a test must add: no window, an end, and fewer simulated nulls. The last value of an option counts.
+# What a test must add: no window, an end, fewer simulated nulls, shorter manoeuvres. The last value of an option counts.
 ADDED = {
+    "design": ["--time", "6"],
     "ground": ["--view", "none", "--duration", "1"],
     "view": ["--view", "none", "--rrd", "view.rrd"],
     "gap": ["--nulls", "20"],

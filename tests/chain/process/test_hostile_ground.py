@@ -41,14 +41,14 @@ def _fly(port: int, station: "subprocess.Popen[bytes]", frames: list[bytes]) -> 
     info = RecordingInfo("flight1", "simulated", "cdfp\u202e<script>", details=FACTS, attachments=ATTACHMENTS)
     link = radio_link(DownlinkConfig(budget_bytes_per_s=60_000), wire, clock, papers=lambda: info, boot=7)
     rng, logger, number, before = np.random.default_rng(7), FakeLogger(), 0, 0
-    while station.poll() is None and (frames or number < 400):
+    while station.poll() is None and (frames or len(link.downlink.sent) - before < 60):
         link.offer(quiet_scan(number, rng, time_ns=clock.monotonic_ns()))
         link.service(clock.monotonic_ns())
         link.uplink.service(clock.monotonic_ns(), logger)
         if number > 60:
-            for data in frames[:30]:
+            for data in frames[:60]:
                 wire.write(data)
-            del frames[:30]
+            del frames[:60]
         before = before if not frames else len(link.downlink.sent)
         number += 1
         time.sleep(PERIOD_S)

@@ -21,19 +21,19 @@ def test_viewer_killed_and_hanging_in_flight(tmp_path: Path) -> None:
     reception = Reception(tmp_path)
     viewers = Viewers(reception.view.url)
     try:
-        reception.fly(400)
-        assert shows(viewers, 15.0), "the viewer shows nothing"
+        reception.fly(300)
+        assert shows(viewers, 11.0), "the viewer shows nothing"
         viewers.kill_and_restart()
         with viewers.hanging():
-            reception.fly(400)
-        reception.fly(400)
+            reception.fly(300)
+        reception.fly(300)
         deadline = time.monotonic() + 30.0
         while not reception.view._queue.empty():
             assert time.monotonic() < deadline, "the view does not draw what it was given"
             time.sleep(0.01)
-        assert shows(viewers, 55.0), "the viewer started anew shows nothing of what came since"
+        assert shows(viewers, 41.0), "the viewer started anew shows nothing of what came since"
         reception.fly(
-            1200, scan=False
+            1000, scan=False
         )  # a scan that was lost is asked for again every few seconds, and may be lost again
         assert "all fetched; log and recording complete" in reception.check()
     finally:

@@ -9,6 +9,8 @@ import sys
 import warnings
 from pathlib import Path
 
+from tests.support.unwritten_figures import IN_A_PROCESS
+
 INSTALL = (
     "install -q --no-index --no-deps --no-build-isolation --target site"  # no network, and not into this environment
 )
@@ -38,8 +40,13 @@ def run_here(words: list[str], folder: Path) -> tuple[int, str]:
     return status, printed.getvalue()
 
 
-def follow(command: str, folder: Path, root: Path, *, status: int = 0, limit_s: float = 100.0) -> str:
-    """Run one command of a page in `folder`; returns what it printed. It must end with `status` within `limit_s`."""
+def follow(
+    command: str, folder: Path, root: Path, *, status: int = 0, limit_s: float = 100.0, figures: bool = True
+) -> str:
+    """Run one command of a page in `folder`; returns what it printed. It must end with `status` within `limit_s`.
+
+    figures: whether a process of its own writes them.
+    """
     program, *rest = shlex.split(command)
     if program == "pip":
         words = [sys.executable, "-m", "pip", *INSTALL.split(), *rest[1:]]
@@ -49,7 +56,8 @@ def follow(command: str, folder: Path, root: Path, *, status: int = 0, limit_s: 
             done_here, printed = run_here(rest, folder)
             assert done_here == status, f"{command}\n{printed}"
             return printed
-        words = [sys.executable, "-c", "from sideslip import main; main()", *rest]
+        program = "from sideslip import main; main()"
+        words = [sys.executable, "-c", program if figures else f"{IN_A_PROCESS}\n{program}", *rest]
     path = os.pathsep.join([str(folder / "site"), str(root)])
     done = subprocess.run(
         words,

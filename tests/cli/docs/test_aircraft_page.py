@@ -10,6 +10,7 @@ from estimation.aircraft import load_aircraft
 from groundstation.flight import AIRCRAFT_FILE, read_flight
 from tests.cli.docs.blocks import commands_of, files_of, write_files
 from tests.cli.docs.follow import follow
+from tests.support.unwritten_figures import unwritten_figures
 
 pytestmark = [pytest.mark.timeout(300)]  # commands of a page, as a reader runs them
 PAGE = Path("docs") / "aircraft.md"
@@ -22,7 +23,8 @@ def followed(root: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     new, empty, *rest = commands_of(root / PAGE)
     printed = [follow(new, folder, root), follow(empty, folder, root, status=1)]
     write_files(files_of(root / PAGE), folder)
-    return folder, [*printed, *(follow(command, folder, root) for command in rest)]
+    with unwritten_figures():
+        return folder, [*printed, *(follow(command, folder, root) for command in rest)]
 
 
 def test_new_file_is_told_what_it_lacks(followed: tuple[Path, list[str]]) -> None:

@@ -95,6 +95,7 @@ def stretch(start: float, speed: float, rng: np.random.Generator) -> list[dict[s
     return rows
 
 
+@pytest.mark.usefixtures("unwritten_figures")
 def test_short_periods_of_the_page_on_the_t38(tmp_path: Path, rng: np.random.Generator) -> None:
     speeds = (190.0, 230.0)
     rows = [row for i, speed in enumerate(speeds) for row in stretch(400.0 * i, speed, rng)]
@@ -185,6 +186,7 @@ def dutch_roll(damped: bool, rng: np.random.Generator, *, rolls: bool = False) -
     return rows
 
 
+@pytest.mark.usefixtures("unwritten_figures")
 def test_dutch_rolls_of_the_page_on_the_citation(tmp_path: Path, rng: np.random.Generator) -> None:
     for name, damped in (("dutch_roll", False), ("dutch_roll_damper_on", True)):
         write(tmp_path / f"{name}.csv", dutch_roll(damped, rng))

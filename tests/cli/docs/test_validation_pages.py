@@ -74,7 +74,7 @@ def test_the_fleet_of_the_page_with_two_aircraft(tmp_path: Path) -> None:
     text = "[[simulate]]\n".join([head, *(a for a in aircraft if "number 1" in a or "number 3" in a)])
     plan.write_text(text.replace("-0.0853", "-0.052").replace("25.0", "18.0"))
     (command,) = commands_of(PAGES / "fleet.md")
-    printed = follow(command, tmp_path, ROOT, limit_s=LONG_S)
+    printed = follow(command, tmp_path, ROOT, limit_s=LONG_S, figures=False)
     differing = re.findall(r"^\s*(\w+) \(ml\): .*?number (\d) less .*?number (\d) .*they differ", printed, flags=re.M)
     assert ("Cl_da", "3", "1") in differing, printed
     assert (tmp_path / "fleet" / "report" / "index.html").is_file()
@@ -84,6 +84,7 @@ def test_the_fleet_of_the_page_with_two_aircraft(tmp_path: Path) -> None:
 
 
 @pytest.mark.timeout(2 * LONG_S)
+@pytest.mark.usefixtures("unwritten_figures")
 def test_a_fault_of_the_page_is_found_by_its_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Three flights before it, and one whose right elevon sticks after 20 s; of 32 s, where the study flies 52, and with
     thresholds from a sixth of an hour."""

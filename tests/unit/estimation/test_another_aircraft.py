@@ -74,6 +74,7 @@ def run(command: object, *arguments: object) -> object:
     return CliRunner().invoke(command, [str(a) for a in arguments], standalone_mode=False, catch_exceptions=False)  # type: ignore[arg-type]
 
 
+@pytest.mark.usefixtures("unwritten_figures")
 def test_from_a_foreign_file_to_a_proof_of_match(record: Path) -> None:
     flight, results, fitted = record / "flug.mcap", record / "results.json", record / "fitted.toml"
     run(import_, record / "flug.csv", "-o", flight, "--map", record / "map.toml")

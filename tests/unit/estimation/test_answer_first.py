@@ -14,6 +14,7 @@ from estimation.resolve import resolve
 from estimation.session import runner
 from estimation.session.session import EstimationSession
 from groundstation.flight import Flight, MissingColumnError
+from tests.support.unwritten_figures import unwritten_figures
 from tests.unit.estimation.truth import NOISE, TRUE, Case, fly
 
 
@@ -28,7 +29,8 @@ def session() -> EstimationSession:
 @pytest.fixture(scope="module")
 def page(session: EstimationSession, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The page of the report."""
-    return Estimates(session).report(tmp_path_factory.mktemp("report")).read_text(encoding="utf-8")
+    with unwritten_figures():
+        return Estimates(session).report(tmp_path_factory.mktemp("report")).read_text(encoding="utf-8")
 
 
 def test_the_first_screen_is_verdict_table_picture_fit_and_next_in_this_order(page: str) -> None:

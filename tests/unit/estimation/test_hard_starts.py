@@ -100,6 +100,18 @@ REFUSED = ("rates in deg/s", "angles in deg", "surfaces in us", "still")
 CASES = [(kind, method) for kind in HARD for method in METHODS]
 
 
+@pytest.fixture
+def few_networks(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight networks of the bootstrap for 64: more of them do the same once more."""
+    if method.startswith("ngn"):
+        from estimation.estimators.neural_gauss_newton import estimate, training
+
+        monkeypatch.setattr(
+            estimate, "default_options", lambda *given: replace(training.default_options(*given), bootstraps=8)
+        )
+
+
+@pytest.mark.usefixtures("few_networks")
 @pytest.mark.parametrize(("kind", "method"), CASES)
 def test_a_hard_start_ends_in_a_result_or_a_sentence(kind: str, method: str) -> None:
     flight, model = HARD[kind]()

@@ -19,7 +19,7 @@ from estimation.models import load_model
 from estimation.prepare.measured_cg import at_stated_cg, with_cg_history
 from estimation.resolve import resolve
 from groundstation.flight import Flight
-from tests.unit.estimation.test_measured_mass import FULL, JET, PITCH, RHO, TRUTH, B, C, G, S, V
+from tests.unit.estimation.test_measured_mass import COEFFICIENTS, FULL, JET, PITCH, RHO, TRUTH, B, C, G, S, V
 
 AFT = -0.25  # m, of the CG at the end: 16 % of the chord
 
@@ -35,10 +35,7 @@ def yawing(seed: int) -> Flight:
         aileron, rudder = (h * ((t // 5) % 2 == i) for i, h in enumerate(hands))
         da, dr = da + step * (0.05 * aileron - da) / 0.08, dr + step * (0.06 * rudder - dr) / 0.08
         ph, rh, at_p = p * B / (2 * V), r * B / (2 * V), beta - d * r / V  # the flow at P, where derivatives hold
-        CY, Cl, Cn = (
-            TRUTH[f"{c}_beta"] * at_p + TRUTH[f"{c}_p"] * ph + TRUTH[f"{c}_r"] * rh + TRUTH.get(f"{c}_da", 0.0) * da
-            + TRUTH[f"{c}_dr"] * dr for c in ("CY", "Cl", "Cn")
-        )  # fmt: skip
+        CY, Cl, Cn = (c[0] * at_p + c[1] * ph + c[2] * rh + c[3] * da + c[4] * dr for c in COEFFICIENTS)
         ay = pressure * CY / FULL
         p_dot, r_dot = pressure * B * Cl / JET.Ixx, (pressure * B * Cn - d * pressure * CY) / JET.Izz
         if k % 20 == 0:
@@ -54,7 +51,7 @@ def yawing(seed: int) -> Flight:
 
 
 def pitching(seed: int) -> Flight:
-    """40 s of elevator at 50 Hz at constant airspeed while the CG goes aft, likewise."""
+    """40 s of elevator at 25 Hz at constant airspeed while the CG goes aft, likewise."""
     rng, step, d = np.random.default_rng([seed, 488]), 0.001, PITCH
     alpha, q, theta, de, rows = 0.12, 0.0, 0.12, 0.0, []
     pressure = 0.5 * RHO * V**2 * S
@@ -72,7 +69,7 @@ def pitching(seed: int) -> Flight:
         )
         thrust = pressure * CD / math.cos(alpha) + FULL * G * math.sin(theta - alpha)
         ax, az, q_dot = (X + thrust) / FULL, Z / FULL, (pressure * C * Cm + x * Z) / JET.Iyy
-        if k % 20 == 0:
+        if k % 40 == 0:
             n = rng.normal(size=5) * [1e-3, 1e-3, 1e-3, 0.02, 0.02]
             shown = (at_p + n[0], q + n[1], theta + n[2], ax + x * q**2 + n[3], az + x * q_dot + n[4])
             rows.append((t, *shown, de, thrust, x))

@@ -6,11 +6,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
 
 import pytest
 from click.testing import CliRunner
-from matplotlib.figure import Figure
 
 from estimation.errors import EstimationError
 from estimation.estimators import registry
@@ -89,16 +87,9 @@ def test_extras_that_nobody_chosen_heeds_are_refused() -> None:
     assert [listed_words(w) for w in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
 
 
-@pytest.mark.usefixtures("installed")
-def test_an_estimator_of_a_package_of_ones_own(
-    made_flights: list[Flight], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("installed", "unwritten_figures")
+def test_an_estimator_of_a_package_of_ones_own(made_flights: list[Flight], tmp_path: Path) -> None:
     """Its numbers in the terminal, the JSON and every table of the page, whose figures are drawn in other tests."""
-
-    def blank(self: Figure, file: BinaryIO, **_: object) -> None:
-        file.write(b"<svg/>")
-
-    monkeypatch.setattr(Figure, "savefig", blank)
     write_flight(made_flights[0], tmp_path / "ld.csv")
     words = [
         str(tmp_path / "ld.csv"), "--aircraft", "cdfp", "--method", "ls,own", "--joint", "--raw-inputs",

@@ -36,7 +36,9 @@ def craft_and_file(**file: float) -> tuple[Aeroplane, Aircraft]:
 
 def flown(situation: Situation, flights: int = 1) -> tuple[list[Flight], Aircraft, Mapping[str, float]]:
     craft, aircraft = craft_and_file()
-    return fly(craft, situation, np.random.default_rng(SEED + 2), flights), aircraft, craft.derivatives
+    if (situation.name, flights) not in FLOWN:
+        FLOWN[situation.name, flights] = fly(craft, situation, np.random.default_rng(SEED + 2), flights)
+    return list(FLOWN[situation.name, flights]), aircraft, craft.derivatives
 
 
 def estimated(
@@ -45,6 +47,9 @@ def estimated(
     joint = len(flights) > 1
     return runner.estimate(load_model(model, aircraft), flights, aircraft, ("ml",), joint=joint, structure=wish)
 
+
+FLOWN: dict[tuple[str, int], list[Flight]] = {}
+"""Flights by the name of their situation and their number, each flown once for all tests."""
 
 YAWING = Situation("adverse yaw", hidden={"Cn_da": 0.014})
 

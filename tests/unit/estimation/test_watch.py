@@ -27,6 +27,8 @@ from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import Flight, read_flight
 
+pytestmark = [pytest.mark.usefixtures("unwritten_figures")]
+
 HOURS = 0.2  # of simulated manoeuvring: one batch, and less than the verb would take
 EFFECTS = ("none", "mass_shift", "elevon_stuck")
 

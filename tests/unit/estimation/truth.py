@@ -6,7 +6,7 @@ takes a microsecond for each of a million additions. Nothing here comes from `es
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,9 +113,14 @@ def fly(case: Case, rng: np.random.Generator, seeds: int = 1, fine: int = 20) ->
     theta, q = (5.5 + 2.0 * np.sin(0.4 * t)) * DEG, 2.0 * DEG * np.cos(0.7 * t)
     gust = _gust(case, rng, seeds, steps, h)
     air = Air(V, alpha, theta, q, _surfaces(case, t, command, h, fine))
-    # in still air all seeds fly the same
-    flown = [_integrate(case, air, gust[:, i].tolist(), h, fine) for i in range(seeds if case.gust > 0 else 1)]
-    moved = np.array(flown if case.gust > 0 else flown * seeds)
+    # in still air all seeds fly the same, and whoever asks for them with other noise
+    if case.gust > 0:
+        moved = np.array([_integrate(case, air, gust[:, i].tolist(), h, fine) for i in range(seeds)])
+    else:
+        asked = repr((replace(case, noise={}), fine))
+        if asked not in _STILL:
+            _STILL[asked] = np.array(_integrate(case, air, gust[:, 0].tolist(), h, fine))
+        moved = np.tile(_STILL[asked], (seeds, 1, 1))
     out = {name: moved[:, :, i].copy() for i, name in enumerate(("beta", "p", "r", "phi", "ay"))}
     known = {"V": V, "alpha": alpha, "theta": theta, "q": q, "delta_a": air.surface[0], "delta_r": air.surface[1]}
     out |= {name: np.tile(value[::fine], (seeds, 1)) for name, value in known.items()}
@@ -126,6 +131,10 @@ def fly(case: Case, rng: np.random.Generator, seeds: int = 1, fine: int = 20) ->
         columns["rho"] = np.full(count, case.craft.rho)
         flights.append(Flight.build(f"made_{i}", time, columns))
     return flights, out
+
+
+_STILL: dict[str, Array] = {}
+"""Motion in still air by what it is of, but for its noise."""
 
 
 def _integrate(case: Case, air: Air, gust: Sequence[float], h: float, fine: int) -> list[tuple[float, ...]]:

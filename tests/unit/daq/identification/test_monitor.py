@@ -48,7 +48,7 @@ def calibration(airframe: Airframe, values: dict[str, float], effects: tuple[Mon
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(threshold, "AT_ONCE", 24)
         patch.setattr(threshold, "FLIGHT_S", 40.0)
-        return calibrated(airframe, values, effects, NullConditions(), rng=np.random.default_rng(4), hours=0.8)
+        return calibrated(airframe, values, effects, NullConditions(), rng=np.random.default_rng(4), hours=0.4)
 
 
 def samples(scans: list[FlightsScan], flight: int) -> list[Sample]:
@@ -322,8 +322,8 @@ def test_thresholds_of_a_link_come_from_several_batches(
     monkeypatch.setattr(threshold, "AT_ONCE", 2)
     monkeypatch.setattr(threshold, "FLIGHT_S", 30.0)
     effects, link = bank(values, {})[:3], NullConditions(rate=11.5, loss=0.3)
-    found = calibrated(airframe, values, effects, link, rng=np.random.default_rng(3), hours=6 * 2 * 30.0 / 3600.0)
-    assert found.hours == pytest.approx(12 * 27.0 / 3600.0)
+    found = calibrated(airframe, values, effects, link, rng=np.random.default_rng(3), hours=3 * 2 * 30.0 / 3600.0)
+    assert found.hours == pytest.approx(6 * 27.0 / 3600.0)
 
 
 def _explained(w: Array, g: Array, prior: Array) -> float:

@@ -29,7 +29,11 @@ def campaign(tmp_path: Path) -> Callable[..., CampaignOutcome]:
     return run
 
 
-@pytest.fixture
-def flights(root: Path) -> list[str]:
-    """Paths of four sound flights."""
-    return [str(root / "recordings" / "foreign" / f"ordinary_{i}.csv") for i in range(4)]
+@pytest.fixture(scope="session")
+def flights(root: Path, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Paths of four sound flights: the first 15 s of recordings."""
+    folder = tmp_path_factory.mktemp("ordinary")
+    for i in range(4):
+        lines = (root / "recordings" / "foreign" / f"ordinary_{i}.csv").read_text(encoding="utf-8").splitlines()
+        (folder / f"ordinary_{i}.csv").write_text("\n".join(lines[:302]) + "\n", encoding="utf-8")
+    return [str(folder / f"ordinary_{i}.csv") for i in range(4)]

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from estimation.campaign.run import CampaignOutcome
+from tests.cli.docs.follow import run_here
 from tests.unit.estimation.campaign.running import HOSTILE, altered, children, repeatable, results_of, start, workers_of
 
 pytestmark = [pytest.mark.timeout(300)]
@@ -45,7 +46,7 @@ def test_bad_flights_are_sentences_and_the_others_as_without_an_engine(
     os.mkfifo(folder / "pipe.csv")
     out, said = tmp_path / "out", tmp_path / "said.json"
     words = ("--out", str(out), "--aircraft", "cdfp", "--workers", "2", "--json", str(said), "--no-report")
-    process = start(str(folder), *words, "--method", f"{HOSTILE},ls", "--time-limit", "25")
+    process = start(str(folder), *words, "--method", f"{HOSTILE},ls", "--time-limit", "8")
     printed, error = process.communicate(timeout=280)
     assert process.returncode == 1, (printed, error)
     answer = json.loads(said.read_text())
@@ -53,7 +54,7 @@ def test_bad_flights_are_sentences_and_the_others_as_without_an_engine(
     why = {Path(f["flight"]).stem: f["why"] for f in answer["failed"]}
     for name, words_ in {
         "kills": "died four times",
-        "hangs": "took longer than 25 s",
+        "hangs": "took longer than 8 s",
         "truncated": "cells, the header has",
         "empty": "not a header",
         "pipe": "not a file that can be read again",
@@ -100,6 +101,7 @@ def test_killed_client_and_worker_lose_and_repeat_nothing_that_is_on_disk(flight
     assert len(list((out / "results").iterdir())) == 1
 
 
+@pytest.mark.usefixtures("unwritten_figures")
 def test_simulated_flights_are_flown_on_the_worker_and_known_again(tmp_path: Path) -> None:
     plan = tmp_path / "plan.toml"
     plan.write_text(
@@ -109,9 +111,8 @@ def test_simulated_flights_are_flown_on_the_worker_and_known_again(tmp_path: Pat
     said = tmp_path / "said.json"
     words = (str(plan), "--out", str(tmp_path / "out"), "--serial", "--json", str(said))
     for done, fitted in ((0, 2), (2, 0)):
-        process = start(*words)
-        printed, error = process.communicate(timeout=200)
-        assert process.returncode == 0, (printed, error)
+        status, printed = run_here(["campaign", *words], tmp_path)
+        assert status == 0, printed
         answer = json.loads(said.read_text())
         assert (answer["skipped_done"], answer["fitted"]) == (done, fitted)
     page = (tmp_path / "out" / "report" / "index.html").read_text()

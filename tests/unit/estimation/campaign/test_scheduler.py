@@ -10,6 +10,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from tests.cli.docs.follow import run_here
 from tests.unit.estimation.campaign.running import ROOT, environment, repeatable, results_of, start
 
 pytestmark = [pytest.mark.timeout(600)]
@@ -42,7 +43,7 @@ def scheduler(tmp_path: Path) -> "Iterator[tuple[str, subprocess.Popen[bytes]]]"
         while not file.is_file() or not file.read_text():
             assert first.poll() is None
             assert time.monotonic() < end
-            time.sleep(0.2)
+            time.sleep(0.05)
         worker = [*dask, "worker", "--nthreads", "1", "--no-dashboard", "--scheduler-file", str(file)]
         worker += ["--local-directory", str(tmp_path)]
         processes.append(subprocess.Popen(worker, cwd=tmp_path, env=environment(), **quiet))
@@ -73,7 +74,10 @@ def test_the_same_bits_as_serially_and_one_more_flight_is_one_more_fit(
     alone = 4 + 1 + 1  # matches, which all know another flight now; the joint fit; the first model over the envelope
     assert more["skipped_done"] == 3
     assert more["fitted"] == 1 + alone
-    run("here", flights, "--serial")
+    status, printed = run_here(
+        ["campaign", *flights, "--out", str(tmp_path / "here"), *WORDS, "--json", str(said), "--serial"], tmp_path
+    )
+    assert status == 0, printed
     assert repeatable(results_of(tmp_path / "there")) == repeatable(results_of(tmp_path / "here"))
     for table in ("groups/groups.parquet", "database/database.parquet"):
         assert pq.read_table(tmp_path / "there" / table).equals(pq.read_table(tmp_path / "here" / table))

@@ -1,5 +1,6 @@
 """Controls that answer gusts: their gains, what they would have done in still air, and the loop that the model closes."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -34,13 +35,14 @@ def rolling(seed: int, gust: float, gain: float = GAIN) -> Flight:
     """30 s of roll by doublets in gusts of rms `gust` [rad/s2] that the aileron answers by `gain`: p' = -6 p + 40 da + g."""
     rng = np.random.default_rng(seed)
     p, arm, g, rows = 0.0, 0.0, 0.0, []
-    for k in range(30_000):
-        t = 1e-3 * k
-        doublet = 0.05 * (np.floor((t % 5.0) / 0.4) == 1) - 0.05 * (np.floor((t % 5.0) / 0.4) == 2)
+    phase = np.floor((1e-3 * np.arange(30_000) % 5.0) / 0.4)
+    doublets = 0.05 * (phase == 1) - 0.05 * (phase == 2)
+    kicks = gust * np.sqrt(2e-3 / 0.3) * rng.standard_normal(phase.size)
+    for k, (doublet, kick) in enumerate(zip(doublets.tolist(), kicks.tolist(), strict=True)):
         if k % 50 == 0:
             rows.append((p, arm))
         arm += 1e-3 / 0.035 * (doublet + gain * p - arm)
-        g += -1e-3 / 0.3 * g + gust * np.sqrt(2e-3 / 0.3) * rng.standard_normal()
+        g += -1e-3 / 0.3 * g + kick
         p += 1e-3 * (-6.0 * p + 40.0 * arm + g)
     rates, arms = np.array(rows).T
     columns = {
@@ -50,6 +52,7 @@ def rolling(seed: int, gust: float, gain: float = GAIN) -> Flight:
     return Flight.build(f"roll{seed}", 0.05 * np.arange(rates.size), columns)
 
 
+@cache
 def flown(gust: float, gain: float = GAIN) -> list[Flight]:
     return [rolling(seed, gust, gain) for seed in (51, 52, 53)]
 
@@ -58,6 +61,12 @@ def fitted(flights: list[Flight], loop: ClosedLoop | None = None) -> Baseline:
     prepared = prepare_flights(ROLL, (), flights, (), OPTIONS.criteria, keep_feedback=True)
     setting = _setting(prepared, (), {}, {}, {}, OPTIONS, lambda what, share: None, loop)
     return fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
+
+
+@cache
+def unanswered() -> Baseline:
+    """About flights in gusts that no aileron answers."""
+    return fitted(flown(GUST, gain=0.0))
 
 
 def loop_about(baseline: Baseline, flights: list[Flight]) -> ClosedLoop:
@@ -80,15 +89,14 @@ Gusty = tuple[list[Flight], Baseline, ClosedLoop]
 
 def test_gains_of_an_aileron_that_follows_roll_rate_and_none_of_one_that_does_not(gusty: Gusty) -> None:
     assert gusty[2].gains["delta_a"].sum() == pytest.approx(GAIN, rel=0.25)
-    alone = fitted(flown(GUST, gain=0.0))
+    alone = unanswered()
     assert abs(feedback_of(alone.problem.records, ROLL).get("delta_a", np.zeros(2)).sum()) < 0.1 * abs(GAIN)
 
 
 def test_answers_are_felt_only_where_there_are_gusts_and_feedback(gusty: Gusty) -> None:
     assert gusty[2].felt(gusty[1]) == ("delta_a",)
-    for gust, gain in ((0.02, GAIN), (GUST, 0.0)):
-        flights = flown(gust, gain)
-        baseline = fitted(flights)
+    calm = fitted(flown(0.02))
+    for flights, baseline in ((flown(0.02), calm), (flown(GUST, gain=0.0), unanswered())):
         assert not loop_about(baseline, flights).felt(baseline)
 
 
@@ -99,9 +107,16 @@ def test_a_law_that_holds_on_some_flights_only_is_no_answer_to_gusts() -> None:
     assert not loop_about(baseline, flights).felt(baseline)
 
 
-def test_answers_are_felt_again_about_a_fit_in_the_loop_whose_records_lack_them(gusty: Gusty) -> None:
-    flights, _, loop = gusty
-    baseline, again = closed(flights, loop, passes=1)
+@pytest.fixture(scope="module")
+def in_loop(gusty: Gusty) -> tuple[Baseline, ClosedLoop]:
+    """The fit in the loop, and the loop about that fit."""
+    return closed(gusty[0], gusty[2], passes=1)
+
+
+def test_answers_are_felt_again_about_a_fit_in_the_loop_whose_records_lack_them(
+    gusty: Gusty, in_loop: tuple[Baseline, ClosedLoop]
+) -> None:
+    loop, (baseline, again) = gusty[2], in_loop
     assert again.felt(baseline, loop) == ("delta_a",)
     assert not again.felt(baseline)
 
@@ -200,10 +215,12 @@ def closed(flights: list[Flight], loop: ClosedLoop, passes: int) -> tuple[Baseli
     return baseline, loop
 
 
-def test_what_remains_of_an_aileron_is_what_it_does_in_still_air(gusty: Gusty) -> None:
+def test_what_remains_of_an_aileron_is_what_it_does_in_still_air(
+    gusty: Gusty, in_loop: tuple[Baseline, ClosedLoop]
+) -> None:
     """About a fit in the loop; about the first fit its motion in the recorded control remains, which the model adds again."""
     flights, first, loop = gusty
-    _, again = closed(flights, loop, passes=1)
+    _, again = in_loop
     for i, (flight, calm) in enumerate(zip(flights, flown(0.0), strict=True)):
         answers = flight["delta_a"] - calm["delta_a"]
         remaining = again.without_answers(i, flight)["delta_a"] - calm["delta_a"]

@@ -161,6 +161,7 @@ def even() -> list[Flight]:
     ]
 
 
+@pytest.mark.usefixtures("unwritten_figures")
 def test_an_effect_the_catalogue_does_not_hold_gets_a_shape_and_no_name(even: list[Flight], tmp_path: Path) -> None:
     options = Options(seed=3, nulls=20, most=2)
     asked = [e for e in catalogue() if e.name in NEAR]
