@@ -17,8 +17,14 @@ from estimation.gap.decision.held_out import held_out_step, not_predicted
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.spectra import rms_measured
 from estimation.gap.pages.first_screen import next_steps
-from estimation.gap.records.broken import broken_in_words, dead_everywhere, unmoved_in_words, without_stuck
-from estimation.gap.records.reconstructed import compared, not_compared
+from estimation.gap.records.channels import (
+    broken_in_words,
+    compared,
+    dead_everywhere,
+    not_compared,
+    unmoved_in_words,
+    without_stuck,
+)
 from estimation.gap.significance.measure import odd_flights, repeatability
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
