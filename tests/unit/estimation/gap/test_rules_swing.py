@@ -11,9 +11,9 @@ from estimation.gap.answer.result import GapVerdict
 from estimation.gap.answer.shape import SwingingTerm
 from estimation.gap.answer.words import describe_swing
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.beside import DAMPING as DAMPING_NAME
+from estimation.gap.decision.beside import FREQUENCY, as_fitted, hypothesis_of
 from estimation.gap.decision.decide import Decision, as_unknown
-from estimation.gap.decision.followers import DAMPING as DAMPING_NAME
-from estimation.gap.decision.followers import FREQUENCY, as_fitted, swing_of
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import fit_baseline
 from estimation.gap.shapes.lag_swing import DAMPING, SLOWEST, find_swing, frequencies, oscillator, rings
@@ -71,7 +71,7 @@ def test_what_is_damped_by_more_than_two_fifths_does_not_swing(damping: float, s
 @pytest.mark.parametrize("model", ["longitudinal", "six-dof"])
 def test_a_swing_is_text_that_a_model_can_take(model: str) -> None:
     flown: Any = SimpleNamespace(scale={"Cm": 2e-3}, reach=lambda name: 4.0)
-    hypothesis, start = swing_of(FOUND, flown)
+    hypothesis, start = hypothesis_of(FOUND, flown)
     made = hypothesis.form.added_to(load_model(model, "cdfp"), start)
     assert "nameless_swing" in made.definitions["Cm"]
     assert made.starts()[FREQUENCY] == 9.0
