@@ -92,7 +92,7 @@ def _rival(
     screen = build_screen(Tangent(problem, without.fit), hypotheses)
     rounds = (old.round_, last)
     inflation = _latest_known(screen, *(individual_inflation(round_) for round_ in rounds))
-    keys = [h.key for h in hypotheses]
+    keys = [h.key for h in screen.hypotheses]  # without those that cannot be asked
     old_key, old_inflation = old.candidate.hypothesis.key, own_inflation(old.candidate)
     if old_key in keys:
         tied = screen.tied(keys.index(old_key), criteria)

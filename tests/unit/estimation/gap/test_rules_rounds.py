@@ -93,11 +93,10 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
 
     elsewhere = replace(rival("valley", 1100.0), fit=stub())  # the model without it fits as well from there
     monkeypatch.setattr(searching, "deeper_fit", lambda base, fit: fit if fit is elsewhere.fit else None)
-    monkeypatch.setattr(searching, "hypotheses_for", lambda *args: asked)
+    monkeypatch.setattr(searching, "hypotheses_for", lambda *args: [hypothesis("runs away", "linear"), *asked])
     monkeypatch.setattr(searching, "Tangent", lambda *args: None)
-    monkeypatch.setattr(
-        searching, "build_screen", lambda *args: stub(hypotheses=asked, tied=lambda *_: [True, False, False, True])
-    )
+    tied = {0: [True, False, False, True]}  # `own` is the first that the screen has, the second that it was given
+    monkeypatch.setattr(searching, "build_screen", lambda *args: stub(hypotheses=asked, tied=lambda h, _: tied[h]))
     monkeypatch.setattr(searching, "linear_gains", lambda *args: np.array([20.0, 1000.0, 30.0, 5.0]))
     monkeypatch.setattr(searching, "linear_guess", lambda *args: {})
     monkeypatch.setattr(
