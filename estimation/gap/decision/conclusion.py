@@ -90,6 +90,8 @@ def _concluded(state: _Conclusion, check: KinematicCheck) -> GapResult:
         state.decision, state.findings, state.model, state.shapes, continuation = replaced
     elif not setting.steered and not state.decision.doubted:
         _search_unnamed(state)
+        if (state.shapes.found or state.event is not None) and (surer := search.with_enough_nulls) is not search:
+            return concluded(setting, surer, check)
     if replaced is None and state.event is None and not state.decision.doubted:
         continuation = names_beside(setting, search, state.model, state.shapes, state.decision)
     if continuation is not None:
