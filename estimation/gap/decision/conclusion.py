@@ -74,17 +74,24 @@ class _Conclusion:
 def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> GapResult:
     """The answer: verdict, steps and words from the state after all rounds.
 
-    Rounds about the names that stand beside a shape may name what was behind it. The answer is then that of these rounds, as long
-    as more names stand than before: otherwise the same search would follow, without end.
+    Something without a name that stands out of the first nulls has to stand out of all. Rounds about the names that stand
+    beside a shape may name what was behind it. The answer is then that of these rounds, as long as more names stand than
+    before: otherwise the same search would follow, without end.
     """
     state = _decided(setting, search)
-    while beside := _names_beside_unnamed(state):
-        renewed = in_its_place(setting, state.search, state.findings, beside)
+    while True:
+        beside = _names_beside_unnamed(state)
+        has_unnamed = state.shapes.found or state.event is not None
+        if has_unnamed and (surer := state.search.with_enough_nulls) is not state.search:
+            state = _decided(setting, surer)
+            continue
+        renewed = None if beside is None else in_its_place(setting, state.search, state.findings, beside)
         further = None if renewed is None else _decided(setting, renewed)
         if further is None or further.decision.kept <= state.decision.kept:
-            _add_names(state, beside)
             break
         state = further
+    if beside is not None:
+        _add_names(state, beside)
     return _answer(state, check, rejected_hypotheses(state.search, beside))
 
 

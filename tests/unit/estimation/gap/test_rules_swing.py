@@ -17,7 +17,7 @@ from estimation.gap.decision.decide import Decision, as_unknown
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import fit_baseline
 from estimation.gap.shapes.lag_swing import DAMPING, SLOWEST, find_swing, frequencies, oscillator, rings
-from estimation.gap.shapes.places import ModelMotion
+from estimation.gap.shapes.places import ModelMotion, Place, rank
 from estimation.gap.shapes.search import alone
 from estimation.gap.significance.calibration import screen_round
 from estimation.gap.workflow import Options, _setting, prepare_flights, run_gap
@@ -147,6 +147,12 @@ def test_a_part_of_a_coefficient_changes_the_outputs_as_a_small_step_of_it_does(
     assert np.abs(linear - secant).max() < 0.01 * np.abs(secant).max()
     round_ = screen_round(baseline, setting.prepared, near, setting.errors, 40, 1)
     assert find_swing(flown, round_) is None  # nothing swings in these
+    # with the engine off a thrust multiplies nothing; its columns were no numbers, and no product stood out of such nulls
+    off = replace(flown, courses=tuple({**c, "V": np.zeros_like(c["V"])} for c in flown.courses))
+    products = rank(off, round_, [Place("Cm", "alpha", True, True, by) for by in ("V", "delta_e")])
+    assert [p.by for p in products.places] == ["delta_e"]
+    assert np.isfinite(products.scores).all()
+    assert 0.0 < products.threshold < 10.0
 
 
 def test_fuel_that_swings_is_no_thrust_line() -> None:
