@@ -115,8 +115,8 @@ def describe_curve(curve: ShapeCurve) -> str:
     text = (
         f"Something {subject}, and no physical name is given to it: "
         f"a part of {curve.output} that is {dependence}, known from {curve.low:.3g} to {curve.high:.3g} {curve.unit} and held "
-        f"outside ({curve.regime}). It closes {curve.closed:.0%} of the gap above what nothing hidden would leave, with residuals "
-        "weighed by their noise."
+        f"outside ({curve.regime}). It closes {curve.closed:.0%} of the gap above what nothing hidden would leave, with "
+        "residuals weighed by their noise."
     )
     formulas = [
         f"{formula} with {', '.join(_with_bound(n, e) for n, e in estimates.items())}"
