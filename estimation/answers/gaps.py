@@ -53,7 +53,7 @@ def gap(
         answer = ss.gap("lateral", ["f0.mcap", "f1.mcap"], holdout=["f2.mcap"])
         print(answer.verdict, answer.effects)
     """
-    from estimation.gap.decision.moved_controls import more_beside_moved_controls
+    from estimation.gap.decision.conclusion import more_beside_moved_controls
     from estimation.gap.effects import catalogue, load_effects
     from estimation.gap.errors import GapError
     from estimation.gap.workflow import Options, run_gap

@@ -16,7 +16,7 @@ from estimation.gap.decision.conclusion import concluded
 from estimation.gap.decision.lineage import late_commands, turned_signs
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
-from estimation.gap.effects.missing import missing_derivatives
+from estimation.gap.effects.catalogue import missing_derivatives
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline, stretch_that_holds
 from estimation.gap.fit.channel_noise import (
@@ -26,17 +26,37 @@ from estimation.gap.fit.channel_noise import (
     pitch_error,
     sample_interval,
 )
-from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of
+from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of, only_following, without_hardware_of, words_on
 from estimation.gap.fit.spikes import Spikes, spikes_about, spikes_in_words, without_spikes
 from estimation.gap.random_streams import Stream
-from estimation.gap.records.attitudes import with_attitudes_between
-from estimation.gap.records.broken import broken_in_words, unmoved_in_words, without_stuck
-from estimation.gap.records.candidate_model import rare_commands, stamped_attitudes, with_dormant, with_nuisance
-from estimation.gap.records.doubts import doubts_of, refuse_twice, sample_notes, stale_channels
+from estimation.gap.records.candidate_model import (
+    levels,
+    rare_commands,
+    stamped_attitudes,
+    with_dormant,
+    with_levels,
+    with_nuisance,
+)
+from estimation.gap.records.channels import (
+    as_measured,
+    broken_in_words,
+    compared,
+    doubts_of,
+    not_compared,
+    refuse_twice,
+    sample_notes,
+    stale_channels,
+    unmoved_in_words,
+    without_stuck,
+)
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
-from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
-from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
-from estimation.gap.records.sampling import at_own_rates, flown_apart, with_lost_rows, without_unseen_moves
+from estimation.gap.records.sampling import (
+    at_own_rates,
+    flown_apart,
+    with_attitudes_between,
+    with_lost_rows,
+    without_unseen_moves,
+)
 from estimation.gap.search.accept import is_strong
 from estimation.gap.search.free_base import (
     answers_an_effect,

@@ -15,7 +15,7 @@ def force_states(model: Model, parameters: Collection[str] | None = None) -> tup
     """
     counted = set(model.parameter_names if parameters is None else parameters)
 
-    return tuple(s for s in model.state_names if _reached(model, [f"{s}_dot"], frozenset()) & counted)
+    return tuple(s for s in model.state_names if names_reached(model, [f"{s}_dot"]) & counted)
 
 
 def driven_outputs(model: Model) -> frozenset[str]:
@@ -41,10 +41,10 @@ def names_used(model: Model, zero: Set[str]) -> frozenset[str]:
     """Names on which rates and outputs of `model` depend while the parameters `zero` are zero."""
     rates = [f"{s}_dot" for s in model.state_names]
     outputs = [n for o in model.output_names for n in (f"{o}_measured", o) if n in model.definitions or n == o]
-    return _reached(model, [*rates, *outputs], zero)
+    return names_reached(model, [*rates, *outputs], zero)
 
 
-def _reached(model: Model, symbols: Iterable[str], zero: Set[str]) -> frozenset[str]:
+def names_reached(model: Model, symbols: Iterable[str], zero: Set[str] = frozenset()) -> frozenset[str]:
     """Names on which some symbols of a model depend, these included, while the parameters `zero` are zero."""
     pending, visited = list(symbols), set[str]()
     while pending:

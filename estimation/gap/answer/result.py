@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import Any
 
 from estimation.engine.kernel import Array
-from estimation.gap.answer.shape import Shape, rounded
+from estimation.gap.answer.shape import Shape, rounded, rounded_estimate, rounded_fields
 from estimation.models.base import Model
 
 
@@ -78,13 +78,8 @@ class Gap:
     def _closed_of_nothing(self) -> float:
         return 0.0 if self.grows and not self.gained else 1.0
 
-    def to_json(self) -> dict[str, float]:
-        data = {
-            "before": rounded(self.before),
-            "after": rounded(self.after),
-            "floor": rounded(self.floor),
-            "closed": rounded(self.counted),
-        }
+    def to_json(self) -> dict[str, float | None]:
+        data = {**rounded_fields(self, before=4, after=4, floor=4), "closed": rounded(self.counted)}
         return data if self.confirmed is None else {**data, "confirmed": rounded(self.confirmed)}
 
 
@@ -100,13 +95,11 @@ class Where:
     origin: str = ""
 
     def to_json(self) -> dict[str, Any]:
+        segments = [[rounded(a, 3), rounded(b, 3)] for a, b in self.segments]
         return {
-            "equation": self.equation,
-            "channels": list(self.channels),
-            "segments": [[rounded(a, 3), rounded(b, 3)] for a, b in self.segments],
-            "regime": self.regime,
+            "equation": self.equation, "channels": list(self.channels), "segments": segments, "regime": self.regime,
             "origin": self.origin,
-        }
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -119,13 +112,9 @@ class Migration:
     prior: float | None
 
     def to_json(self) -> dict[str, Any]:
-        data: dict[str, Any] = {
-            "from": rounded(self.before, 6),
-            "to": rounded(self.after, 6),
-            "bounds": rounded(self.bounds, 2),
-        }
-        if self.prior not in (None, 0.0):
-            data["percent_of_prior"] = rounded(100 * (self.after - self.before) / abs(self.prior), 1)  # type: ignore[arg-type]
+        data = {"from": rounded(self.before, 6), "to": rounded(self.after, 6), "bounds": rounded(self.bounds, 2)}
+        if self.prior:
+            data["percent_of_prior"] = rounded(100 * (self.after - self.before) / abs(self.prior), 1)
         return data
 
 
@@ -177,13 +166,11 @@ class EffectStep:
             "form": self.form if self.shape is None else self.shape.to_json(), "confidence": rounded(self.confidence),
             "set": [{"effect": m.effect, "weight": rounded(m.weight)} for m in self.members],
             "separate_by": self.separate_by,
-            "parameters": {n: {"estimate": rounded(v, 8), "std": rounded(s, 8), "unit": self.units.get(n, "")}
-                           for n, (v, s) in self.estimates.items()},
-            "score": rounded(self.score, 3), "threshold": rounded(self.threshold, 3), "where": self.where.to_json(),
+            "parameters": {n: {**rounded_estimate(e, 8), "unit": self.units.get(n, "")} for n, e in self.estimates.items()},
+            **rounded_fields(self, score=3, threshold=3), "where": self.where.to_json(),
             "gap": self.gap.to_json(), "holdout": None if self.holdout is None else self.holdout.to_json(),
             "migrated": {n: m.to_json() for n, m in self.migrated.items()},
-            "absorbed": None if self.absorbed is None else rounded(self.absorbed, 3),
-            "equation": self.equation, "practical": self.practical,
+            "absorbed": rounded(self.absorbed, 3), "equation": self.equation, "practical": self.practical,
             "followed_by_timing": {n: rounded(v, 5) for n, v in self.followed.items()}, "text": self.text,
         }  # fmt: skip
 
@@ -296,10 +283,9 @@ class GapResult:
             "model_before": self.files[0],
             "model_after": self.files[1],
             "scores": {n: rounded(v, 3) for n, v in self.scores.items()},
-            "threshold": rounded(self.threshold, 3),
-            "nominal_threshold": rounded(self.nominal_threshold, 3),
+            **rounded_fields(self, threshold=3, nominal_threshold=3),
             "ties": [[t.first, t.second, rounded(t.cosine, 3)] for t in self.ties],
             "rejected": [{"effect": r.effect, "why": r.why} for r in self.rejected],
             "notes": list(self.notes),
-            **dict(self.details.items()),
+            **self.details,
         }

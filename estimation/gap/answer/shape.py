@@ -10,10 +10,20 @@ from estimation.engine.kernel import Array
 TURN = 2.0 * math.pi  # rad
 
 
-def rounded(value: float, digits: int = 4) -> float:
-    """Rounded for a file; None where `value` is not finite, which JSON cannot hold."""
-    value = float(value)
-    return round(value, digits) if math.isfinite(value) else None  # type: ignore[return-value]
+def rounded(value: float | None, digits: int = 4) -> float | None:
+    """Rounded for a file; None where `value` is None or not finite, which JSON cannot hold."""
+    return None if value is None or not math.isfinite(value) else round(float(value), digits)
+
+
+def rounded_fields(record: object, **digits: int) -> dict[str, float | None]:
+    """Fields of a record for a file, each rounded to so many digits."""
+    return {name: rounded(getattr(record, name), n) for name, n in digits.items()}
+
+
+def rounded_estimate(estimate: tuple[float, float], digits: int) -> dict[str, float | None]:
+    """(value, standard deviation) for a file."""
+    value, std = estimate
+    return {"estimate": rounded(value, digits), "std": rounded(std, digits)}
 
 
 @dataclass(frozen=True)
@@ -29,10 +39,9 @@ class Alike:
     why_not: str
 
     def to_json(self) -> dict[str, Any]:
-        value, std = self.estimate
+        estimate = rounded_estimate(self.estimate, 9)
         return {
-            "effect": self.effect, "parameter": self.parameter, "estimate": rounded(value, 9), "std": rounded(std, 9),
-            "unit": self.unit, "why_not": self.why_not,
+            "effect": self.effect, "parameter": self.parameter, **estimate, "unit": self.unit, "why_not": self.why_not,
         }  # fmt: skip
 
 
@@ -75,7 +84,7 @@ class ShapeCurve:
             "closed": rounded(self.closed), "analytic": self.analytic,
             "candidates": [
                 {"analytic": text, "closed": rounded(closed), "as_good": as_good,
-                 "parameters": {n: {"estimate": rounded(v, 9), "std": rounded(s, 9)} for n, (v, s) in estimates.items()}}
+                 "parameters": {n: rounded_estimate(e, 9) for n, e in estimates.items()}}
                 for text, estimates, closed, as_good in self.candidates
             ],
             "alternatives": [{"output": o, "variables": list(v), "share_of_gain": rounded(g, 3)} for o, v, g in self.rivals],
@@ -103,7 +112,7 @@ class LaggedTerm:
     def to_json(self) -> dict[str, Any]:
         return {
             "kind": "memory", "nameless": True, "output": self.line, "variables": [self.variable],
-            "time_constant": self.time, "score": rounded(self.score, 2), "threshold": rounded(self.threshold, 2),
+            "time_constant": self.time, **rounded_fields(self, score=2, threshold=2),
         }  # fmt: skip
 
 
@@ -131,11 +140,7 @@ class SwingingTerm:
         return {
             "kind": "swing", "nameless": True, "output": self.line, "variables": list(self.by),
             "sizes": {a: rounded(v, 9) for a, v in self.by.items()},
-            "frequency": rounded(self.frequency, 4),
-            "frequency_std": None if self.frequency_std is None else rounded(self.frequency_std, 4),
-            "damping": rounded(self.damping, 4),
-            "damping_std": None if self.damping_std is None else rounded(self.damping_std, 4),
-            "score": rounded(self.score, 2), "threshold": rounded(self.threshold, 2),
+            **rounded_fields(self, frequency=4, frequency_std=4, damping=4, damping_std=4, score=2, threshold=2),
         }  # fmt: skip
 
 
@@ -159,17 +164,10 @@ class EventReport:
 
     def to_json(self) -> dict[str, Any]:
         return {
-            "what": self.what,
-            "channel": self.channel,
-            **({"air": self.air} if self.air else {}),
-            "flight": self.flight,
-            "start": rounded(self.start, 3),
-            "end": rounded(self.end, 3),
-            "size": [{"estimate": rounded(v, 6), "std": rounded(s, 6)} for v, s in self.sizes],
-            "unit": self.unit,
-            "score": rounded(self.score, 2),
-            "threshold": rounded(self.threshold, 2),
-        }
+            "what": self.what, "channel": self.channel, **({"air": self.air} if self.air else {}), "flight": self.flight,
+            **rounded_fields(self, start=3, end=3), "size": [rounded_estimate(size, 6) for size in self.sizes],
+            "unit": self.unit, **rounded_fields(self, score=2, threshold=2),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -187,15 +185,8 @@ class HeldInstrument:
     threshold: float
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "kind": "held",
-            "nameless": True,
-            "channel": self.channel,
-            "every": rounded(self.every, 4),
-            "share": rounded(self.share, 3),
-            "ratio": rounded(self.ratio, 2),
-            "threshold": rounded(self.threshold, 2),
-        }
+        numbers = rounded_fields(self, every=4, share=3, ratio=2, threshold=2)
+        return {"kind": "held", "nameless": True, "channel": self.channel, **numbers}
 
 
 @dataclass(frozen=True)
@@ -213,14 +204,8 @@ class NotPredicted:
     highest: float
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "kind": "held_out",
-            "nameless": True,
-            "flight": self.flight,
-            "channels": list(self.channels),
-            "gap": rounded(self.gap, 3),
-            "highest": rounded(self.highest, 3),
-        }
+        place = {"flight": self.flight, "channels": list(self.channels)}
+        return {"kind": "held_out", "nameless": True, **place, **rounded_fields(self, gap=3, highest=3)}
 
 
 @dataclass(frozen=True)
@@ -234,4 +219,5 @@ class Happened:
         return {"kind": "event", "nameless": True, **first.to_json(), "events": [e.to_json() for e in self.events]}
 
 
-Shape = ShapeCurve | LaggedTerm | SwingingTerm | Happened | HeldInstrument | NotPredicted
+Follower = LaggedTerm | SwingingTerm
+Shape = ShapeCurve | Follower | Happened | HeldInstrument | NotPredicted

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Rejected
 from estimation.gap.answer.shape import (
     TURN,
+    EventReport,
     Happened,
     HeldInstrument,
     LaggedTerm,
@@ -23,9 +24,7 @@ def describe_step(step: EffectStep) -> str:
     """One or two sentences on one effect."""
     if step.effect == "unknown":
         return describe_unknown(step)
-    numbers = ", ".join(
-        f"{n} = {v:.4g} +- {s:.2g} {step.units.get(n, '')}".rstrip() for n, (v, s) in step.estimates.items()
-    )
+    numbers = ", ".join(f"{_with_bound(n, e)} {step.units.get(n, '')}".rstrip() for n, e in step.estimates.items())
     label = step.effect if step.form in (step.effect, *step.estimates) else f"{step.effect}, {step.form}"
     text = f"{step.title} ({label}: {numbers}), score {step.score:.1f} against a threshold of {step.threshold:.1f}."
     if step.sampling_bound:
@@ -43,6 +42,11 @@ def describe_step(step: EffectStep) -> str:
     return text
 
 
+def _with_bound(name: str, estimate: tuple[float, float]) -> str:
+    value, std = estimate
+    return f"{name} = {value:.4g} +- {std:.2g}"
+
+
 def not_in_held_out_gap(held: Gap) -> str:
     """A sentence on held-out flights whose gap does not show an effect."""
     text = f" The held-out flights did not show it in their gap ({held.before:.2f}, up to {held.highest:.2f} with nothing hidden)"
@@ -55,28 +59,28 @@ def not_in_held_out_gap(held: Gap) -> str:
 
 def describe_unknown(step: EffectStep) -> str:
     """What is known of an effect that the catalogue does not hold."""
-    if isinstance(step.shape, ShapeCurve):
-        return describe_curve(step.shape)
-    if isinstance(step.shape, Happened):
-        return describe_events(step.shape)
-    if isinstance(step.shape, HeldInstrument):
-        return describe_held(step.shape)
-    if isinstance(step.shape, NotPredicted):
-        return f"The training flights show nothing, but {describe_not_predicted(step.shape)}"
+    shape = step.shape
+    if isinstance(shape, ShapeCurve):
+        return describe_curve(shape)
+    if isinstance(shape, Happened):
+        return describe_events(shape)
+    if isinstance(shape, HeldInstrument):
+        return describe_held(shape)
+    if isinstance(shape, NotPredicted):
+        return f"The training flights show nothing, but {describe_not_predicted(shape)}"
     channels, regime = ", ".join(step.where.channels), step.where.regime
     place = f"it lives in {channels} ({regime})" if channels else "no channel shows it alone"
     text = f"Something the catalogue does not hold: {place}{_example(step.where.segments)}. "
     text += "No name is given, because none explains enough of it."
     if step.gap.within_floor:
         text += course_stands_out(step.gap)
-    if isinstance(step.shape, LaggedTerm):
-        s = step.shape
+    if isinstance(shape, LaggedTerm):
         text += (
-            f" No function of the motion closes the gap either; a part of {s.line} that follows {s.variable} some {s.time:g} s "
-            f"late gains (score {s.score:.1f} against {s.threshold:.1f})."
+            f" No function of the motion closes the gap either; a part of {shape.line} that follows {shape.variable} some "
+            f"{shape.time:g} s late gains (score {shape.score:.1f} against {shape.threshold:.1f})."
         )
-    if isinstance(step.shape, SwingingTerm):
-        text += f" {describe_swing(step.shape)}"
+    if isinstance(shape, SwingingTerm):
+        text += f" {describe_swing(shape)}"
     return text
 
 
@@ -107,22 +111,19 @@ def describe_swing(swing: SwingingTerm) -> str:
 def describe_curve(curve: ShapeCurve) -> str:
     """A curve in words: where, how certain, in which range, and what would settle it."""
     dependence = " times ".join((f"a function of {curve.variables[0]}", *curve.variables[1:]))
-    subject = (
-        "Something that no effect of the catalogue stands for"
-        if curve.alike
-        else "Something the catalogue does not hold"
-    )
+    subject = "that no effect of the catalogue stands for" if curve.alike else "the catalogue does not hold"
     text = (
-        f"{subject}, and no physical name is given to it: "
+        f"Something {subject}, and no physical name is given to it: "
         f"a part of {curve.output} that is {dependence}, known from {curve.low:.3g} to {curve.high:.3g} {curve.unit} and held "
-        f"outside ({curve.regime}). It closes {curve.closed:.0%} of the gap above what nothing hidden would leave."
+        f"outside ({curve.regime}). It closes {curve.closed:.0%} of the gap above what nothing hidden would leave, with "
+        "residuals weighed by their noise."
     )
-    accepted = [c for c in curve.candidates if c[3]]
-    if accepted:
-        formulas = [
-            f"{formula} with " + ", ".join(f"{n} = {v:.4g} +- {s:.2g}" for n, (v, s) in estimates.items())
-            for formula, estimates, _, _ in accepted
-        ]
+    formulas = [
+        f"{formula} with {', '.join(_with_bound(n, e) for n, e in estimates.items())}"
+        for formula, estimates, _, as_good in curve.candidates
+        if as_good
+    ]
+    if formulas:
         text += f" As good as the curve: {' or '.join(formulas)}."
     else:
         text += " No plain formula does as well as the curve."
@@ -137,27 +138,24 @@ def describe_curve(curve: ShapeCurve) -> str:
 
 def describe_events(happened: Happened) -> str:
     """Which events, when, and that they are no term of the model."""
-    sentences = []
-    for e in happened.events:
-        place = f"on {e.flight}" if e.flight else "on these flights"
-        size = ", ".join(f"{v:.2g} +- {s:.1g}" for v, s in e.sizes)
-        if e.air:
-            sentences.append(
-                f"a gust changes {e.air} {place} from {e.start:.1f} to {e.end:.1f} s by up to {size} {e.unit}"
-            )
-            continue
-        sentences.append(
-            {
-                "drift": f"{e.channel} drifts {place} by {size} {e.unit} over each",
-                "slip": f"{e.channel} jumps {place} at {e.start:.1f} s by {size} {e.unit}",
-                "burst": f"the motion is disturbed {place} from {e.start:.1f} to {e.end:.1f} s, as by a gust",
-            }[e.what]
-        )
+    events = "; ".join(_event(e) for e in happened.events)
     return (
-        f"Something that goes with time and not with the motion: {'; '.join(sentences)}. Without it nothing is left that a term "
-        "of the model would have to explain: no model term is wrong. Look at the instrument or the weather there, or leave the "
-        "stretch out."
+        f"Something that goes with time and not with the motion: {events}. Without it nothing is left that a term of the model "
+        "would have to explain: no model term is wrong. Look at the instrument or the weather there, or leave the stretch out."
     )
+
+
+def _event(e: EventReport) -> str:
+    place = f"on {e.flight}" if e.flight else "on these flights"
+    size = f"{', '.join(f'{v:.2g} +- {s:.1g}' for v, s in e.sizes)} {e.unit}"
+    span = f"from {e.start:.1f} to {e.end:.1f} s"
+    if e.air:
+        return f"a gust changes {e.air} {place} {span} by up to {size}"
+    return {
+        "drift": f"{e.channel} drifts {place} by {size} over each",
+        "slip": f"{e.channel} jumps {place} at {e.start:.1f} s by {size}",
+        "burst": f"the motion is disturbed {place} {span}, as by a gust",
+    }[e.what]
 
 
 def describe_held(held: HeldInstrument) -> str:
@@ -219,13 +217,15 @@ def conclude(
         parts.append(
             "No effect found: what is left of the disagreement looks like the noise, gusts and input errors of these flights."
         )
-        if detectable:
-            examples = [f"{n} of {detectable[n]:.2g}" for n in EXAMPLES if n in detectable][:FEW]
-            if examples:
-                parts.append(f"Anything larger than for example {', '.join(examples)} would have been seen.")
+        examples = [f"{n} of {detectable[n]:.2g}" for n in EXAMPLES if n in detectable][:FEW]
+        if examples:
+            parts.append(f"Anything larger than for example {', '.join(examples)} would have been seen.")
+    elif verdict is GapVerdict.CANNOT_TELL and inputs:
+        parts.append(f"No effect found: {inputs}")
     elif verdict is GapVerdict.CANNOT_TELL:
-        why = inputs or "but these flights could not have shown many of them: they hardly excite the motion."
-        parts.append(f"No effect found{':' if inputs else ','} {why}")
+        parts.append(
+            "No effect found, but these flights could not have shown many of them: they hardly excite the motion."
+        )
     parts += [s.text for s in steps]
     if inputs and verdict is not GapVerdict.CANNOT_TELL:
         parts.append(f"Beside this, {inputs}")
@@ -254,19 +254,18 @@ def conclude(
             "the model, and these flights do not show when and how far the surface moves; move it by itself, in steps."
         )
     if cannot:
-        names = ", ".join(e.name for e in cannot[:NAMES]) + (
-            f" and {len(cannot) - NAMES} more" if len(cannot) > NAMES else ""
-        )
+        names, whose = ", ".join(e.name for e in cannot[:NAMES]), "its" if len(cannot) == 1 else "their"
+        more = f" and {len(cannot) - NAMES} more" if len(cannot) > NAMES else ""
         manoeuvres = list(dict.fromkeys(e.separate_by for e in cannot if e.separate_by))[:MANOEUVRES]
-        size = "its usual size" if len(cannot) == 1 else "their usual size"
         fly = f"; fly {'; '.join(manoeuvres)}" if manoeuvres else ""
-        parts.append(f"These flights cannot tell anything about {names} at {size}{fly}.")
+        parts.append(f"These flights cannot tell anything about {names}{more} at {whose} usual size{fly}.")
     if tied and verdict in (GapVerdict.NO_GAP, GapVerdict.CANNOT_TELL):
-        hidden = "; ".join(f"{e.name} cannot be told from {', '.join(e.tied_to)}" for e in tied)
+        hidden = [f"{e.name} cannot be told from {', '.join(e.tied_to)}" for e in tied]
         if all(e.name != "rho_error" for e in tied):  # lateral: only the derivatives carry mass and density
-            hidden += "; errors of mass, of Ixx and Izz or of air density scale all coefficients alike"
-            hidden += " and cannot be told from them"
-        parts.append(f"Not visible in any flight: {hidden}.")
+            hidden.append(
+                "errors of mass, of Ixx and Izz or of air density scale all coefficients alike and cannot be told from them"
+            )
+        parts.append(f"Not visible in any flight: {'; '.join(hidden)}.")
     return " ".join(parts)
 
 

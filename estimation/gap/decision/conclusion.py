@@ -6,12 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.gap.answer.result import EffectStep, Gap, GapResult, GapVerdict, Histories, Rejected
-from estimation.gap.answer.shape import Happened, HeldInstrument, LaggedTerm, SwingingTerm
+from estimation.gap.answer.shape import Follower, Happened, HeldInstrument, NotPredicted
 from estimation.gap.answer.words import conclude, describe_not_predicted, describe_step, rest_of_inputs
-from estimation.gap.decision.beside import ShapeContinuation, in_its_place, names_beside, without_doubted
+from estimation.gap.decision import unnamed
+from estimation.gap.decision.beside import (
+    ShapeContinuation,
+    beside_memory,
+    in_its_place,
+    late_rest,
+    names_beside,
+    settled_follower,
+    without_doubted,
+)
 from estimation.gap.decision.decide import Decision, Named, VerdictFacts, as_unknown, decide, only_steered, with_names
-from estimation.gap.decision.followers import beside_memory, late_rest, settled_follower
-from estimation.gap.decision.held_out import held_out_step, not_predicted
 from estimation.gap.decision.lineage import models
 from estimation.gap.decision.location import views
 from estimation.gap.decision.steps import (
@@ -24,15 +31,6 @@ from estimation.gap.decision.steps import (
     ties_of,
     undetectable,
     unknown_step,
-)
-from estimation.gap.decision.unnamed import (
-    event_step,
-    events_in_time,
-    find_held_instrument,
-    held_step,
-    search_shape,
-    shaped_step,
-    standing_round,
 )
 from estimation.gap.effects.base import Effect
 from estimation.gap.errors import GapError
@@ -47,9 +45,8 @@ from estimation.gap.significance.measure import Floors, odd_flights, repeatabili
 from estimation.gap.significance.omnibus import Omnibus, examine
 
 BAND = 20  # nulls for the band of the floor in pictures
-NOT_SEARCHED = ShapeSearch(None, ())
-EXPLAINED = (GapVerdict.NO_GAP, GapVerdict.GAP_CLOSED, GapVerdict.GAP_REDUCED)
 LEADING = 5  # nameless signals in the JSON file
+NOT_SEARCHED = ShapeSearch(None, ())
 
 
 @dataclass
@@ -75,39 +72,27 @@ class _Conclusion:
 
 
 def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> GapResult:
-    """The answer: verdict, steps and words from the state after all rounds."""
-    return _concluded(_decided(setting, search), check)
+    """The answer: verdict, steps and words from the state after all rounds.
 
-
-def _concluded(state: _Conclusion, check: KinematicCheck) -> GapResult:
-    """The answer from the decision on the effects of the rounds."""
-    setting, search = state.setting, state.search
-    replaced = None
-    if not setting.steered and not state.decision.doubted:
-        replaced = without_doubted(setting, search, state.findings, state.named, state.decision)
-    continuation = None
-    if replaced is not None:
-        state.decision, state.findings, state.model, state.shapes, continuation = replaced
-    elif not setting.steered and not state.decision.doubted:
-        _search_unnamed(state)
-    if replaced is None and state.event is None and not state.decision.doubted:
-        continuation = names_beside(setting, search, state.model, state.shapes, state.decision)
-    if continuation is not None:
-        further = _with_more_names(state, continuation)
-        if further is not None:
-            return _concluded(further, check)
-        _add_names(state, continuation)
-    return _answer(state, check, rejected_hypotheses(search, continuation))
-
-
-def _with_more_names(state: _Conclusion, continuation: ShapeContinuation) -> _Conclusion | None:
-    """The decision after the rounds that name what was behind a shape; None where no more names stand than before, for then the
-    same search would follow, without end."""
-    renewed = in_its_place(state.setting, state.search, state.findings, continuation)
-    if renewed is None:
-        return None
-    further = _decided(state.setting, renewed)
-    return further if further.decision.kept > state.decision.kept else None
+    Something without a name that stands out of the first nulls has to stand out of all. Rounds about the names that stand
+    beside a shape may name what was behind it. The answer is then that of these rounds, as long as more names stand than
+    before: otherwise the same search would follow, without end.
+    """
+    state = _decided(setting, search)
+    while True:
+        beside = _names_beside_unnamed(state)
+        has_unnamed = state.shapes.found or state.event is not None
+        if has_unnamed and (surer := state.search.with_enough_nulls) is not state.search:
+            state = _decided(setting, surer)
+            continue
+        renewed = None if beside is None else in_its_place(setting, state.search, state.findings, beside)
+        further = None if renewed is None else _decided(setting, renewed)
+        if further is None or further.decision.kept <= state.decision.kept:
+            break
+        state = further
+    if beside is not None:
+        _add_names(state, beside)
+    return _answer(state, check, rejected_hypotheses(state.search, beside))
 
 
 def _decided(setting: Setting, search: SearchState) -> _Conclusion:
@@ -126,25 +111,44 @@ def _decided(setting: Setting, search: SearchState) -> _Conclusion:
     return _Conclusion(setting, search, floor, cannot, steps, decision, standing, model, search.omnibus, gap)
 
 
+def _names_beside_unnamed(state: _Conclusion) -> ShapeContinuation | None:
+    """Look for a shape in place of a doubted name, or for what has no name beside all; the names that stand beside a shape.
+
+    Nothing without a name is believed where every control only follows the motion, or where the inputs may be its cause.
+    """
+    setting, search = state.setting, state.search
+    if setting.steered or state.decision.doubted:
+        return None
+    replaced = without_doubted(setting, search, state.findings, state.named, state.decision)
+    if replaced is not None:
+        state.decision, state.findings, state.model, state.shapes, continuation = replaced
+        return continuation
+    _search_unnamed(state)
+    if state.event is not None:
+        return None
+    return names_beside(setting, search, state.model, state.shapes, state.decision)
+
+
 def _search_unnamed(state: _Conclusion) -> None:
     """Look for a shape, an event in time, or a lag or swing beside the standing names."""
     setting, search = state.setting, state.search
-    round_ = standing_round(setting, search, state.findings)
+    round_ = unnamed.standing_round(setting, search, state.findings)
     if not state.findings or state.decision.verdict is GapVerdict.UNKNOWN:
-        state.shapes = search_shape(setting, search, round_, state.decision)
-    if state.shapes.shape is None:  # also with names, which are no events in time
-        state.event = events_in_time(setting, round_)
-    if state.shapes.shape is not None or state.event is not None:
+        state.shapes = unnamed.search_shape(setting, search, round_, state.decision)
+    if state.shapes.shape is not None:
         return
-    late_term = late_rest(setting, search, state.findings)
-    if late_term is None:
+    state.event = unnamed.events_in_time(setting, round_)  # also with names, which are no events in time
+    if state.event is not None:
+        return
+    late = late_rest(setting, search, state.findings)
+    if late is None:
         follower = settled_follower(state.shapes.follower, state.model, setting.options.seed)
     else:
-        follower = late_term.follower
-        state.decision = beside_memory(state.decision, [n.effect for n in state.named], late_term)
+        follower = late.follower
+        state.decision = beside_memory(state.decision, [n.effect for n in state.named], late)
         if state.decision.kept < len(state.findings):
             state.findings = state.findings[: state.decision.kept]
-            round_ = standing_round(setting, search, state.findings)
+            round_ = unnamed.standing_round(setting, search, state.findings)
             state.model, state.rest = round_.baseline, examine(round_)
             state.gap = rms_over_noise(state.model.problem, state.model.fit, setting.scatter)
     state.shapes = replace(state.shapes, follower=follower)
@@ -161,46 +165,46 @@ def _add_names(state: _Conclusion, beside: ShapeContinuation) -> None:
     state.decision = with_names(state.decision, [s.effect for s in state.named])
 
 
-def _of_inputs(state: _Conclusion, rest: Omnibus) -> str:
-    """A sentence on the first withdrawn name, or the nameless rest, that the times of recorded commands may have caused."""
-    if not state.decision.doubted:
-        return ""
-    if state.decision.withdrawn:
-        first = state.named[state.decision.kept]
-        return rest_of_inputs(state.setting.commanded, first.effect, first.score, first.threshold)
-    place = rest.leading[0].place if rest.leading else "the motion"
-    return rest_of_inputs(state.setting.commanded, f"what is left in {place}", rest.score, rest.threshold)
+def _nameless_step(
+    state: _Conclusion, rejected: Sequence[Rejected], unlike: NotPredicted | None, gap: Gap
+) -> tuple[Decision, EffectStep | None]:
+    """The step of a shape, an event, an instrument that holds its values or a held-out flight that is not predicted, if any, and
+    the decision with it. gap: unchanged."""
+    decision, shape = state.decision, state.shapes.shape
+    if shape is not None:
+        reduced = replace(decision, verdict=GapVerdict.GAP_REDUCED)  # smaller, but unnamed
+        return reduced, unnamed.shaped_step(shape, state.model, state.setting, rejected)
+    step = None
+    is_explained = not decision.doubted and decision.verdict not in (GapVerdict.UNKNOWN, GapVerdict.CANNOT_TELL)
+    if state.event is not None:
+        step = unnamed.event_step(state.event, gap)
+    elif is_explained and (held := unnamed.find_held_instrument(state.model, state.setting.prepared)):
+        step = unnamed.held_step(held, gap)
+    elif unlike is not None and decision.verdict is GapVerdict.NO_GAP:
+        step = unnamed.held_out_step(unlike, gap, state.floor)
+    return (decision, None) if step is None else (as_unknown(decision), step)
 
 
 def _answer(state: _Conclusion, check: KinematicCheck, rejected: tuple[Rejected, ...]) -> GapResult:
     """The answer from the final state."""
-    setting, search, shapes = state.setting, state.search, state.shapes
-    prepared, first, last = setting.prepared, search.rounds[0], search.rounds[-1]
-    decision, rest, final = state.decision, state.rest, state.model
-    unchanged_gap, unnamed, remainder = Gap(state.gap, state.gap, state.floor.training_median), None, ""
-    if shapes.shape is not None:
-        decision = replace(decision, verdict=GapVerdict.GAP_REDUCED)  # smaller, but unnamed
-        unnamed = shaped_step(shapes.shape, state.model, setting, rejected)
-        last, final = shapes.shape.measured.round_, shapes.shape.measured.child
+    setting, search, prepared, shape = state.setting, state.search, state.setting.prepared, state.shapes.shape
+    first, last, final, rest, remainder = search.rounds[0], search.rounds[-1], state.model, state.rest, ""
+    if shape is not None:
+        last, final = shape.measured.round_, shape.measured.child
         rest, remainder = still_left(last, rest)
-    elif state.event is not None:
-        decision, unnamed = as_unknown(decision), event_step(state.event, unchanged_gap)
-    elif (
-        not state.decision.doubted
-        and decision.verdict in EXPLAINED
-        and (stale := find_held_instrument(state.model, prepared))
-    ):
-        decision, unnamed = as_unknown(decision), held_step(stale, unchanged_gap)
-    unlike = not_predicted(final, prepared, state.floor)
-    if unlike is not None and decision.verdict is GapVerdict.NO_GAP:
-        decision, unnamed, unlike = as_unknown(decision), held_out_step(unlike, unchanged_gap, state.floor), None
+    unchanged_gap = Gap(state.gap, state.gap, state.floor.training_median)
+    unlike = unnamed.not_predicted(final, prepared, state.floor)
+    decision, nameless = _nameless_step(state, rejected, unlike, unchanged_gap)
+    if nameless is not None and nameless.shape is unlike:
+        unlike = None  # its step has the words
     effect_steps = [with_final_estimates(s, f, final) for s, f in zip(state.named, state.findings, strict=False)]
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
     odd = odd_flights(repeats)
-    late = shapes.follower if len(odd) < max(len(repeats), 1) else None  # no swing explains flights that all differ
-    steps = steps_in_words(decision, effect_steps, rest, check, unchanged_gap, unnamed, late)
+    # no swing explains flights that all differ
+    late = state.shapes.follower if len(odd) < max(len(repeats), 1) else None
+    steps = steps_in_words(decision, effect_steps, rest, check, unchanged_gap, nameless, late)
     stages = views(first.baseline, final, prepared)
-    before_model, after_model = models(setting.base, first.baseline, state.findings, shapes.shape)
+    before_model, after_model = models(setting.base, first.baseline, state.findings, shape)
     hypotheses = {h.effect.name for h in first.screen.hypotheses}
     held_channels = [s.shape.channel for s in steps if isinstance(s.shape, HeldInstrument)]
     return GapResult(
@@ -210,7 +214,7 @@ def _answer(state: _Conclusion, check: KinematicCheck, rejected: tuple[Rejected,
             steps,
             detectable,
             state.cannot,
-            tuple(e for e in setting.effects if e.tied_to and e.name in hypotheses),
+            [e for e in setting.effects if e.tied_to and e.name in hypotheses],
             bool(prepared.holdout),
             odd,
             [n for n in prepared.stale if n not in held_channels],
@@ -225,11 +229,7 @@ def _answer(state: _Conclusion, check: KinematicCheck, rejected: tuple[Rejected,
         scores=effect_scores(first),
         threshold=first.threshold,
         nominal_threshold=nominal_threshold(len(first.screen.hypotheses), setting.options.criteria),
-        rejected=(
-            *rejected,
-            *(Rejected(effect, reason) for effect, reason in decision.withdrawn),
-            *shapes.rejected,
-        ),
+        rejected=(*rejected, *(Rejected(*withdrawn) for withdrawn in decision.withdrawn), *state.shapes.rejected),
         ties=ties_of(first),
         model_before=before_model,
         model_after=after_model,
@@ -253,15 +253,24 @@ def _answer(state: _Conclusion, check: KinematicCheck, rejected: tuple[Rejected,
     )
 
 
+def _of_inputs(state: _Conclusion, rest: Omnibus) -> str:
+    """A sentence on the first withdrawn name, or the nameless rest, that the times of recorded commands may have caused."""
+    if not state.decision.doubted:
+        return ""
+    if state.decision.withdrawn:
+        first = state.named[state.decision.kept]
+        return rest_of_inputs(state.setting.commanded, first.effect, first.score, first.threshold)
+    place = rest.leading[0].place if rest.leading else "the motion"
+    return rest_of_inputs(state.setting.commanded, f"what is left in {place}", rest.score, rest.threshold)
+
+
 def with_final_estimates(step: EffectStep, finding: AcceptedEffect, after: Baseline) -> EffectStep:
     """A step with the size of its effect in the final model: effects that were still missing had biased the first one. The bound
     of a time includes the uncertainty from sampling."""
     estimates = estimates_of(finding.round_, finding.candidate, after)
     interval, criteria = sample_interval(after.problem.records), after.criteria
     times = {
-        n: (value, time_bound(std, interval, criteria))
-        for n, (value, std) in estimates.items()
-        if step.units.get(n) == "s"
+        n: (v, time_bound(std, interval, criteria)) for n, (v, std) in estimates.items() if step.units.get(n) == "s"
     }
     sampling_bound = time_bound(0.0, interval, criteria) if times else 0.0
     return replace(step, estimates={**estimates, **times}, sampling_bound=sampling_bound)
@@ -272,7 +281,7 @@ def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:
     be linearised."""
     try:
         rest = examine(round_)
-    except GapError:  # a motion that cannot be linearised
+    except GapError:
         return before, ""
     return rest, how_it_shows(rest) if rest.significant else ""
 
@@ -290,15 +299,15 @@ def facts_of(
 ) -> VerdictFacts:
     """The facts from the state of the search and the steps of all accepted effects. untold: effects that were not searched."""
     forms = [f.candidate.hypothesis.form for f in search.findings]
-    hypotheses = search.rounds[0].screen.hypotheses
+    hypotheses, rest = search.rounds[0].screen.hypotheses, search.omnibus
     return VerdictFacts(
         named=tuple(
             Named(s.effect, s.score, s.gap, s.holdout, frozenset((*form.outputs, *form.output_delays)))
             for s, form in zip(named, forms, strict=True)
         ),
-        rest=search.omnibus.score,
-        rest_threshold=search.omnibus.threshold,
-        rest_place=search.omnibus.leading[0].place if search.omnibus.leading else "",
+        rest=rest.score,
+        rest_threshold=rest.threshold,
+        rest_place=rest.leading[0].place if rest.leading else "",
         covered=covered,
         blind=len(cannot),
         asked=len({h.effect.name for h in hypotheses if not h.effect.tied_to}) + untold,
@@ -311,17 +320,17 @@ def steps_in_words(
     rest: Omnibus,
     check: KinematicCheck,
     gap: Gap,
-    unnamed: EffectStep | None = None,
-    late: LaggedTerm | SwingingTerm | None = None,
+    nameless: EffectStep | None = None,
+    late: Follower | None = None,
 ) -> tuple[EffectStep, ...]:
     """The steps of the answer with their words: the standing names, and the nameless rest where that is the verdict.
 
-    rest: nameless signals; gap: unchanged; unnamed: the step of a shape or an event, if any; late: a lag or swing without one.
+    rest: nameless signals; gap: unchanged; nameless: the step of a shape or an event, if any; late: a lag or swing without one.
     The kinematic check looks at the flights before any step: its origin belongs to the first.
     """
     steps = list(named[: decision.kept])
-    if unnamed is not None:
-        steps.append(unnamed)
+    if nameless is not None:
+        steps.append(nameless)
     elif decision.verdict is GapVerdict.UNKNOWN:
         steps.append(unknown_step(rest, gap, late))
     if steps:
@@ -334,15 +343,26 @@ def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) 
     nulls = np.concatenate([residuals for null in last.null_residuals[:BAND] for residuals in null])
     compared = [column[np.isfinite(column)] for column in nulls.T]
     band = np.array([column.std() if column.size else np.nan for column in compared])
-    prepared, courses = setting.prepared, []
-    pairs = [(before.problem, before.fit, after.fit, False)]
-    held_before, held_after = before.held_out, after.held_out
-    if held_before is not None and held_after is not None:
-        pairs.append((held_before[0], held_before[1], held_after[1], True))
-    for problem, first, second, is_holdout in pairs:
-        for i, record in enumerate(problem.records):
-            z, name = problem.coarse[i].z, prepared.names[record.flight]
-            courses.append(
-                Histories(name, is_holdout, record.time, z, z - first.residuals[i], z - second.residuals[i], band)
-            )
+    fitted = [(before.problem, before.fit, after.fit)]
+    if before.held_out is not None and after.held_out is not None:
+        fitted.append((*before.held_out, after.held_out[1]))
+    courses = []
+    for is_holdout, (problem, first, second) in zip((False, True), fitted, strict=False):
+        for record, segment, r, s in zip(
+            problem.records, problem.coarse, first.residuals, second.residuals, strict=True
+        ):
+            z, name = segment.z, setting.prepared.names[record.flight]
+            courses.append(Histories(name, is_holdout, record.time, z, z - r, z - s, band))
     return tuple(courses)
+
+
+def more_beside_moved_controls(result: GapResult) -> bool:
+    """Whether effects were found by which a control moves otherwise than recorded, and something else was named or is unknown.
+
+    Then the user's simulation has to be evaluated again at the true deflections. It was, with its slopes, at the recorded ones:
+    with a drag by |elevator| the slope has the wrong sign until a late elevator crosses zero, which looks like a drag that the
+    simulation lacks. An effect that stands alone explains everything.
+    """
+    before, controls = set(result.model_before.transforms), {s.name for s in result.model_before.inputs if s.control}
+    moved = [t for t in result.model_after.transforms if t not in before and t.input in controls]
+    return bool(moved) and (len(result.steps) > 1 or result.verdict is GapVerdict.UNKNOWN)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.criteria import Criteria
 
+OF_INPUTS = "no larger than what the unknown times of recorded commands leave"
 ANY = None
 TABLE: tuple[tuple[bool | None, bool | None, bool | None, bool | None, GapVerdict], ...] = (
     # a rest matters, names stand, closed, blind -> verdict; the first row that matches
@@ -31,6 +32,11 @@ class Named:
     gap: Gap
     held: Gap | None
     instruments: frozenset[str] = frozenset()
+
+    @property
+    def unseen(self) -> bool:
+        """Whether the gap says nothing about it, neither on the training nor on the held-out flights."""
+        return self.gap.says_nothing and (self.held is None or self.held.says_nothing)
 
 
 @dataclass(frozen=True)
@@ -62,16 +68,13 @@ class Decision:
     doubted: bool = False
 
 
-OF_INPUTS = "no larger than what the unknown times of recorded commands leave"
-
-
 def decide(facts: VerdictFacts, criteria: Criteria, commanded: bool = False) -> Decision:
     """The verdict from the facts. commanded: surfaces are recorded as commands. Their unknown times cause a nameless rest that
     is no effect, and names that close no more than a gap of nulls; without another name the flights cannot tell."""
     rest = rest_matters(facts, criteria)
     count, withdrawn = standing(facts, criteria) if rest else (len(facts.named), ())
     if commanded:
-        first_unseen = next((k for k, name in enumerate(facts.named[:count]) if unseen(name)), count)
+        first_unseen = next((k for k, name in enumerate(facts.named[:count]) if name.unseen), count)
         withdrawn = (*withdrawn, *((n.effect, OF_INPUTS) for n in facts.named[first_unseen:count]))
         count = first_unseen
     closed = count > 0 and closed_by(facts.named[:count]) >= criteria.closed_share
@@ -80,11 +83,6 @@ def decide(facts: VerdictFacts, criteria: Criteria, commanded: bool = False) -> 
     answers = (rest and not commanded, count > 0, closed, blind)
     verdict = next(row[-1] for row in TABLE if all(w is ANY or w == f for w, f in zip(row[:-1], answers, strict=True)))
     return Decision(verdict, count, withdrawn, doubted)
-
-
-def unseen(name: Named) -> bool:
-    """Whether the gap says nothing about a name, neither on the training nor on the held-out flights."""
-    return name.gap.says_nothing and (name.held is None or name.held.says_nothing)
 
 
 def only_steered(facts: VerdictFacts) -> VerdictFacts:
@@ -123,23 +121,18 @@ def standing(facts: VerdictFacts, criteria: Criteria) -> tuple[int, tuple[tuple[
     ones."""
     names = list(facts.named)
     withdrawn: list[tuple[str, str]] = []
-    if names and not facts.covered and few(names[-1], facts.rest, criteria):
-        last = names.pop()
-        withdrawn.append((last.effect, f"closes only {last.gap.closed:.0%} of the gap"))
+    if names and not facts.covered:
+        last = names[-1]
+        closed = max(last.gap.closed, last.held.closed if last.held is not None else 0.0)
+        if closed < criteria.closed_share and not outweighs(last.score, facts.rest, criteria.named_weight):
+            withdrawn.append((last.effect, f"closes only {last.gap.closed:.0%} of the gap"))
+            names.pop()
+    place = facts.rest_place
+    reason = f"the nameless rest in {place} is too large beside it: the instrument does something else than this"
     for k, name in enumerate(names):
-        if facts.rest_place in name.instruments and not outweighs(name.score, facts.rest, criteria.own_weight):
-            reason = (
-                f"the nameless rest in {facts.rest_place} is too large beside it: "
-                "the instrument does something else than this"
-            )
+        if place in name.instruments and not outweighs(name.score, facts.rest, criteria.own_weight):
             return k, (*withdrawn, *((n.effect, reason) for n in names[k:]))
     return len(names), tuple(withdrawn)
-
-
-def few(name: Named, rest: float, criteria: Criteria) -> bool:
-    """Whether a name closes little of the gap, on training and on held-out flights, and a nameless rest outweighs it."""
-    closed = max(name.gap.closed, name.held.closed if name.held is not None else 0.0)
-    return closed < criteria.closed_share and not outweighs(name.score, rest, criteria.named_weight)
 
 
 def outweighs(named: float, rest: float, share: float) -> bool:

@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from daq.utilities.outputs import write_json
 from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.result import Estimate
-from estimation.gap.answer.result import EffectStep, GapResult
+from estimation.gap.answer.result import GapResult
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.records.candidate_model import GYROS, TIMING, TOGETHER, rare_commands, timing_of
 from estimation.gap.search.state import AcceptedEffect
@@ -29,7 +28,23 @@ from estimation.session.sanity_checks import (
 from groundstation.flight import Flight
 
 
-def with_values(model: Model, values: Mapping[str, float]) -> Model:
+def models(
+    base: Model, first: Baseline, findings: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
+) -> tuple[Model, Model]:
+    """The fitted base, and the child with the standing effects and a nameless shape (the base where there is neither)."""
+    child, fitted, names = base, first, [base.name]
+    for f in findings:
+        child, fitted = f.candidate.hypothesis.form.added_to(child), f.child
+        names.append(f.candidate.hypothesis.effect.name)
+    if shape is not None:
+        fitted = shape.measured.child
+        child = shape.fitted.increment.written_into(child, fitted.fit.values)
+        names.append("nameless")
+    child = replace(_with_values(child, fitted.fit.values), name="+".join(names))
+    return _with_values(base, first.fit.values), child
+
+
+def _with_values(model: Model, values: Mapping[str, float]) -> Model:
     """`model` with its parameters starting at the fitted `values`."""
     parameters = []
     for p in model.parameters:
@@ -38,7 +53,34 @@ def with_values(model: Model, values: Mapping[str, float]) -> Model:
     return replace(model, parameters=tuple(parameters))
 
 
-def flight_digest(flight: Flight) -> str:
+def with_models(result: GapResult, flights: Sequence[Flight], seed: int, folder: Path) -> GapResult:
+    """Write the models before and after as TOML to `folder`, with the record of the effects added; returns the result with these
+    file names."""
+    parent, child = result.model_before, result.model_after
+    parent_file, child_file = folder / f"{parent.name}.toml", folder / f"{child.name}.toml"
+    if parent_file == child_file:
+        child_file = folder / f"{child.name}-refitted.toml"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_model(parent, parent_file)
+    write_model(child, child_file)
+    record = {
+        "parent": {"file": parent_file.name, "digest": parent.digest},
+        "child": {"file": child_file.name, "digest": child.digest},
+        "added": [
+            {"effect": s.effect, "form": s.form, "score": s.score, "threshold": s.threshold, "confidence": s.confidence,
+             "set": {m.effect: m.weight for m in s.members}, "parameters": {n: v for n, (v, _) in s.estimates.items()},
+             "gap": s.gap.to_json(), "holdout": s.holdout.to_json() if s.holdout else None}
+            for s in result.steps
+        ],
+        "flights": [{"name": f.name, "sha256": _flight_digest(f)} for f in flights],
+        "seed": seed,
+        "software": _software(),
+    }  # fmt: skip
+    write_json(record, folder / f"{child_file.stem}.lineage.json")
+    return replace(result, files=(str(parent_file), str(child_file)))
+
+
+def _flight_digest(flight: Flight) -> str:
     """Hash of the file a flight came from, or of its samples where it came from no file."""
     if flight.provenance.sha256:
         return flight.provenance.sha256
@@ -48,7 +90,7 @@ def flight_digest(flight: Flight) -> str:
     return digest.hexdigest()
 
 
-def software() -> str:
+def _software() -> str:
     """Name and version of this program."""
     try:
         return f"sideslip {version('sideslip')}"
@@ -56,47 +98,18 @@ def software() -> str:
         return "sideslip (not installed)"
 
 
-def write_lineage(
-    folder: Path, parent: Model, child: Model, steps: Sequence[EffectStep], flights: Sequence[Flight], seed: int
-) -> tuple[Path, Path]:
-    """Write parent and child as TOML, and the record of the effects added; returns (parent file, child file)."""
-    folder.mkdir(parents=True, exist_ok=True)
-    parent_file, child_file = folder / f"{parent.name}.toml", folder / f"{child.name}.toml"
-    if parent_file == child_file:
-        child_file = folder / f"{child.name}-refitted.toml"
-    write_model(parent, parent_file)
-    write_model(child, child_file)
-    record: dict[str, Any] = {
-        "parent": {"file": parent_file.name, "digest": parent.digest},
-        "child": {"file": child_file.name, "digest": child.digest},
-        "added": [
-            {"effect": s.effect, "form": s.form, "score": s.score, "threshold": s.threshold, "confidence": s.confidence,
-             "set": {m.effect: m.weight for m in s.members}, "parameters": {n: v for n, (v, _) in s.estimates.items()},
-             "gap": s.gap.to_json(), "holdout": s.holdout.to_json() if s.holdout else None}
-            for s in steps
-        ],
-        "flights": [{"name": f.name, "sha256": flight_digest(f)} for f in flights],
-        "seed": seed,
-        "software": software(),
-    }  # fmt: skip
-    write_json(record, folder / f"{child_file.stem}.lineage.json")
-    return parent_file, child_file
-
-
 def turned_signs(baseline: Baseline) -> list[str]:
     """One sentence for each column that contradicts the base model or its reference values in sign or unit."""
     problem, fit = baseline.problem, baseline.fit
-    base = problem.base
-    measured = [r.z for r in problem.coarse]
-    outputs = turned_outputs(base, [(z, z - e) for z, e in zip(measured, fit.residuals, strict=True)])
-    bounds = fit.std()
+    base, bounds = problem.base, fit.std()
+    pairs = [(record.z, record.z - e) for record, e in zip(problem.coarse, fit.residuals, strict=True)]
     estimates = {
         n: Estimate(n, fit.values[n], bounds[n], bounds[n], reference=base.parameter(n).reference)
         for n in base.starts()
         if n in bounds
     }
     return [
-        *outputs,
+        *turned_outputs(base, pairs),
         *turned_side_force(base, estimates),
         *turned_controls(base, estimates),
         *controls_of_another_unit(base, estimates),
@@ -108,44 +121,17 @@ def late_commands(flights: Sequence[Flight], baseline: Baseline) -> str:
     gyros show it; empty without such controls."""
     fit, intervals = baseline.fit, rare_commands(baseline.clean, flights)
     signals = [s for s in baseline.clean.inputs if s.name in intervals]
-    back = [float(np.mean([f.dated_back(s.source) for f in flights])) for s in signals]
-    shift = {s.name: timing_of(s.name, fit.values) for s in signals}
-    if not shift:
+    if not signals:
         return ""
-    weight = {TOGETHER: -1.0, GYROS: 1.0} | {f"{TIMING}{n}": -1.0 / len(shift) for n in shift}
+    back = [float(np.mean([f.dated_back(s.source) for f in flights])) for s in signals]
+    shifts = [timing_of(s.name, fit.values) for s in signals]
+    weight = {TOGETHER: -1.0, GYROS: 1.0} | {f"{TIMING}{s.name}": -1.0 / len(signals) for s in signals}
     share = np.array([weight.get(n, 0.0) for n in fit.free])
-    before = np.mean(back) - np.mean(list(shift.values())) + fit.values.get(GYROS, 0.0)
+    before = np.mean(back) - np.mean(shifts) + fit.values.get(GYROS, 0.0)
     bound = np.sqrt(max(share @ pseudo_inverse(fit.hessian)[0] @ share, 0.0))
-    are, they = ("are commands", "they") if len(shift) > 1 else ("is a command", "it")
+    are, they = ("are commands", "they") if len(signals) > 1 else ("is a command", "it")
     return (
-        f"{' and '.join(shift)} {are} that the log has every {1e3 * max(intervals.values()):.0f} ms, recorded "
+        f"{' and '.join(s.name for s in signals)} {are} that the log has every {1e3 * max(intervals.values()):.0f} ms, recorded "
         f"{1e3 * before:.0f} +- {1e3 * bound:.0f} ms after {they} moved by what the gyros show, each move by another time "
         "within that interval: counted."
     )
-
-
-def with_models(result: GapResult, flights: Sequence[Flight], seed: int, folder: Path) -> GapResult:
-    """Write the models before and after, with their lineage, to `folder`; returns the result with these file names."""
-    parent_file, child_file = write_lineage(
-        folder, result.model_before, result.model_after, result.steps, flights, seed
-    )
-    return replace(result, files=(str(parent_file), str(child_file)))
-
-
-def models(
-    base: Model, first: Baseline, findings: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
-) -> tuple[Model, Model]:
-    """The fitted base, and the child with the standing effects and a nameless shape (the base where there is neither)."""
-    parent = with_values(base, first.fit.values)
-    if not findings and shape is None:
-        return parent, parent
-    child = base
-    for f in findings:
-        child = f.candidate.hypothesis.form.added_to(child)
-    names = [base.name, *(f.candidate.hypothesis.effect.name for f in findings)]
-    values = findings[-1].child.fit.values if findings else first.fit.values
-    if shape is not None:
-        values = shape.measured.child.fit.values
-        child = shape.fitted.increment.written_into(child, values)
-        names.append("nameless")
-    return parent, replace(with_values(child, values), name="+".join(names))

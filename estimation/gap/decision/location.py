@@ -52,17 +52,13 @@ EQUATIONS = ("CY", "Cl", "Cn", "CL", "CD", "Cm")
 
 def views(first: Baseline, last: Baseline, prepared: FlightRecords) -> tuple[DisagreementView, ...]:
     """The stages: prior frozen (where there is a prior that does not run away), refit, with the named effects if any."""
-    stages = []
-    frozen = prior_frozen(first)
-    if frozen is not None:
-        stages.append(view(PRIOR_FROZEN, frozen, prepared))
-    stages.append(view("after the refit", first, prepared))
+    stages = {PRIOR_FROZEN: _prior_frozen(first), "after the refit": first}
     if last is not first:
-        stages.append(view("with the named effects", last, prepared))
-    return tuple(stages)
+        stages["with the named effects"] = last
+    return tuple(_view(stage, baseline, prepared) for stage, baseline in stages.items() if baseline is not None)
 
 
-def prior_frozen(baseline: Baseline) -> Baseline | None:
+def _prior_frozen(baseline: Baseline) -> Baseline | None:
     """The baseline with every derivative at its prior and only initial states and biases fitted; None where that diverges, or
     there is no prior."""
     problem = baseline.problem
@@ -73,28 +69,27 @@ def prior_frozen(baseline: Baseline) -> Baseline | None:
     return None if frozen_fit.diverged or not frozen_fit.residuals else replace(baseline, fit=frozen_fit)
 
 
-def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> DisagreementView:
+def _view(stage: str, baseline: Baseline, prepared: FlightRecords) -> DisagreementView:
     """Maps of the residuals of one fitted model."""
-    problem, model_fit, scatter = baseline.problem, baseline.fit, baseline.scatter
-    residuals = [plain_residuals(problem, model_fit, i, scatter) for i in range(len(problem.records))]
-    outputs = problem.model.output_names
+    problem, scatter = baseline.problem, baseline.scatter
+    residuals = [plain_residuals(problem, baseline.fit, i, scatter) for i in range(len(problem.records))]
     squares = [(r / scatter) ** 2 for r in residuals]
     everything = np.concatenate(squares)
-    compared = [(n, column[np.isfinite(column)]) for n, column in zip(outputs, everything.T, strict=True)]
-    missing = tuple(missing_coefficients(problem, model_fit, i, r, scatter) for i, r in enumerate(residuals))
+    counts = np.isfinite(everything).sum(axis=1)
+    mean = np.where(counts > 0, np.nansum(everything, axis=1) / np.maximum(counts, 1), np.nan)  # over the outputs
+    compared = {n: c[np.isfinite(c)] for n, c in zip(problem.model.output_names, everything.T, strict=True)}
+    missing = tuple(_missing_coefficients(problem, baseline.fit, i, r, scatter) for i, r in enumerate(residuals))
     return DisagreementView(
         stage=stage,
         gap=float(np.sqrt(np.nanmean(everything))),
-        channels={n: float(np.sqrt(np.mean(column))) for n, column in compared if column.size},
+        channels={n: float(np.sqrt(np.mean(column))) for n, column in compared.items() if column.size},
         times=tuple(
-            (prepared.names[problem.records[i].flight], *window)
-            for i, s in enumerate(squares)
-            for window in windows(problem.coarse[i].time, s)
+            (prepared.names[record.flight], *window)
+            for record, segment, s in zip(problem.records, problem.coarse, squares, strict=True)
+            for window in windows(segment.time, s)
         ),
-        regime=by_regime(baseline, everything),
-        equations={
-            n: float(np.sqrt(np.mean(np.concatenate([m[n] for m in missing]) ** 2))) for n in (missing[0] or {})
-        },
+        regime={name: binned(values, mean) for name, values in signals_of(baseline).items()},
+        equations={n: float(np.sqrt(np.mean(np.concatenate([m[n] for m in missing]) ** 2))) for n in missing[0]},
         missing=missing,
     )
 
@@ -109,16 +104,14 @@ def windows(time: Array, squares: Array) -> list[tuple[float, float, float]]:
     ]
 
 
-def missing_coefficients(
+def _missing_coefficients(
     problem: LikelihoodProblem, model_fit: ModelFit, index: int, residual: Array, scatter: Array
 ) -> dict[str, Array]:
     """Equation -> (N,) disturbance that most likely caused a residual (N, ny): a Wiener smoother over the linearised motion, with
     each disturbance of the strength that alone would double the measurement noise."""
-    model, segment = problem.model, problem.coarse[index]
+    model, segment, states = problem.model, problem.coarse[index], force_states(problem.base)
     simulator = Simulator.build(model, (), substeps=1, hold="linear")
-    values = {**problem.starts(), **model_fit.values}
-    linear = linear_motion(model, simulator, segment, values)
-    states = force_states(problem.base)
+    linear = linear_motion(model, simulator, segment, {**problem.starts(), **model_fit.values})
     shapes = as_seen(shapes_of(model, linear, len(segment), problem.criteria, states), np.isfinite(residual))
     strength = {}
     for name in states:
@@ -128,14 +121,12 @@ def missing_coefficients(
             strength[part] = 1.0 / power
     S = spectral_matrix(NoiseModel(scatter**2, strength), shapes)
     weighed = np.linalg.solve(S, np.fft.rfft(np.nan_to_num(residual), axis=0)[:, :, None])[:, :, 0]
-    result = {}
+    missing = {}
     for part, v in strength.items():
-        name = part.of
         spectrum = v * np.sum(shapes.parts[part].conj() * weighed, axis=1)
-        rate = np.fft.irfft(spectrum, n=len(segment))
-        line, factor = _coefficient_per_rate(problem, name, index) or (f"{name}_dot", 1.0)
-        result[line] = rate * factor
-    return result
+        line, factor = _coefficient_per_rate(problem, part.of, index) or (f"{part.of}_dot", 1.0)
+        missing[line] = np.fft.irfft(spectrum, n=len(segment)) * factor
+    return missing
 
 
 def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) -> tuple[str, float] | None:
@@ -154,14 +145,6 @@ def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) ->
     return line, {"beta": V, "alpha": -V}.get(state, 1.0) * factor
 
 
-def by_regime(baseline: Baseline, squares: Array) -> dict[str, list[dict[str, float]]]:
-    """Map of the disagreement over the flight regime: per signal, bins of rms residual / noise over all outputs. squares: of that
-    ratio, (samples of all records, ny)."""
-    counts = np.isfinite(squares).sum(axis=1)
-    total = np.where(counts > 0, np.nansum(squares, axis=1) / np.maximum(counts, 1), np.nan)
-    return {name: binned(values, total) for name, values in signals_of(baseline).items()}
-
-
 def binned(values: Array, squares: Array) -> list[dict[str, float]]:
     """Root mean of `squares` (N,) in equally filled bins of a signal (N,), low to high; NaN does not count."""
     compared = np.isfinite(squares)
@@ -178,32 +161,30 @@ def binned(values: Array, squares: Array) -> list[dict[str, float]]:
 
 def equation_of(form: Form) -> str:
     """The equation a form enters: a coefficient, a rate, an instrument or a control."""
-    lines = list(form.terms)
-    coefficients = [line for line in lines if line in EQUATIONS] or lines
     if form.outputs or form.output_delays:
         return "measured " + ", ".join(form.outputs or form.output_delays)
     if form.transforms:
         return form.transforms[0].input
-    return ", ".join(coefficients) or ", ".join(p.name for p in form.parameters)
+    coefficients = [line for line in form.terms if line in EQUATIONS]
+    return ", ".join(coefficients or form.terms or [p.name for p in form.parameters])
 
 
 def locate(parent: Baseline, child: Baseline, equation: str) -> Where:
     """Where the child explains more than the parent. equation: the one changed. Segments are times of one flight, on its own
     clock: the training flight with most of them."""
-    scatter = parent.scatter
-    outputs = child.model.output_names
+    scatter, criteria = parent.scatter, child.criteria
     gain = [
         np.nan_to_num((p / scatter) ** 2 - (c / scatter) ** 2)
         for p, c in zip(parent.fit.residuals, child.fit.residuals, strict=True)
     ]
-    criteria = child.criteria
     order = channels_that_gain(np.sum([g.sum(axis=0) for g in gain], axis=0), criteria)
-    spans = [spans_of(child.problem.coarse[i].time, g.sum(axis=1), criteria) for i, g in enumerate(gain)]
+    courses = [g.sum(axis=1) for g in gain]
+    spans = [spans_of(s.time, course, criteria) for s, course in zip(child.problem.coarse, courses, strict=True)]
     return Where(
         equation=equation,
-        channels=tuple(outputs[i] for i in order),
-        segments=tuple(spans[int(np.argmax([len(s) for s in spans]))][:SPANS]),
-        regime=regime(signals_of(child), np.concatenate([g.sum(axis=1) for g in gain]), criteria),
+        channels=tuple(child.model.output_names[i] for i in order),
+        segments=tuple(max(spans, key=len)[:SPANS]),
+        regime=regime(signals_of(child), np.concatenate(courses), criteria),
     )
 
 

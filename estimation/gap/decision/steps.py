@@ -1,7 +1,7 @@
 """Steps of the answer: an effect, or the nameless rest, with its set, place, closed gap and size in simulator tolerances; and the
 power of these flights: scores, detectable sizes, ties, effects that could not have been seen."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 
@@ -9,10 +9,10 @@ import numpy as np
 from scipy.special import ndtri
 
 from estimation.gap.answer.result import EffectStep, Gap, Migration, Tie, Weighed, Where
-from estimation.gap.answer.shape import LaggedTerm, Shape, SwingingTerm
+from estimation.gap.answer.shape import Follower, Shape
 from estimation.gap.criteria import Criteria
 from estimation.gap.decision.location import SPANS, equation_of, locate
-from estimation.gap.effects.base import Effect
+from estimation.gap.effects.base import Effect, EffectParameter
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit
 from estimation.gap.records.candidate_model import timing_of
@@ -33,6 +33,7 @@ TOLERANCES = {"p": RATE, "r": RATE, "beta": FLOW, "phi": ANGLE, "q": RATE, "alph
 """Tolerances of flight-simulator qualification as published (docs/gap.md): larger changes of an output matter."""
 
 
+# ---- the nameless rest
 def nameless_step(
     title: str,
     where: Where,
@@ -50,7 +51,7 @@ def nameless_step(
     )  # fmt: skip
 
 
-def unknown_step(omnibus: Omnibus, gap: Gap, shape: LaggedTerm | SwingingTerm | None = None) -> EffectStep:
+def unknown_step(omnibus: Omnibus, gap: Gap, shape: Follower | None = None) -> EffectStep:
     """The step of the nameless rest. shape: a lag or swing that gains there."""
     leading = [s for s in omnibus.leading if s.score > omnibus.threshold]
     channels = tuple(dict.fromkeys(s.place for s in leading))
@@ -71,30 +72,27 @@ def misfit_of(rest: Omnibus) -> float:
     return (rest.score / rest.threshold) ** 2 if rest.significant else 1.0
 
 
+# ---- an accepted effect
 def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: float = 1.0) -> EffectStep:
     """The step of an accepted effect, without estimates, which the final model gives. misfit: from `misfit_of` beside it."""
-    criteria = setting.options.criteria
     effect, form = finding.candidate.hypothesis.effect, finding.candidate.hypothesis.form
     weights = finding.choice.beside_rest(misfit)
-    members = credible_set(weights, criteria)
-    if effect.name not in dict(members):
-        members = [(effect.name, weights.get(effect.name, 0.0)), *members]
-    members.sort(key=lambda m: m[0] != effect.name)
+    members = dict(credible_set(weights, setting.options.criteria))
+    members = {effect.name: weights.get(effect.name, 0.0), **members}  # the effect itself first
     shifts = followed_by_timing(finding)
     parent, child = as_sampled(finding.parent) if shifts else finding.parent, finding.child
     gap, held_out_gap = gaps(parent, child, floor, own_inflation(finding.candidate))
-    titles = {e.name: e for e in setting.effects}
+    effects = {e.name: e for e in setting.effects}
+    separating = [effect.confusions[n] for n in members if n in effect.confusions]
     return EffectStep(
-        effect=effect.name, title=effect.title, form=form.label,
-        confidence=dict(members)[effect.name],
-        members=tuple(Weighed(n, w, titles[n].title, titles[n].separate_by) for n, w in members),
-        separate_by=_separate(effect, [n for n, _ in members]),
-        estimates={},
-        units={p.name: p.unit for p in form.parameters},
+        effect=effect.name, title=effect.title, form=form.label, confidence=members[effect.name],
+        members=tuple(Weighed(n, w, effects[n].title, effects[n].separate_by) for n, w in members.items()),
+        separate_by=separating[0] if separating else effect.separate_by,
+        estimates={}, units={p.name: p.unit for p in form.parameters},
         score=finding.candidate.score, threshold=finding.round_.threshold,
         where=locate(parent, child, equation_of(form)),
         gap=gap, holdout=held_out_gap, migrated=migrated(parent, child), absorbed=_absorbed(finding),
-        equation=form.equation or effect.equation, practical=practical(parent, child), followed=shifts,
+        equation=form.equation or effect.equation, practical=_practical(parent, child), followed=shifts,
     )  # fmt: skip
 
 
@@ -121,11 +119,6 @@ def as_sampled(parent: Baseline) -> Baseline:
     return replace(parent, fit=fit(problem, values, parent.fit.locals, held=delays))
 
 
-def _separate(effect: Effect, names: Sequence[str]) -> str:
-    """The manoeuvre or test that separates the effect from the other members of its set."""
-    return next((effect.confusions[n] for n in names if n in effect.confusions), effect.separate_by)
-
-
 def _absorbed(finding: AcceptedEffect) -> float | None:
     """Share of the effect's whitened signature that the base's own parameters can imitate; None without a score."""
     screen = finding.round_.screen
@@ -136,14 +129,11 @@ def _absorbed(finding: AcceptedEffect) -> float | None:
     return 1.0 - float(np.diag(projected.B)[span].sum()) / max(float(projected.raw[span].sum()), SMALLEST)
 
 
-def practical(parent: Baseline, child: Baseline) -> str:
+def _practical(parent: Baseline, child: Baseline) -> str:
     """The largest change of each output by the effect, against simulator tolerances, in words."""
-    pairs = list(zip(parent.fit.residuals, child.fit.residuals, strict=True))
-    changes = {
-        name: float(np.degrees(np.nanmax(np.abs(np.concatenate([(p - q)[:, c] for p, q in pairs])))))
-        for c, name in enumerate(parent.model.output_names)
-    }
-    return worth_in_words(changes)
+    pairs = zip(parent.fit.residuals, child.fit.residuals, strict=True)
+    largest = np.degrees(np.nanmax(np.abs(np.concatenate([p - q for p, q in pairs])), axis=0))
+    return worth_in_words(dict(zip(parent.model.output_names, map(float, largest), strict=True)))
 
 
 def worth_in_words(worth: Mapping[str, float]) -> str:
@@ -159,51 +149,56 @@ def migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
     std, derivatives = child.fit.std(), parent.clean.parameter_names
     migrations = {}
     for name in parent.fit.free:
-        if child.problem.nuisance(name) or name not in std or name not in derivatives:
-            continue
-        old, new = parent.fit.values[name], child.fit.values[name]
-        bounds = abs(new - old) / max(std[name], SMALLEST)
-        if bounds > child.criteria.certain:
-            migrations[name] = Migration(old, new, bounds, parent.model.parameter(name).reference)
+        if name in std and name in derivatives and not child.problem.nuisance(name):
+            old, new = parent.fit.values[name], child.fit.values[name]
+            bounds = abs(new - old) / max(std[name], SMALLEST)
+            if bounds > child.criteria.certain:
+                migrations[name] = Migration(old, new, bounds, parent.model.parameter(name).reference)
     return dict(sorted(migrations.items(), key=lambda item: -item[1].bounds))
 
 
+# ---- the power of the flights
 def undetectable(round_: Round) -> list[Effect]:
     """Effects of which `criteria.blind_size` usual sizes would not have passed the threshold on these flights, and those that
     could not be asked."""
-    screen, projected = round_.screen, round_.screen.projected()
+    asked = {h.effect.name: h.effect for h in round_.screen.hypotheses}
     scores: dict[str, float] = {}
-    effects = {h.effect.name: h.effect for h in screen.hypotheses}
-    for c, column in enumerate(screen.columns):
-        name = screen.hypotheses[column.hypothesis].effect.name
-        per_unit = np.sqrt(max(float(projected.B[c, c]), 0.0) / round_.inflation[column.hypothesis])
-        scores[name] = max(scores.get(name, 0.0), float(per_unit * column.parameter.typical))
-    size, threshold = round_.criteria.blind_size, round_.threshold
-    unasked = {h.effect.name: h.effect for h in screen.runaway if h.effect.name not in effects}
-    unseen = [*(effects[n] for n, score in scores.items() if size * score < threshold), *unasked.values()]
-    return [e for e in unseen if not e.tied_to]
-
-
-def effect_scores(round_: Round) -> dict[str, float]:
-    """Effect -> score of its best form, highest first."""
-    scores: dict[str, float] = {}
-    for h, value in enumerate(round_.standardised()):
-        name = round_.screen.hypotheses[h].effect.name
-        scores[name] = max(scores.get(name, 0.0), float(value))
-    return dict(sorted(scores.items(), key=lambda item: -item[1]))
+    for effect, parameter, score in _scores_per_unit(round_):
+        scores[effect.name] = max(scores.get(effect.name, 0.0), score * parameter.typical)
+    unseen = [asked[n] for n, score in scores.items() if round_.criteria.blind_size * score < round_.threshold]
+    unasked = {h.effect.name: h.effect for h in round_.screen.runaway if h.effect.name not in asked}
+    return [e for e in (*unseen, *unasked.values()) if not e.tied_to]
 
 
 def detectable_sizes(round_: Round) -> dict[str, float]:
     """Smallest size of each parameter that would have passed the threshold, by the effect's name for the first of its only
     form."""
-    screen, projected = round_.screen, round_.screen.projected()
     sizes: dict[str, float] = {}
-    for c, column in enumerate(screen.columns):
-        effect = screen.hypotheses[column.hypothesis].effect
-        information = max(float(projected.B[c, c]), SMALLEST) / round_.inflation[column.hypothesis]
-        key = effect.name if effect.name not in sizes and len(effect.forms) == 1 else column.parameter.name
-        sizes[key] = round_.threshold / float(np.sqrt(information))
+    for effect, parameter, score in _scores_per_unit(round_):
+        stands_for_effect = effect.name not in sizes and len(effect.forms) == 1
+        sizes[effect.name if stands_for_effect else parameter.name] = round_.threshold / score
     return sizes
+
+
+def _scores_per_unit(round_: Round) -> list[tuple[Effect, EffectParameter, float]]:
+    """Every unknown of every hypothesis, with the score by linear theory of one unit of it."""
+    screen, information = round_.screen, np.diag(round_.screen.projected().B)
+    return [
+        (
+            screen.hypotheses[column.hypothesis].effect,
+            column.parameter,
+            float(np.sqrt(max(float(energy), SMALLEST) / round_.inflation[column.hypothesis])),
+        )
+        for column, energy in zip(screen.columns, information, strict=True)
+    ]
+
+
+def effect_scores(round_: Round) -> dict[str, float]:
+    """Effect -> score of its best form, highest first."""
+    scores: dict[str, float] = {}
+    for hypothesis, value in zip(round_.screen.hypotheses, round_.standardised(), strict=True):
+        scores[hypothesis.effect.name] = max(scores.get(hypothesis.effect.name, 0.0), float(value))
+    return dict(sorted(scores.items(), key=lambda item: -item[1]))
 
 
 def ties_of(round_: Round) -> tuple[Tie, ...]:

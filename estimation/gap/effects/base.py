@@ -12,6 +12,7 @@ from enum import StrEnum
 
 from estimation.gap.errors import EffectError
 from estimation.models.base import InputTransform, Model, Parameter, Signal
+from estimation.models.dependence import names_reached
 from estimation.models.expressions import names_in
 
 
@@ -97,9 +98,8 @@ class Form:
         absent = {o for o in self.optional if o not in model.output_names}
         if not absent:
             return self
-        outputs, delays = (
-            {k: v for k, v in table.items() if k not in absent} for table in (self.outputs, self.output_delays)
-        )
+        outputs = {o: v for o, v in self.outputs.items() if o not in absent}
+        delays = {o: v for o, v in self.output_delays.items() if o not in absent}
         return replace(self, outputs=outputs, output_delays=delays, optional=())
 
     def obstacle(self, model: Model) -> str | None:
@@ -119,7 +119,7 @@ class Form:
         if missing:
             return f"the model has no {', '.join(dict.fromkeys(missing))}"
         for line, symbol in self.unless:
-            if symbol in _reach(model, line):
+            if symbol in names_reached(model, [line]):
                 return f"the model's {line} already contains {symbol}"
         if any(o in model.output_delays for o in visible.output_delays):
             return "the model already delays these outputs"
@@ -140,13 +140,13 @@ class Form:
             Parameter(
                 p.name,
                 p.unit,
-                start=starts[p.name],
-                lower=min(p.lower, starts[p.name]),
-                upper=max(p.upper, starts[p.name]),
+                start=start,
+                lower=min(p.lower, start),
+                upper=max(p.upper, start),
                 fixed=fixed,
                 description=p.meaning,
             )
-            for p in self.parameters
+            for p, start in ((p, starts[p.name]) for p in self.parameters)
         ]
         visible = self.shown_by(model)
         return model.plus(
@@ -166,13 +166,12 @@ class Form:
     def _pieces(self, model: Model) -> dict[str, str]:
         symbols = symbols_of(model) | {p.name for p in self.parameters} | {s.name for s in (*self.states, *self.inputs)}
         symbols |= {line.partition("=")[0].strip() for line in self.lines}
-        additions = {}
-        for line, pieces in self.terms.items():
-            if line in model.definitions:
-                fitting = [piece for piece in pieces if names_in(piece) <= symbols]
-                if fitting:
-                    additions[line] = " + ".join(f"({piece})" for piece in fitting)
-        return additions
+        additions = {
+            line: " + ".join(f"({piece})" for piece in pieces if names_in(piece) <= symbols)
+            for line, pieces in self.terms.items()
+            if line in model.definitions
+        }
+        return {line: added for line, added in additions.items() if added}
 
 
 @dataclass(frozen=True)
@@ -207,29 +206,6 @@ class Effect:
         return tuple(f.shown_by(model) for f in self.forms if f.obstacle(model) is None)
 
 
-def add_effect(effect: Effect, model: Model, size: float | None = None) -> Model:
-    """`model` with the first applicable form of `effect`, started at `size` typical sizes (default: no effect)."""
-    for form in effect.forms:
-        if form.obstacle(model) is None:
-            values = None if size is None else {p.name: p.null_value(model) + size * p.typical for p in form.parameters}
-            extended = form.added_to(model, values)
-            return replace(extended, name=f"{model.name}+{effect.name}")
-    raise EffectError(f"effect {effect.name}: cannot be added to model {model.name}: {effect.forms[0].obstacle(model)}")
-
-
 def symbols_of(model: Model) -> set[str]:
     """All names that equations of `model` may use."""
     return {*model.state_names, *model.input_names, *model.parameter_names, *model.constants, *model.definitions}
-
-
-def _reach(model: Model, line: str) -> set[str]:
-    """Symbols in `line` and in the lines it is made of."""
-    symbols: set[str] = set()
-    pending = [line]
-    while pending:
-        symbol = pending.pop()
-        for name in names_in(model.definitions[symbol]) if symbol in model.definitions else ():
-            if name not in symbols:
-                symbols.add(name)
-                pending.append(name)
-    return symbols

@@ -1,4 +1,4 @@
-"""The catalogue: built-in effects, extended by installed packages and by files that a person names.
+"""The catalogue: built-in effects, extended by installed packages, by files that a person names and by what a model lacks.
 
 A laboratory adds effects in a TOML file with the fields of `Effect` and `Form` (data only, nothing is executed), like the
 built-in ones beside this module; in a Python file with a tuple `EFFECTS`; or in a package with an entry point of the group
@@ -7,7 +7,7 @@ built-in ones beside this module; in a Python file with a tuple `EFFECTS`; or in
 
 import importlib.metadata
 import importlib.util
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -189,30 +189,104 @@ def _parameter(table: Mapping[str, Any]) -> EffectParameter:
 
 def _form(table: Mapping[str, Any], effect: str) -> Form:
     """A form from its TOML table; its label defaults to the effect's name."""
-    data = dict(table)
-    terms = {k: (v,) if isinstance(v, str) else tuple(v) for k, v in data.pop("terms", {}).items()}
-    for pieces in terms.values():
-        for piece in pieces:
-            parse(piece)
-    optional = tuple(data.pop("optional", ()))
-    for output in optional:
+    data = {key: FIELDS[key](value) if key in FIELDS else value for key, value in table.items()}
+    for piece in (p for pieces in data.get("terms", {}).values() for p in pieces):
+        parse(piece)
+    for output in data.get("optional", ()):
         if output not in {**data.get("outputs", {}), **data.get("output_delays", {})}:
             raise ValueError(f"optional {output!r} is none of the form's outputs or output_delays")
-    return Form(
-        label=data.pop("label", effect),
-        equation=str(data.pop("equation", "")),
-        parameters=tuple(_parameter(p) for p in data.pop("parameters")),
-        terms=terms,
-        lines=tuple(data.pop("lines", ())),
-        outputs=dict(data.pop("outputs", {})),
-        states=tuple(Signal(**s) for s in data.pop("states", ())),
-        inputs=tuple(Signal(**s) for s in data.pop("inputs", ())),
-        transforms=tuple(
-            InputTransform(t["kind"], t["input"], tuple(t["parameters"])) for t in data.pop("transforms", ())
-        ),
-        output_delays=dict(data.pop("output_delays", {})),
-        requires=tuple(data.pop("requires", ())),
-        unless=tuple((line, symbol) for line, symbol in data.pop("unless", ())),
-        optional=optional,
-        **data,
+    return Form(data.pop("label", effect), data.pop("parameters"), **data)
+
+
+def _signals(tables: Iterable[Mapping[str, Any]]) -> tuple[Signal, ...]:
+    return tuple(Signal(**table) for table in tables)
+
+
+FIELDS: Mapping[str, Callable[[Any], Any]] = {
+    "equation": str,
+    "parameters": lambda tables: tuple(_parameter(t) for t in tables),
+    "terms": lambda lines: {line: (v,) if isinstance(v, str) else tuple(v) for line, v in lines.items()},
+    "lines": tuple,
+    "outputs": dict,
+    "states": _signals,
+    "inputs": _signals,
+    "transforms": lambda tables: tuple(InputTransform(t["kind"], t["input"], tuple(t["parameters"])) for t in tables),
+    "output_delays": dict,
+    "requires": tuple,
+    "unless": lambda pairs: tuple((line, symbol) for line, symbol in pairs),
+    "optional": tuple,
+}
+"""Field of a form -> how it is read from TOML; others stay as they are."""
+
+
+# ------------------------------------------------------------------------------------------------ derivatives that a model lacks
+
+LINEAR_TERMS: tuple[tuple[Mapping[str, str], Mapping[str, tuple[str, str, str]]], ...] = (
+    (
+        {"CY": "side force", "Cl": "rolling moment", "Cn": "yawing moment"},
+        {
+            "beta": ("beta", "β", "sideslip"), "p": ("p_hat", "p", "roll rate"), "r": ("r_hat", "r", "yaw rate"),
+            "da": ("delta_a", "δa", "aileron"), "dr": ("delta_r", "δr", "rudder"),
+        },
+    ),
+    (
+        {"CL": "lift", "Cm": "pitching moment"},
+        {
+            "alpha": ("alpha", "α", "angle of attack"), "q": ("q_hat", "q", "pitch rate"),
+            "de": ("delta_e", "δe", "elevator"),
+        },
+    ),
+)  # fmt: skip
+"""Of each plane: line -> words, and ending of a derivative -> (regressor, subscript, words)."""
+TYPICAL = {
+    "CY_beta": 0.12, "CY_p": 0.05, "CY_r": 0.12, "CY_dr": 0.45, "Cl_beta": 0.09, "Cl_p": 0.45, "Cl_r": 0.10,
+    "Cl_da": 0.10, "Cl_dr": 0.02, "Cn_beta": 0.025, "Cn_p": 0.02, "Cn_r": 0.04, "Cn_dr": 0.04,
+    "CL_alpha": 3.0, "CL_q": 3.3, "CL_de": 1.0, "Cm_alpha": 0.17, "Cm_q": 0.9, "Cm_de": 0.36,
+}  # fmt: skip
+"""Usual sizes of derivatives."""
+UNLISTED = 0.1  # usual size of a derivative that is not in TYPICAL
+LARGEST = 12  # usual sizes to either side of its number: far outside any aircraft
+
+
+def missing_derivatives(model: Model, known: set[str]) -> tuple[Effect, ...]:
+    """One effect for each derivative of the full linear model that is no free parameter of `model`. known: names that the
+    catalogue covers.
+
+    A derivative held at a number counts too: the hypothesis is then that the number is wrong.
+    """
+    return tuple(
+        _missing_derivative(model, line, quantity, ending, *motion)
+        for lines, motions in LINEAR_TERMS
+        for line, quantity in lines.items()
+        for ending, motion in motions.items()
+        if line in model.definitions and f"{line}_{ending}" not in {*known, *model.free_names}
+    )
+
+
+def _missing_derivative(
+    model: Model, line: str, quantity: str, ending: str, regressor: str, subscript: str, motion: str
+) -> Effect:
+    name = f"{line}_{ending}"
+    is_fixed = name in model.parameter_names
+    typical = TYPICAL.get(name, UNLISTED)
+    start = model.parameter(name).start if is_fixed else 0.0
+    lower, upper = start - LARGEST * typical, start + LARGEST * typical
+    parameter = EffectParameter(name, "1/rad", typical, lower, upper, start, f"{quantity} per {motion}")
+    form = (
+        Form(name, (parameter,), frees=(name,))
+        if is_fixed
+        else Form(name, (parameter,), terms={line: (f"{name}*{regressor}",)}, requires=(line, regressor))
+    )
+    return Effect(
+        name=name,
+        title=f"{quantity} due to {motion}",
+        group=Group.DERIVATIVE,
+        physics=f"The model {'holds' if is_fixed else 'leaves out'} the {quantity} due to {motion}"
+        + (f" at {start:g}." if is_fixed else "."),
+        equation=f"C_{line[1:]} = ... + C_{line[1:]}{subscript} {regressor}",
+        source="the linear model with all its derivatives",
+        signature=f"residual in the {quantity}'s channel following {motion}",
+        confusions={},
+        separate_by=f"a manoeuvre that moves {motion} by itself",
+        forms=(form,),
     )

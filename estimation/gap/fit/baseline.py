@@ -150,18 +150,12 @@ def whiteners_for(
     longest = records[0].interval if has_lags else 0.5 * records[0].interval
     simulator = Simulator.build(model, (), substeps=integration_steps(longest), hold="linear")
     segments = [r.segment(model, base) for r in records]
-    motions = [linear_motion(model, simulator, s, values) for s in segments]
-    shapes = [
-        as_seen(
-            replace(shapes_of(model, m, len(s), criteria, force_states(base), r.error_spectra), louder=r.louder),
-            np.isfinite(s.z),
-        )
-        for m, s, r in zip(motions, segments, records, strict=True)
-    ]
-    steps = [
-        find_surface_steps(model, m, s, criteria, r.restless)
-        for m, s, r in zip(motions, segments, records, strict=True)
-    ]
+    shapes, steps = [], []
+    for record, segment in zip(records, segments, strict=True):
+        motion = linear_motion(model, simulator, segment, values)
+        shape = shapes_of(model, motion, len(segment), criteria, force_states(base), record.error_spectra)
+        shapes.append(as_seen(replace(shape, louder=record.louder), np.isfinite(segment.z)))
+        steps.append(find_surface_steps(model, motion, segment, criteria, record.restless))
     if noise is None:
         parts = noise_parts(records, base.output_names, scatter, criteria)
         noise = estimated_noise(residuals, shapes, steps, *parts, earlier)
@@ -188,23 +182,21 @@ def estimated_noise(
     white: (ny,) first standard deviations of the outputs' white noise. without: parts that these flights do not have. known:
     first strengths of some parts. earlier: a noise model to go on from.
     """
-    noise = earlier if earlier is not None and earlier.freedom else None
-    freedom = dict(noise.freedom) if noise is not None else {}
-    unexplained = list(residuals)
-    for turn in range(STEP_TURNS + 1):
-        if turn > 0 or noise is None:
-            noise = estimate_noise(
-                unexplained, shapes, white**2, (steps[0].criteria.least_scatter * white) ** 2, without, known, noise
-            )
-        if turn == STEP_TURNS:
-            break
+    floor = (steps[0].criteria.least_scatter * white) ** 2
+
+    def estimate(unexplained: Sequence[Array], start: NoiseModel | None) -> NoiseModel:
+        return estimate_noise(unexplained, shapes, white**2, floor, without, known, start)
+
+    noise = earlier if earlier is not None and earlier.freedom else estimate(residuals, None)
+    freedom = noise.freedom
+    for _ in range(STEP_TURNS):
         displacements = [
             displaced(whitener(noise, s), e, freedom, np.nan_to_num(r))
             for s, e, r in zip(shapes, steps, residuals, strict=True)
         ]
         freedom = freedom_of(steps, displacements)
-        unexplained = [r - e.response @ mean for r, e, (mean, _) in zip(residuals, steps, displacements, strict=True)]
-    assert noise is not None
+        displacing = zip(residuals, steps, displacements, strict=True)
+        noise = estimate([r - e.response @ mean for r, e, (mean, _) in displacing], noise)
     return replace(noise, freedom=freedom)
 
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
-from estimation.gap.records.attitudes import white_share
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
+from estimation.gap.records.sampling import MOTION, white_share
 from estimation.signals.denoise import noise_level
 from groundstation.flight.arrays import integral
-from groundstation.flight.kinematics import attitude_rates
+from groundstation.flight.kinematics import EULER_RATES
 
 KNOWN = 0.2  # share of the steps from sample to sample that must be measured to represent all of them
 QUIETEST = 1e-4  # of the range of a channel: the least noise, as a coarsely rounded channel shows no scatter at all
@@ -22,15 +22,9 @@ SMALLEST_RANGE = 1e-9  # [unit of the channel] of one that never changes
 def channel_noise(records: Sequence[FlightRecord]) -> Array:
     """(ny,) standard deviation of the white part of every output, median over the records; 1 of an output that none has
     measured."""
-    ny = records[0].z.shape[1]
-    levels = np.zeros((len(records), ny))
-    span = np.full(ny, np.nan)
-    for k, record in enumerate(records):
-        for i in range(ny):
-            measured = record.z[np.isfinite(record.z[:, i]), i]
-            if measured.size:
-                levels[k, i] = noise_level(record.z[:, i])
-                span[i] = np.fmax(span[i], float(np.ptp(measured)))
+    levels = np.array([[noise_level(column) for column in record.z.T] for record in records])
+    spans = [np.fmax.reduce(record.z) - np.fmin.reduce(record.z) for record in records]
+    span = np.fmax.reduce(spans)  # NaN where no record has measured an output
     least = QUIETEST * np.maximum(span, SMALLEST_RANGE)
     return np.where(np.isnan(span), 1.0, np.maximum(np.median(levels, axis=0), least))
 
@@ -60,9 +54,9 @@ def _white_share(records: Sequence[FlightRecord], outputs: Sequence[str], attitu
     are no gyros."""
     shares = []
     for record in records:
-        motion = [_measured(record, outputs, n) for n in ("p", "q", "r", "phi", "theta")]
-        if motion["pqr".index(RATE_OF[attitude])].any():
-            rate = np.nan_to_num(attitude_rates(*motion)[attitude])
+        motion = _motion(record, outputs)
+        if motion[RATE_OF[attitude]].any():
+            rate = np.nan_to_num(EULER_RATES[attitude](motion))
             shares.append(white_share(_measured(record, outputs, attitude), integral(record.time, rate)))
     return float(np.median(shares)) if shares else 1.0
 
@@ -73,31 +67,40 @@ def bank_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter:
     An attitude filter integrates the gyro and corrects slowly, so that its angle is smooth from sample to sample. Its error shows
     only in its difference from the integrated rates over the record (`slow_error`).
     """
-    if not {"p", "r"} <= set(outputs) or "phi" not in filtered_attitudes(records, outputs, scatter, criteria):
-        return scatter
-    p, r, phi = (outputs.index(n) for n in ("p", "r", "phi"))
-    errors = []
-    for record in records:
-        if not {"q", "theta"} <= {*record.inputs, *outputs}:
-            continue
-        bank, (pitching, pitch) = record.z[:, phi], (_measured(record, outputs, n) for n in ("q", "theta"))
-        turn = pitching * np.sin(bank) + record.z[:, r] * np.cos(bank)
-        errors.append(slow_error(record.time, bank, record.z[:, p] + np.tan(pitch) * turn))
-    return _widened(scatter, phi, errors)
+    return _with_slow_error("phi", ("p", "r"), ("q", "theta"), records, outputs, scatter, criteria)
 
 
 def pitch_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria) -> Array:
     """`scatter` (ny,) with the noise of the pitch attitude raised to its slow error where it comes from a filter, as in
     `bank_error`."""
-    if "q" not in outputs or "theta" not in filtered_attitudes(records, outputs, scatter, criteria):
+    return _with_slow_error("theta", ("q",), (), records, outputs, scatter, criteria)
+
+
+def _with_slow_error(
+    attitude: str,
+    gyros: Sequence[str],
+    others: Sequence[str],
+    records: Sequence[FlightRecord],
+    outputs: Sequence[str],
+    scatter: Array,
+    criteria: Criteria,
+) -> Array:
+    """`scatter` (ny,) with the noise of a filter's attitude raised to the median of its slow errors. gyros: outputs without which
+    none is known; others: outputs or inputs without which that of a record is not."""
+    if not {*gyros} <= set(outputs) or attitude not in filtered_attitudes(records, outputs, scatter, criteria):
         return scatter
-    q, theta = outputs.index("q"), outputs.index("theta")
     errors = []
     for record in records:
-        bank, yaw = (_measured(record, outputs, n) for n in ("phi", "r"))
-        rate = record.z[:, q] * np.cos(bank) - yaw * np.sin(bank)
-        errors.append(slow_error(record.time, record.z[:, theta], rate))
-    return _widened(scatter, theta, errors)
+        if {*others} <= {*record.inputs, *outputs}:
+            motion = _motion(record, outputs)
+            # as measured: zero for a gyro that was off would be a wrong rate
+            motion |= {n: record.z[:, outputs.index(n)] for n in (attitude, *gyros)}
+            errors.append(slow_error(record.time, motion[attitude], EULER_RATES[attitude](motion)))
+    wider = scatter.copy()
+    if known_errors := [e for e in errors if e is not None]:
+        column = outputs.index(attitude)
+        wider[column] = max(scatter[column], float(np.median(known_errors)))
+    return wider
 
 
 def slow_error(time: Array, angle: Array, rate: Array) -> float | None:
@@ -114,13 +117,9 @@ def slow_error(time: Array, angle: Array, rate: Array) -> float | None:
     return float(np.std(error - np.polyval(np.polyfit(time, error, 1), time)))
 
 
-def _widened(scatter: Array, column: int, errors: Sequence[float | None]) -> Array:
-    """`scatter` with one column raised to the median of its errors; those that are None are left out."""
-    known_errors = [e for e in errors if e is not None]
-    wider = scatter.copy()
-    if known_errors:
-        wider[column] = max(scatter[column], float(np.median(known_errors)))
-    return wider
+def _motion(record: FlightRecord, outputs: Sequence[str]) -> dict[str, Array]:
+    """Rates and attitudes (N,) of a record, as of `_measured`."""
+    return {n: _measured(record, outputs, n) for n in MOTION}
 
 
 def _measured(record: FlightRecord, outputs: Sequence[str], name: str) -> Array:

@@ -1,10 +1,9 @@
-"""Controls that answer gusts, and the loop that they close.
+"""Controls that answer gusts, the loop that they close, and controls that do nothing else.
 
 A pilot or an autopilot who holds an attitude moves the controls as gusts move the aircraft. Output error takes a recorded control
 as given, independent of gusts. With feedback it is not: the response to it and the residual are correlated, which bends the
 base, and every hypothesis that changes the response gains (L. Ljung, "System Identification: Theory for the User", 2nd ed.,
-Prentice Hall 1999, section 13.4). With a wing leveller in gusts of 0.3 deg roll derivatives came out up to 1.9 times too large,
-and a lateral cg, a dead zone or a nameless term was found in 7 of 10 sets with nothing hidden.
+Prentice Hall 1999, section 13.4).
 
 So what a control answers to gusts is taken off its record: the gains by which it follows the motion, times the motion that a
 first fit leaves unexplained. What remains is what the control would have done in still air. The model then moves the control by
@@ -12,14 +11,20 @@ the same gains times its own motion beside that of the first fit, so that deriva
 loop, as they did in flight. This is the two-stage method of P. M. J. Van den Hof and R. J. P. Schrama, Automatica 29 (1993)
 1523-1527. The first fit may be bent: its motion is subtracted in the control and added in the model. What is left of it, because
 a servo is late and the law of the model is not, goes with further passes.
+
+A control that only holds an attitude cannot show when it moves, or whether it has play: delayed by a quarter of a second it
+explains some of the gusts, the same in every flight, and no simulated null shows this, for nobody steers a null. Only steps and
+slow moves that are not an answer to the motion show that. Without them delays and play of the control are no hypotheses.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.engine.kernel import Array
+from estimation.gap.criteria import Criteria
+from estimation.gap.effects.base import Effect
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.flight_records import FlightRecord
@@ -31,6 +36,8 @@ TENTH = 0.1  # of the largest part of a law, and of all answers: less does not m
 NEAR = 0.5  # of the noise of a control: a smaller change of its answers changes no derivative by a third of its bound
 PASSES = 3  # of gains and of the steps beside what they make the control do
 GAUSSIAN = 1.05  # times the median change between two samples is the noise: 1 / (0.6745 sqrt 2)
+LATE = (0.0, 0.05, 0.1, 0.15, 0.2)  # s: delays of a hand, or of an autopilot with its servo
+ENOUGH = 4  # samples per regressor: a shorter record shows nothing
 FOLLOWED = "followed_{}"  # input: the part of a control that follows the motion of the first fit
 IN_LOOP = "{}_in_loop"  # the control as the model moves it
 
@@ -101,11 +108,8 @@ class ClosedLoop:
         """Controls that answer what the fit does not explain, by more than their own noise. taken_off: the loop whose answers the
         records of the fit lack.
 
-        Between steps such a control goes with its answers as it goes with the rest of the motion. One whose gains come from
-        manoeuvres does not: what a wrong model leaves of the motion of a T-38 moves its elevator by 0.02 of what its gains say,
-        gusts move the aileron of a wing leveller by 0.7 to 0.96 (the noise of the sensors takes off the rest). And it does so on
-        every flight; a damper that is on in one of two moves the rudder of a Citation by 0.8 and 2.1. A missing effect counts as
-        gusts: about a model that has it, the same has to be felt again.
+        Between steps such a control goes with its answers as with the rest of the motion, on every flight; one whose gains come
+        from manoeuvres does not. A missing effect counts as gusts: about a model that has it, the same has to be felt again.
         """
         records, least = baseline.problem.records, baseline.criteria.answers_felt
         flights = [[r for r in records if r.flight == k] for k in sorted({r.flight for r in records})]
@@ -216,3 +220,63 @@ def _motion(problem: LikelihoodProblem, model_fit: ModelFit, base: Model, index:
         if name in outputs:
             gusts[:, column] = np.nan_to_num(model_fit.residuals[index][:, outputs.index(name)])
     return still, gusts
+
+
+# ------------------------------------------------------------------------------------------------ controls that only follow
+
+
+def only_following(records: Sequence[FlightRecord], model: Model, criteria: Criteria) -> tuple[str, ...]:
+    """Controls of `model` that follow the measured motion on every record, to less than `criteria.own_motion` of their noise."""
+    controls = [s.name for s in model.inputs if s.control]
+    return tuple(n for n in controls if all(_follows(r, n, criteria) for r in records))
+
+
+def words_on(control: str) -> str:
+    """The note on such a control."""
+    return (
+        f"{control} rests or only follows the motion: its delay and play are not searched; move it by itself, in steps"
+    )
+
+
+def _follows(record: FlightRecord, control: str, criteria: Criteria) -> bool:
+    """Whether a control follows the measured motion on one record."""
+    noise, motion = record.input_noise.get(control, 0.0), motion_regressors(record)
+    if noise <= 0.0 or len(record) < ENOUGH * motion.shape[1]:
+        return False
+    return own_motion(record.inputs[control], motion) < criteria.own_motion * noise
+
+
+def own_motion(values: Array, motion: Array) -> float:
+    """Rms of the part of a control (N,) that regressors (N, k) do not explain."""
+    scale = np.abs(motion).max(axis=0)
+    columns = motion[:, scale > 0.0] / scale[scale > 0.0]
+    residual = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+    return float(np.sqrt(residual @ residual / (len(values) - columns.shape[1])))
+
+
+def motion_regressors(record: FlightRecord) -> Array:
+    """(N, k) what a control may follow: a straight line, the measured states now and shortly before, their integrals."""
+    count = len(record)
+    line = np.vander(np.linspace(-1.0, 1.0, count), 2)
+    if record.states is None:
+        return line
+    states = record.states[:, np.isfinite(record.states).all(axis=0)]
+    delays = sorted({round(t / record.interval) for t in LATE})
+    delayed = [np.concatenate([states[:1].repeat(k, 0), states[: count - k]]) for k in delays]
+    return np.column_stack([line, *delayed, np.cumsum(states - states.mean(axis=0), axis=0)])
+
+
+def without_hardware_of(
+    effects: Sequence[Effect], controls: Collection[str]
+) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
+    """(effects without the forms that delay or bend only these controls, effects that have no form left)."""
+    applicable, removed = [], []
+    for effect in effects:
+        forms = tuple(f for f in effect.forms if not f.transforms or any(t.input not in controls for t in f.transforms))
+        if len(forms) == len(effect.forms):
+            applicable.append(effect)
+        elif forms:
+            applicable.append(replace(effect, forms=forms))
+        else:
+            removed.append(effect)
+    return tuple(applicable), tuple(removed)

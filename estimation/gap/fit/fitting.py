@@ -24,21 +24,12 @@ FLAT = 1e-6  # of the cost: a smaller decrease is rounding of sums over 10^4 res
 
 @dataclass(frozen=True)
 class WhitenedPoint:
-    """The whitened cost at some values. residuals: per record, empty where the motion runs away; products: per record, where the
-    derivatives were computed with it."""
+    """The whitened cost at some values. residuals: per record (N, ny), empty where the motion runs away; grams: per record, as of
+    `linearised_in`, where the derivatives were computed with it."""
 
     cost: float
     residuals: tuple[Array, ...] = ()
-    products: tuple["LinearisedRecord", ...] = ()
-
-
-@dataclass(frozen=True)
-class LinearisedRecord:
-    """One record linearised. residual: (N, ny); gram: inner products of the white columns [shared unknowns | its local unknowns |
-    residual]."""
-
-    residual: Array
-    gram: Array
+    grams: tuple[Array, ...] = ()
 
 
 @dataclass
@@ -84,21 +75,18 @@ class ProblemUnknowns:
         """Cost and residuals. Derivatives are left to `step`, since they cost more and not every point is stepped from; only at
         the first point, which always is, one simulation gives both."""
         first, self.evaluated = not self.evaluated, True
-        values, locals_ = self.unpacked(unknowns)
+        problem, (values, locals_) = self.problem, self.unpacked(unknowns)
         if first and derivatives:
-            linearised = [linearised_in(self.problem, i, values, local, self.n) for i, local in enumerate(locals_)]
-            finite = tuple(m for m in linearised if m is not None)
+            linearised = [linearised_in(problem, i, values, local, self.n) for i, local in enumerate(locals_)]
+            finite = [m for m in linearised if m is not None]
             if len(finite) == len(linearised):
-                energies = [float(m.gram[-1, -1]) for m in finite]
-                return WhitenedPoint(self.cost(values, locals_, energies), tuple(m.residual for m in finite), finite)
-        problem, residuals = self.problem, []
-        for i, local in enumerate(locals_):
-            residual = problem.residual(i, values, local)
-            if residual is None:
-                return WhitenedPoint(np.inf)
-            residuals.append(residual)
+                residuals, grams = zip(*finite, strict=True)
+                return WhitenedPoint(self.cost(values, locals_, [float(g[-1, -1]) for g in grams]), residuals, grams)
+        residuals = tuple(problem.residual(i, values, local) for i, local in enumerate(locals_))
+        if any(r is None for r in residuals):
+            return WhitenedPoint(np.inf)
         energies = [w.energy(r) for w, r in zip(problem.whiteners, residuals, strict=True)]
-        return WhitenedPoint(self.cost(values, locals_, energies), tuple(residuals))
+        return WhitenedPoint(self.cost(values, locals_, energies), residuals)
 
     def cost(self, values: Mapping[str, float], locals_: Sequence[Local], energies: Sequence[float]) -> float:
         """Half the whitened sums of squares (energies) of the records, plus the costs of the priors."""
@@ -114,11 +102,12 @@ class ProblemUnknowns:
         weight, distance = prior_terms(problem, problem.free[:n], values)
         H, g, decrement, blocks = np.diag(weight), distance, 0.0, []
         for i, local in enumerate(locals_):
-            products = point.products[i] if point.products else linearised_in(problem, i, values, local, n)
-            if products is None:
+            known = (point.residuals[i], point.grams[i]) if point.grams else None
+            linearised = known or linearised_in(problem, i, values, local, n)
+            if linearised is None:
                 self.runaway = True
                 return SolverStep(np.zeros_like(unknowns), 0.0)
-            block = record_blocks(problem, products, local, n)
+            block = record_blocks(problem, linearised[1], local, n)
             information, gradient = block.reduced()
             H, g = H + information, g + gradient
             decrement += 0.5 * float(block.gl @ block.ll_inverse @ block.gl)
@@ -142,20 +131,19 @@ def cost_at(problem: LikelihoodProblem, values: Mapping[str, float]) -> float:
 
 def linearised_in(
     problem: LikelihoodProblem, index: int, values: Mapping[str, float], local: Local, n: int
-) -> LinearisedRecord | None:
-    """One record linearised in the first n shared unknowns and its local ones; None where the motion runs away."""
+) -> tuple[Array, Array] | None:
+    """(residual (N, ny), gram) of one record, linearised; None where the motion runs away. gram: inner products of the white
+    columns [first n shared unknowns | its local unknowns | residual]."""
     linear = problem.linearised(index, values, local)
     if linear is None:
         return None
     residual, dy = linear
-    return LinearisedRecord(
-        residual, problem.whiteners[index].gram(dy[:, :, :n], dy[:, :, len(problem.free) :], residual)
-    )
+    return residual, problem.whiteners[index].gram(dy[:, :, :n], dy[:, :, len(problem.free) :], residual)
 
 
-def record_blocks(problem: LikelihoodProblem, products: LinearisedRecord, local: Local, n: int) -> FlightBlocks:
-    """Information of one record about the first n shared unknowns and its local ones, with the priors of the latter."""
-    gram = products.gram
+def record_blocks(problem: LikelihoodProblem, gram: Array, local: Local, n: int) -> FlightBlocks:
+    """Information of one record about the first n shared unknowns and its local ones, with the priors of the latter. gram: as of
+    `linearised_in`."""
     information, gradient, m = gram[:-1, :-1].copy(), gram[:-1, -1].copy(), len(gram) - 1
     weight, distance = local_prior(problem, local, m - n)
     information[n:, n:] += np.diag(weight)

@@ -50,7 +50,7 @@ class MidSampleGrid:
         """The same with other inputs (N, nu) at the samples; only columns that differ are computed."""
         changed = np.flatnonzero((u != self.segment.u[::2]).any(axis=0))
         values, rounding = self.segment.u.copy(), self.rounding.copy()
-        _fill(self.segment.time[::2], u, values, rounding, changed)
+        values[:, changed], rounding[:, changed] = _with_middles(self.segment.time[::2], u[:, changed])
         return MidSampleGrid(replace(self.segment, u=values), rounding)
 
     def edges(self, column: int, behind: int, criteria: Criteria) -> Array:
@@ -67,22 +67,24 @@ class MidSampleGrid:
 
 def fine_grid(segment: Segment) -> MidSampleGrid:
     """Time and inputs with one more sample in the middle of each interval."""
-    time, u = segment.time, segment.u
-    fine = np.empty(2 * time.size - 1)
-    fine[::2], fine[1::2] = time, 0.5 * (time[1:] + time[:-1])
-    values, rounding = np.empty((fine.size, u.shape[1])), np.zeros((fine.size, u.shape[1]))
-    _fill(time, u, values, rounding, np.arange(u.shape[1]))
-    z = np.full((fine.size, segment.z.shape[1]), np.nan)
-    return MidSampleGrid(replace(segment, time=fine, u=values, z=z), rounding)
+    values, rounding = _with_middles(segment.time, segment.u)
+    z = np.full((len(values), segment.z.shape[1]), np.nan)
+    return MidSampleGrid(replace(segment, time=_on_lines(segment.time), u=values, z=z), rounding)
 
 
-def _fill(time: Array, u: Array, values: Array, rounding: Array, columns: np.ndarray) -> None:  # type: ignore[type-arg]
-    """Write some columns of the inputs u (N, nu), with their values half-way, into `values` and `rounding` (2N - 1, nu)."""
-    samples = u[:, columns]
-    mid_values = middles(time, samples)
-    values[::2, columns] = samples
-    values[1::2, columns] = mid_values
-    rounding[1::2, columns] = mid_values - 0.5 * (samples[1:] + samples[:-1])
+def _on_lines(values: Array) -> Array:
+    """(2N - 1, ...) values (N, ...) with one more on a straight line between each two."""
+    fine = np.empty((2 * len(values) - 1, *values.shape[1:]))
+    fine[::2], fine[1::2] = values, 0.5 * (values[1:] + values[:-1])
+    return fine
+
+
+def _with_middles(time: Array, u: Array) -> tuple[Array, Array]:
+    """(2N - 1, columns) inputs u (N, columns) with their values half-way between samples, and the distance of these from straight
+    lines."""
+    values, rounding, mid_values = _on_lines(u), np.zeros((2 * len(u) - 1, u.shape[1])), middles(time, u)
+    rounding[1::2], values[1::2] = mid_values - values[1::2], mid_values
+    return values, rounding
 
 
 def middles(time: Array, u: Array) -> Array:
@@ -178,27 +180,21 @@ class LikelihoodProblem:
         return tuple(p.name for p in self.model.parameters if p.local and not p.fixed)
 
     @cached_property
-    def curvatures(self) -> dict[str, int]:
-        """Curvature unknown -> column of the input it belongs to."""
-        return {f"curvature_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control}
-
-    @cached_property
-    def edges(self) -> dict[str, tuple[int, int]]:
-        """Unknown of the edges of a control that never rests -> its column, and intervals behind the steepest one of an edge."""
+    def paths(self) -> dict[str, tuple[int, int | None]]:
+        """Unknown of a path between samples -> column of the input it belongs to, and of an edge the intervals behind the
+        steepest one; None of a curvature."""
+        controls = {s.name: i for i, s in enumerate(self.model.inputs) if s.control}
         restless = frozenset[str]().union(*(r.restless for r in self.records))
-        columns = {s.name: i for i, s in enumerate(self.model.inputs) if s.control and s.name in restless}
-        return {kind.format(n): (i, behind) for kind, behind in EDGES.items() for n, i in columns.items()}
-
-    @cached_property
-    def paths(self) -> dict[str, int]:
-        """Unknown of a path between samples -> column of the input it belongs to."""
-        return {**self.curvatures, **{n: column for n, (column, _) in self.edges.items()}}
+        curvatures = {f"curvature_{n}": (i, None) for n, i in controls.items()}
+        edges = {
+            kind.format(n): (i, behind) for kind, behind in EDGES.items() for n, i in controls.items() if n in restless
+        }
+        return {**curvatures, **edges}
 
     def _path(self, grid: MidSampleGrid, name: str) -> Array:
         """(2N - 1,) change of an input by one unit of the unknown `name` of its path."""
-        if name in self.curvatures:
-            return grid.rounding[:, self.curvatures[name]]
-        return grid.edges(*self.edges[name], self.criteria)
+        column, behind = self.paths[name]
+        return grid.rounding[:, column] if behind is None else grid.edges(column, behind, self.criteria)
 
     @cached_property
     def used_names(self) -> frozenset[str]:
@@ -266,12 +262,11 @@ class LikelihoodProblem:
 
         None where the motion or a sensitivity runs away."""
         grid, shared = self.grids[index], {**values, **local.parameters}
-        columns = list(self.paths.items())
-        active = [j for j, (_, i) in enumerate(columns) if self.model.input_names[i] in self.used_names]
+        names, columns = list(self.paths), [column for column, _ in self.paths.values()]
+        active = [j for j, column in enumerate(columns) if self.model.input_names[column] in self.used_names]
         paths = np.zeros((*grid.rounding.shape, len(active)))
         for k, j in enumerate(active):
-            name, column = columns[j]
-            paths[:, column, k] = self._path(grid, name)
+            paths[:, columns[j], k] = self._path(grid, names[j])
         segment = self.driven(grid, values)
         motion = self.simulator.run_by_middles(segment, shared, local.x0, sensitivities=True, moved=paths)
         if not motion.finite or motion.dy is None or not max(motion.dy.max(), -motion.dy.min()) < LARGEST:
@@ -288,33 +283,25 @@ class LikelihoodProblem:
         """(N, ny, k) changes of the outputs of one record by k small changes (N, nu, k) of its inputs, linear between samples.
 
         None where the motion does not stay finite."""
-        fine = np.empty((2 * len(du) - 1, *du.shape[1:]))
-        fine[::2], fine[1::2] = du, 0.5 * (du[1:] + du[:-1])
+        driven, shared = self.driven(self.grids[index], values), {**values, **local.parameters}
         motion = self.parameterless_simulator.run_by_middles(
-            self.driven(self.grids[index], values),
-            {**values, **local.parameters},
-            local.x0,
-            sensitivities=True,
-            moved=fine,
+            driven, shared, local.x0, sensitivities=True, moved=_on_lines(du)
         )
         return motion.dy[:, :, -du.shape[2] :] if motion.finite and motion.dy is not None else None
 
     def driven(self, grid: MidSampleGrid, values: Mapping[str, float]) -> Segment:
         """A grid's segment with the controls between samples moved by the path unknowns in `values`."""
-        u = grid.segment.u
-        moved = [(name, i) for name, i in self.paths.items() if values.get(name, 0.0) != 0.0]
-        if moved:
-            u = u.copy()
-            for name, i in moved:
-                u[:, i] += values[name] * self._path(grid, name)
+        moved = [name for name in self.paths if values.get(name, 0.0) != 0.0]
+        u = grid.segment.u.copy() if moved else grid.segment.u
+        for name in moved:
+            u[:, self.paths[name][0]] += values[name] * self._path(grid, name)
         return replace(grid.segment, u=u)
 
     def prior(self, name: str) -> tuple[float, float] | None:
         """(mean, standard deviation) of an unknown's Gaussian prior, or None where it has none."""
-        if name in self.curvatures:
-            return 0.0, self.criteria.curvature_spread
-        if name in self.edges:
-            return 0.0, self.criteria.surface_freedom
+        if name in self.paths:
+            is_curvature = self.paths[name][1] is None
+            return 0.0, self.criteria.curvature_spread if is_curvature else self.criteria.surface_freedom
         p = self.model.parameter(name)
         return None if p.prior_mean is None or p.prior_std is None else (p.prior_mean, p.prior_std)
 

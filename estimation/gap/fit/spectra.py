@@ -29,7 +29,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.effects.catalogue import REFERENCE
 from estimation.gap.fit.whitener import Complex, Whitener
 from estimation.gap.records.candidate_model import RATE_OF
-from estimation.models.base import Model, Signal
+from estimation.models.base import Model
 from estimation.models.dependence import force_states
 
 STEADY = frozenset({"V", "alpha", "theta", "u", "w", "ax", "az"})
@@ -50,7 +50,12 @@ def steady_state(model: Model, segment: Segment) -> Array:
     A state that is no output (a lag of a vane or of the flow) takes the value of the signal from which it starts.
     """
     levels = {n: level for n, level in zip(model.output_names, steady_outputs(model, segment), strict=True) if level}
-    return np.array([_steady_value(s, levels, segment.x0[i]) for i, s in enumerate(model.states)])
+    state = np.zeros(len(model.states))
+    for i, signal in enumerate(model.states):
+        first = float(segment.x0[i]) if signal.name in STEADY else 0.0
+        shown = [levels[n] for n in (signal.name, signal.column, signal.start) if isinstance(n, str) and n in levels]
+        state[i] = shown[0] if shown else first
+    return state
 
 
 def steady_outputs(model: Model, segment: Segment) -> Array:
@@ -61,14 +66,6 @@ def steady_outputs(model: Model, segment: Segment) -> Array:
         if signal.name in STEADY and measured.size:
             levels[i] = np.median(measured)
     return levels
-
-
-def _steady_value(state: Signal, levels: dict[str, float], first: float) -> float:
-    """The level of the output that shows a state; without one `first`, its first value, or zero."""
-    for name in (state.name, state.column, state.start):
-        if isinstance(name, str) and name in levels:
-            return levels[name]
-    return float(first) if state.name in STEADY else 0.0
 
 
 class NoiseSource(Enum):
@@ -260,14 +257,6 @@ def whitener(noise: NoiseModel, shapes: Shapes) -> Whitener:
     return Whitener(root, shapes.count)
 
 
-def _stacked(shapes: Shapes, names: Sequence[NoisePart], ny: int) -> Complex:
-    """(frequencies, ny, parts) responses of one record to the named parts."""
-    stack = np.zeros((shapes.count // 2 + 1, ny, len(names)), complex)
-    for j, name in enumerate(names):
-        stack[:, :, j] = shapes.parts[name]
-    return stack
-
-
 def estimate_noise(
     residuals: Sequence[Array],
     shapes: Sequence[Shapes],
@@ -298,8 +287,9 @@ def estimate_noise(
     v[~free] = 1.0
     if earlier is not None and all(n in earlier.process for n in names):
         R, v, iterations = earlier.measurement.copy(), np.array([earlier.process[n] for n in names]), FOLLOWING
-    blocks = [_stacked(sh, names, ny) for sh in shapes]
-    columns = [np.concatenate([s[:, :, None], g], axis=2) for s, g in zip(spectra, blocks, strict=True)]
+    # (frequencies, ny, 1 + parts) residuals and responses of every record
+    columns = [np.stack([s, *(sh.parts[n] for n in names)], axis=2) for s, sh in zip(spectra, shapes, strict=True)]
+    blocks = [np.ascontiguousarray(c[:, :, 1:]) for c in columns]
     adjoints = [np.ascontiguousarray(g.conj().transpose(0, 2, 1)) for g in blocks]
     diagonal = np.arange(ny)
     for _ in range(iterations):

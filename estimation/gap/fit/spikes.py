@@ -41,7 +41,7 @@ def spikes_about(baseline: Baseline) -> Spikes:
     criteria, found = baseline.criteria, dict[int, dict[str, list[int]]]()
     values = sum(np.isfinite(r.z).sum() for r in baseline.prepared.records)
     farthest = -float(ndtri(0.5 * (1.0 - criteria.null_level) / values))  # of any of them, were they Gaussian noise
-    fits = [(baseline.problem, baseline.fit), *([baseline.held_out] if baseline.held_out else [])]
+    fits = filter(None, ((baseline.problem, baseline.fit), baseline.held_out))
     records, outputs = baseline.problem.records, baseline.problem.model.output_names
     filtered = filtered_attitudes(records, outputs, channel_noise(records), criteria)
     for problem, model_fit in fits:

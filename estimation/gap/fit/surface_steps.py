@@ -33,7 +33,7 @@ from estimation.gap.fit.spectra import Linear, NoiseSource, Shapes
 from estimation.gap.fit.whitener import Slack, Whitener, spectrum_of
 from estimation.gap.records.sampling import smallest_step
 from estimation.models.base import Model
-from estimation.models.expressions import names_in
+from estimation.models.dependence import names_reached
 
 SLIGHT = 1e-2  # whitened energy of a displacement below which it is ignored: it would change energies by at most 1 %
 RUNAWAY = 1e6  # a response that grows so far is no small motion any more
@@ -82,25 +82,23 @@ def find_surface_steps(
     """The displacements at the largest steps of all controls in a record, and at all of those that never rest (`restless`):
     half-way, and of outputs that jump or bend there."""
     found: list[tuple[float, str, int, float]] = []
-    for j, signal in enumerate(model.inputs):
-        if not signal.control or signal.name not in linear.inputs:
-            continue
-        step = np.diff(segment.u[:, j])
-        power = float(np.abs(linear.C @ linear.B[:, linear.inputs.index(signal.name)] / linear.scale).max())
+    for j, control in enumerate(linear.inputs):
+        step = np.diff(segment.u[:, model.input_names.index(control)])
+        power = float(np.abs(linear.C @ linear.B[:, j] / linear.scale).max())
         for k in np.flatnonzero(np.abs(step) > smallest_step(step, criteria)):
-            found.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))
+            found.append((power * abs(float(step[k])), control, int(k), float(step[k])))
     found.sort(reverse=True)
     resting = [e for e in found if e[1] not in restless][: criteria.surface_steps_most]
     moving = [e for e in found if e[1] in restless][:MOST_STEPS]
     largest = sorted([*resting, *moving], key=lambda e: (e[1], e[2]))
     N, ny = len(segment), linear.C.shape[0]
     responses = {c: _response(linear, linear.inputs.index(c), N) for c in {e[1] for e in largest}}
-    places = [(control, k, step) for _, control, k, step in largest]
+    moves = [(control, k, step) for _, control, k, step in largest]
     # (ny, controls) by unit step: the jump of an output, and the change that a kink makes in one interval
     jump_by_step = np.abs(linear.D) + linear.dt * np.abs(linear.C @ linear.B)
-    outputs = []
+    places, outputs = list(moves), []
     for i, output in enumerate(model.output_names):
-        jumps = sample_jumps(jump_by_step[i], linear.inputs, places, N)
+        jumps = _sample_jumps(dict(zip(linear.inputs, jump_by_step[i], strict=True)), moves, N)
         if jumps.max() > criteria.visible_jump * linear.scale[i]:
             outputs.append(output)
             places += [(output, int(k), float(jumps[k])) for k in np.flatnonzero(jumps)]
@@ -119,29 +117,17 @@ def find_surface_steps(
 def jumping_outputs(model: Model) -> tuple[str, ...]:
     """Outputs on which a control acts directly and not by way of a state (side acceleration: C_Y delta_r)."""
     controls = {s.name for s in model.inputs if s.control}
-
-    def reaches(symbol: str, seen: set[str]) -> bool:
-        if symbol in controls:
-            return True
-        if symbol in seen or symbol not in model.definitions or symbol in model.state_names:
-            return False
-        return any(reaches(name, seen | {symbol}) for name in names_in(model.definitions[symbol]))
-
-    return tuple(n for n in model.output_names if reaches(n, set()))
+    return tuple(n for n in model.output_names if names_reached(model, [n]) & controls)
 
 
-def sample_jumps(change: Array, controls: Sequence[str], steps: Sequence[tuple[str, int, float]], count: int) -> Array:
+def _sample_jumps(change: Mapping[str, float], steps: Sequence[tuple[str, int, float]], count: int) -> Array:
     """(count,) size of the jumps of an output next to every sample, several combined as a root sum of squares.
 
-    change: (controls,) of the output by a unit step of each control. steps: (control, sample before, size) of each step; those of
-    names that are not among `controls` are ignored.
+    change: control -> change of the output by a unit step. steps: (control, sample before, size) of each step.
     """
     jumps = np.zeros(count)
     for control, k, step in steps:
-        if control not in controls:
-            continue
-        size = change[controls.index(control)] * step
-        jumps[k : k + 2] = np.hypot(jumps[k : k + 2], size)
+        jumps[k : k + 2] = np.hypot(jumps[k : k + 2], change[control] * step)
     return jumps
 
 

@@ -108,13 +108,18 @@ class Whitener:
     slack: Slack | None = None
 
     @cached_property
+    def _multiplicity(self) -> Array:
+        """(frequencies,) how often each frequency of the one-sided spectrum stands in the two-sided one."""
+        multiplicity = np.full(self.root.shape[0], 2.0)
+        multiplicity[0] = 1.0
+        if self.count % 2 == 0:
+            multiplicity[-1] = 1.0
+        return multiplicity
+
+    @cached_property
     def _scale(self) -> Array:
         """(frequencies,) factors with which the one-sided spectrum has the energy of the samples (Parseval)."""
-        scale = np.full(self.root.shape[0], np.sqrt(2.0 / self.count))
-        scale[0] = np.sqrt(1.0 / self.count)
-        if self.count % 2 == 0:
-            scale[-1] = np.sqrt(1.0 / self.count)
-        return scale
+        return np.sqrt(self._multiplicity / self.count)
 
     @cached_property
     def _real_root(self) -> Array:
@@ -135,11 +140,7 @@ class Whitener:
     @cached_property
     def log_determinant(self) -> float:
         """Of the covariance of a record; its sum with `energy` is minus twice the log-likelihood (Whittle) up to a constant."""
-        multiplicity = np.full(self.root.shape[0], 2.0)
-        multiplicity[0] = 1.0
-        if self.count % 2 == 0:
-            multiplicity[-1] = 1.0
-        of_spectrum = -2.0 * float(multiplicity @ np.linalg.slogdet(self.root)[1])
+        of_spectrum = -2.0 * float(self._multiplicity @ np.linalg.slogdet(self.root)[1])
         return of_spectrum + (0.0 if self.slack is None else self.slack.log_determinant)
 
     def strict(self, spectrum: Array) -> Array:

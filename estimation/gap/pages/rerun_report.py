@@ -53,7 +53,7 @@ def write_gap_recording(result: GapResult, path: Path) -> Path:
         with rerun_file(stream, path, _blueprint(result, units)):
             for name, text in (("verdict", _verdict(result)), ("where", _where(result)), ("scores", _scores(result))):
                 stream.log(name, rr.TextDocument(drawable(text), media_type=rr.MediaType.MARKDOWN), static=True)
-            for h, place in zip(result.histories, _places(result), strict=True):
+            for h, place in _placed(result):
                 for c, name in enumerate(result.outputs):
                     _channel(stream, place, h, c, name, *units[name])
     except OSError as error:
@@ -67,16 +67,15 @@ def _channel(stream: "rr.RecordingStream", flight: str, h: Histories, c: int, na
 
     place, residual = f"{flight}/{name}", f"{flight}/residual/{name}"
     courses = {"measured": h.measured[:, c], "before": h.before[:, c], "after": h.after[:, c]}
-    for course, values in courses.items():
-        _series(stream, f"{place}/{course}", h.time, k * values, f"{course} [{unit}]", COURSES[course])
-    edge = k * float(h.floor[c])
-    ends = np.array([h.time[0], h.time[-1]])
+    edge, ends = k * float(h.floor[c]), np.array([h.time[0], h.time[-1]])
     for side, level in (("upper", edge), ("lower", -edge)):
         sign = "+" if level > 0 else "−"
         _series(stream, f"{residual}/floor_{side}", ends, np.full(2, level), f"floor, {sign}1 σ [{unit}]", FLOOR)
-    for course in ("before", "after"):
-        rest = k * (courses["measured"] - courses[course])
-        _series(stream, f"{residual}/{course}", h.time, rest, f"{course} [{unit}]", COURSES[course])
+    for course, values in courses.items():
+        label, colour = f"{course} [{unit}]", COURSES[course]
+        _series(stream, f"{place}/{course}", h.time, k * values, label, colour)
+        if course != "measured":
+            _series(stream, f"{residual}/{course}", h.time, k * (courses["measured"] - values), label, colour)
     stream.log(place, rr.AnyValues(unit=unit), static=True)
 
 
@@ -90,8 +89,8 @@ def _series(stream: "rr.RecordingStream", path: str, time: Array, values: Array,
     stream.send_columns(path, indexes=[clock], columns=rr.Scalars.columns(scalars=values))
 
 
-def _places(result: GapResult) -> list[str]:
-    """Entity path of every flight; flights of one name, from different folders, are numbered."""
+def _placed(result: GapResult) -> list[tuple[Histories, str]]:
+    """Every flight with its entity path; flights of one name, from different folders, are numbered."""
     import rerun as rr
 
     places: list[str] = []
@@ -99,7 +98,7 @@ def _places(result: GapResult) -> list[str]:
         path = f"{'held_out' if h.holdout else 'training'}/{rr.escape_entity_path_part(drawable(h.flight))}"
         number = 1 + sum(p == path or p.startswith(f"{path}_again") for p in places)
         places.append(path if number == 1 else f"{path}_again{number}")
-    return places
+    return list(zip(result.histories, places, strict=True))
 
 
 def _blueprint(result: GapResult, units: dict[str, tuple[float, str]]) -> Any:
@@ -110,7 +109,7 @@ def _blueprint(result: GapResult, units: dict[str, tuple[float, str]]) -> Any:
     )
     scores = rrb.TextDocumentView(origin="scores", name="Scores of all hypotheses")
     tabs: list[Any] = [rrb.Horizontal(words, scores, name="Verdict")]
-    for h, place in zip(result.histories, _places(result), strict=True):
+    for h, place in _placed(result):
         rows = []
         for row, name in enumerate(result.outputs):
             legend = rrb.PlotLegend(rrb.Corner2D.RightTop, visible=row == 0)  # colours are the same in all rows
@@ -160,7 +159,6 @@ def _scores(result: GapResult) -> str:
     longest = max([*result.scores.values(), result.threshold])
     rows = [["■" * round(BAR * v / longest), f"{v:.1f}", n] for n, v in result.scores.items()]
     cut = sum(v > result.threshold for v in result.scores.values())  # they come highest first
-    rows.insert(
-        cut, ["-" * round(BAR * result.threshold / longest), f"**{result.threshold:.2f}**", "**null threshold**"]
-    )
+    limit = "-" * round(BAR * result.threshold / longest)
+    rows.insert(cut, [limit, f"**{result.threshold:.2f}**", "**null threshold**"])
     return "In units of the scatter on simulated nulls\n\n" + _table(["", "score", "effect"], rows)

@@ -10,6 +10,7 @@ The nuisance parameters, each with a prior as wide as its usual size, so that no
 - errors of a filter's plumb line, which takes the side acceleration of a changing sideslip for gravity: an error in bank
   proportional to sideslip (V/(g T) of it with the filter's memory T; a few hundredths where the filter corrects that with
   airspeed or GPS velocity);
+- the level of a signal reconstructed from the motion, on every flight, within the uncertainty that the reconstruction states;
 - times in a simulation of fixed steps: one that integrates rates with the moments of the last step, and attitudes with the rates
   of the last, has gyros half a step early and moments a step late (JSBSim by default: 2.5 and 5 ms at 200 Hz);
 - the time of an attitude with its own times in the log: a tenth of its own interval.
@@ -23,15 +24,19 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
+import numpy as np
+
 from daq.utilities.constants import GRAVITY
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
+from estimation.gap.records.channels import uncertainty
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole, Signal
 from groundstation.flight import Flight
 
 TIMING = "timing_"  # prefix of a delay
 TOGETHER = TIMING + "controls"  # of all controls
 GYROS, MOMENTS = TIMING + "gyros", TIMING + "moments"
+LEVEL = "level_"  # prefix of the level of a reconstructed input
 STATIC_MOMENTS = {"Cl": "beta", "Cn": "beta", "Cm": "alpha"}  # coefficient -> angle of its static derivative
 RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it
 DISTURBANCE = "disturbance_{}"
@@ -52,23 +57,30 @@ def with_nuisance(
     the outputs -> interval [s] of its own times in the log.
     """
     biased = [n for n in model.output_names if noise.get(n, 0.0) > 0 and f"bias_{n}" not in model.parameter_names]
-    bias_names = {f"bias_{n}" for n in biased}
-    extended = model.with_biases(*biased)
-    extended = extended.with_prior(**{f"bias_{n}": (0.0, noise[n]) for n in biased})
+    extended = model.with_biases(*biased).with_prior(**{f"bias_{n}": (0.0, noise[n]) for n in biased})
+    extended = _with_role(extended, [f"bias_{n}" for n in biased], ParameterRole.NUISANCE)
     extended = _with_step_times(_with_control_times(extended, sample_interval, criteria), sample_interval, criteria)
     for attitude, interval in stamped.items():
         width = criteria.timing_share * max(sample_interval, interval)
-        extended = _with_output_errors(extended, attitude, {f"{TIMING}{attitude}": (f"{attitude}_dot", "s", width)})
+        extended = _with_output_error(extended, attitude, f"{TIMING}{attitude}", f"{attitude}_dot", "s", width)
     for attitude in filtered:
-        extended = _with_output_errors(extended, attitude, _filter_errors(attitude, sample_interval, criteria))
-    marked = tuple(replace(p, role=ParameterRole.NUISANCE) if p.name in bias_names else p for p in extended.parameters)
-    extended = replace(extended, parameters=marked)
+        extended = _with_filter_errors(extended, attitude, sample_interval, criteria)
     beliefs = {
         p.name: (p.reference, criteria.prior_share * p.reference_std)
         for p in extended.parameters
         if p.reference is not None and p.reference_std and p.prior_mean is None
     }
     return extended.with_prior(**beliefs)  # type: ignore[arg-type]
+
+
+def _with_role(model: Model, names: Collection[str], role: ParameterRole) -> Model:
+    """`model` with another role of some parameters."""
+    return replace(model, parameters=tuple(replace(p, role=role) if p.name in names else p for p in model.parameters))
+
+
+def nuisance_parameter(name: str, unit: str, width: float) -> Parameter:
+    """An unknown that is no effect, with a prior of zero mean and standard deviation `width`."""
+    return Parameter(name, unit, prior_mean=0.0, prior_std=width, role=ParameterRole.NUISANCE)
 
 
 def stamped_attitudes(model: Model, flights: Iterable[Flight]) -> dict[str, float]:
@@ -95,15 +107,14 @@ def _with_control_times(model: Model, sample_interval: float, criteria: Criteria
     """`model` with controls that move a little before or after they were sampled: all together, and each by itself."""
     controls = [s.name for s in model.inputs if s.control and f"{TIMING}{s.name}" not in model.parameter_names]
     several = len(controls) > 1 and TOGETHER not in model.parameter_names
-    width = criteria.own_timing_share if several else criteria.timing_share
-    if several:
-        model = model.plus(
-            parameters=[nuisance_parameter(TOGETHER, "s", criteria.timing_share * sample_interval)],
-            transforms=[InputTransform("delay", name, (TOGETHER,)) for name in controls],
-        )
+    shares = {TOGETHER: criteria.timing_share} if several else {}
+    delays = [InputTransform("delay", n, (TOGETHER,)) for n in controls] if several else []
+    for name in controls:
+        shares[f"{TIMING}{name}"] = criteria.own_timing_share if several else criteria.timing_share
+        delays.append(InputTransform("delay", name, (f"{TIMING}{name}",)))
     return model.plus(
-        parameters=[nuisance_parameter(f"{TIMING}{name}", "s", width * sample_interval) for name in controls],
-        transforms=[InputTransform("delay", name, (f"{TIMING}{name}",)) for name in controls],
+        parameters=[nuisance_parameter(n, "s", share * sample_interval) for n, share in shares.items()],
+        transforms=delays,
     )
 
 
@@ -131,33 +142,52 @@ def timing_of(control: str, values: Mapping[str, float]) -> float:
     return values.get(TOGETHER, 0.0) + values.get(f"{TIMING}{control}", 0.0)
 
 
-def nuisance_parameter(name: str, unit: str, width: float) -> Parameter:
-    """An unknown that is no effect, with a prior of zero mean and standard deviation `width`."""
-    return Parameter(name, unit, prior_mean=0.0, prior_std=width, role=ParameterRole.NUISANCE)
-
-
-def _filter_errors(attitude: str, sample_interval: float, criteria: Criteria) -> dict[str, tuple[str, str, float]]:
-    """Errors of a filter that integrates sampled rates and has a plumb line; as `_with_output_errors` takes them."""
-    widths = {
-        f"{TIMING}{attitude}": (f"{attitude}_dot", "s", criteria.timing_share * sample_interval),
-        f"rounding_{attitude}": (f"{RATE_OF[attitude]}_dot", "s2", sample_interval**2 / 12.0),
-    }
+def _with_filter_errors(model: Model, attitude: str, sample_interval: float, criteria: Criteria) -> Model:
+    """`model` with the errors of a filter that integrates sampled rates and has a plumb line, which takes sideways acceleration
+    for bank and acceleration along the path for pitch."""
+    width = criteria.timing_share * sample_interval
+    model = _with_output_error(model, attitude, f"{TIMING}{attitude}", f"{attitude}_dot", "s", width)
+    rate, width = f"{RATE_OF[attitude]}_dot", sample_interval**2 / 12.0
+    model = _with_output_error(model, attitude, f"rounding_{attitude}", rate, "s2", width)
     if attitude == "phi":
-        widths["plumb_phi"] = ("beta", "1", criteria.plumb_share)
-    if attitude == "theta":  # the plumb line takes acceleration along the path for gravity, as that of sideslip in bank
-        widths["plumb_theta"] = ("V_dot", "s2/m", criteria.plumb_share / GRAVITY)
-    return widths
-
-
-def _with_output_errors(model: Model, attitude: str, errors: Mapping[str, tuple[str, str, float]]) -> Model:
-    """`model` with errors added to a measured attitude. errors: unknown factor -> (signal it multiplies, unit, prior width)."""
-    symbols = {*model.definitions, *model.state_names}
-    for name, (signal, unit, width) in errors.items():
-        if signal in symbols and name not in model.parameter_names:
-            model = model.plus(
-                outputs={attitude: f"{attitude} + {name}*{signal}"}, parameters=[nuisance_parameter(name, unit, width)]
-            )
+        model = _with_output_error(model, attitude, "plumb_phi", "beta", "1", criteria.plumb_share)
+    if attitude == "theta":
+        width = criteria.plumb_share / GRAVITY
+        model = _with_output_error(model, attitude, "plumb_theta", "V_dot", "s2/m", width)
     return model
+
+
+def _with_output_error(model: Model, output: str, unknown: str, signal: str, unit: str, width: float) -> Model:
+    """`model` with an unknown factor times a signal of the model as an error of an output; unchanged where the model lacks the
+    signal or has the factor. unit, width: of the factor and its prior."""
+    if unknown in model.parameter_names or signal not in {*model.definitions, *model.state_names}:
+        return model
+    return model.plus(
+        outputs={output: f"{output} + {unknown}*{signal}"}, parameters=[nuisance_parameter(unknown, unit, width)]
+    )
+
+
+def levels(model: Model, flights: Iterable[Flight]) -> dict[str, float]:
+    """Input or output of `model` that some flight has reconstructed -> standard deviation of its level."""
+    deviations: dict[str, list[float]] = {}
+    for flight in flights:
+        for signal in (*model.inputs, *model.outputs):
+            std = uncertainty(flight, signal.source) if signal.source in flight.reconstructed else None
+            if std is not None:
+                deviations.setdefault(signal.name, []).append(std)
+    return {name: float(np.sqrt(np.mean(np.square(stds)))) for name, stds in deviations.items()}
+
+
+def with_levels(model: Model, deviations: Mapping[str, float]) -> Model:
+    """`model` with a level of every input and a bias of every output in `deviations` (from `levels`), one for each flight."""
+    inputs = [s for s in model.inputs if s.name in deviations]
+    outputs = [s for s in model.outputs if s.name in deviations]
+    unknowns = [(f"{LEVEL}{s.name}", s) for s in inputs] + [(f"bias_{s.name}", s) for s in outputs]
+    return model.plus(
+        outputs={s.name: f"{s.name} + bias_{s.name}" for s in outputs},
+        parameters=[replace(nuisance_parameter(n, s.unit, deviations[s.name]), local=True) for n, s in unknowns],
+        transforms=[InputTransform("bias", s.name, (f"{LEVEL}{s.name}",)) for s in inputs],
+    )
 
 
 def with_dormant(
@@ -178,16 +208,9 @@ def with_dormant(
             if form.states or form.lines or form.frees or not all(s.name in available for s in form.inputs):
                 continue
             if form.obstacle(model) is None and form.obstacle(extended) is None:
-                extended = _dormant(extended, form)
+                extended = replace(form, transforms=(), output_delays={}).added_to(extended, fixed=True)
+                extended = _with_role(extended, [p.name for p in form.parameters], ParameterRole.DORMANT)
     return extended
-
-
-def _dormant(model: Model, form: Form) -> Model:
-    """`model` with a form whose parameters are fixed at the value without effect."""
-    extended = replace(form, transforms=(), output_delays={}).added_to(model, fixed=True)
-    names = {p.name for p in form.parameters}
-    marked = tuple(replace(p, role=ParameterRole.DORMANT) if p.name in names else p for p in extended.parameters)
-    return replace(extended, parameters=marked)
 
 
 def awakened(model: Model, form: Form, at: Mapping[str, float] | None = None) -> Model:
@@ -197,11 +220,11 @@ def awakened(model: Model, form: Form, at: Mapping[str, float] | None = None) ->
         return form.added_to(model, at)
     fresh: dict[str, Parameter] = {}
     for p in form.parameters:
-        old = dormant[p.name]
-        start = (at or {}).get(p.name, old.start)
-        lower, upper = min(old.lower, start), max(old.upper, start)
-        role = ParameterRole.DERIVATIVE
-        fresh[p.name] = replace(old, fixed=False, start=start, lower=lower, upper=upper, role=role)
+        start = (at or {}).get(p.name, dormant[p.name].start)
+        lower, upper = min(dormant[p.name].lower, start), max(dormant[p.name].upper, start)
+        fresh[p.name] = replace(
+            dormant[p.name], fixed=False, start=start, lower=lower, upper=upper, role=ParameterRole.DERIVATIVE
+        )
     return replace(
         model,
         parameters=tuple(fresh.get(p.name, p) for p in model.parameters),

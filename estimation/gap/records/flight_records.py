@@ -13,13 +13,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import prev_fast_len
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, symbols_of
 from estimation.gap.records.candidate_model import RATE_OF
-from estimation.gap.records.sampling import command_times, unseen_paths
+from estimation.gap.records.sampling import unseen_moves
 from estimation.models.base import Model, Signal
 from estimation.prepare.flight_data import AS_USUAL, FlightData
 from estimation.prepare.inputs import has_pitch_rate
@@ -28,6 +30,7 @@ from estimation.signals.controls import noise_between_steps, with_raw_steps
 from estimation.signals.denoise import noise_level
 from estimation.signals.rounding import Grid, near_edges
 from groundstation.flight import Flight
+from groundstation.flight.arrays import Mask, true_runs
 
 NEAR = 0.1  # of a stretch, to either side of an even cut, in which the best cut is sought
 ROUNDING = 1e-6
@@ -36,36 +39,6 @@ PATHS = 20  # seed of the paths across samples that a control lacks
 QUIETEST = 1e-4  # of the scatter of a rate: a coarsely rounded rate shows no noise
 TINY = 1e-12  # rad/s, noise of a rate that stands still
 LOST = 0.005  # of the samples of a record may go unused
-SMALL_PRIMES = (2, 3, 5, 7, 11)  # with fast steps in a Fourier transform
-
-
-def stretches(segment: Segment, controls: list[int], criteria: Criteria) -> list[slice]:
-    """Samples of a segment in stretches of about equal length, cut where the controls rest. controls: their columns in `u`."""
-    count = len(segment)
-    step = float(np.median(np.diff(segment.time)))
-    parts = int(np.ceil((count - 1) * step / criteria.longest_record - ROUNDING))
-    if parts < 2:
-        return [slice(0, count)]
-    motion = movement(segment.u[:, controls], max(round(AROUND / step), 1))
-    length = count / parts
-    cuts = [0]
-    for k in range(1, parts):
-        target = round(k * length)
-        candidates = np.arange(max(target - int(NEAR * length), 1), min(target + int(NEAR * length), count - 1) + 1)
-        cuts.append(int(min(candidates, key=lambda i: (motion[i], abs(i - target)))))
-    return [slice(a, b) for a, b in zip(cuts, [*cuts[1:], count], strict=True)]
-
-
-def movement(controls: Array, reach: int) -> Array:
-    """(N,) range of the controls (N, controls) within `reach` samples of each sample, over their range in all, summed."""
-    motion = np.zeros(len(controls))
-    for course in controls.T:
-        span = float(np.ptp(course))
-        if span > 0.0:
-            padded = np.pad(course, reach, mode="edge")
-            windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-            motion += np.round(np.ptp(windows, axis=1) / span, 2)
-    return motion
 
 
 @dataclass(frozen=True)
@@ -91,7 +64,7 @@ class FlightRecord:
     x0: Array
     input_noise: Mapping[str, float]
     louder: Array | None = None
-    raw: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    raw: Mapping[str, Mask] = field(default_factory=dict)
     errors: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     error_spectra: Mapping[str, Array] = field(default_factory=dict)
     uncompared: Array | None = None
@@ -176,50 +149,22 @@ def prepare_flights(
     symbols = symbols_of(base)
     usable = [s for s in extra.values() if s.name not in symbols and all(f.measured(s.source) for f in flights)]
     probe = base.plus(inputs=[replace(s, optional=False) for s in usable])
-    controls = [i for i, s in enumerate(probe.inputs) if s.control]
-    records: list[FlightRecord] = []
-    notes: list[str] = []
     prepared = [prepare(probe, flight) for flight in flights]
-    pitches = has_pitch_rate(base)
-    restless = frozenset[str]().union(*(data.restless for data in prepared[: len(training)]))
-    exact = keep_feedback or pitches or controls_outdo_gyros(probe, prepared[: len(training)], criteria)
+    pitches, trained = has_pitch_rate(base), prepared[: len(training)]
+    restless = frozenset[str]().union(*(data.restless for data in trained))
+    exact = keep_feedback or pitches or controls_outdo_gyros(probe, trained, criteria)
     if exact and not pitches:
         prepared = [prepare(probe, flight, replace(AS_USUAL, every_axis=True)) for flight in flights]
+    records: list[FlightRecord] = []
+    notes: list[str] = []
     for index, (flight, data) in enumerate(zip(flights, prepared, strict=True)):
         notes += [f"{flight.name}: {note}" for note in data.notes]
-        noise = {name: level for name, (level, _) in data.noise.items()}
-        parts = [p for part in data.segments for p in _stretches(part, data.states, controls, criteria)]
+        parts = _in_stretches(probe, data, criteria)
         if len(parts) > len(data.segments):
             notes.append(f"{flight.name}: long records are fitted in stretches, {len(parts)} in all")
         for part in parts:
-            length = quick_length(len(part))
-            segment = replace(part, time=part.time[:length], u=part.u[:length], z=part.z[:length])
-            inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
-            controls_read = [s for s in base.inputs if s.name not in data.restless] if exact else ()
-            raw, step_noise = _raw_steps(controls_read, flight, segment.first, inputs, noise, criteria, data.grids)
-            level = {**noise, **step_noise}
-            errors = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
-            span = slice(segment.first, segment.first + length)
-            follows = data.follows[span].T if data.follows is not None else ()
-            records.append(
-                FlightRecord(
-                    index,
-                    segment.first,
-                    segment.time,
-                    inputs,
-                    segment.z,
-                    segment.x0,
-                    level,
-                    raw=raw,
-                    errors=errors,
-                    uncompared=_not_compared(base, flight, segment),
-                    states=data.states[span],
-                    follows={s.name: f for s, f in zip(probe.inputs, follows, strict=False) if f.any()},
-                    restless=restless,
-                    filtered=data.restless,
-                    grids=data.grids,
-                )
-            )
+            record = _record(index, flight, data, part, base, probe, exact, criteria)
+            records.append(replace(record, restless=restless))
     return FlightRecords(
         base=base,
         names=tuple(f.name for f in flights),
@@ -233,6 +178,48 @@ def prepare_flights(
     )
 
 
+def _record(
+    index: int,
+    flight: Flight,
+    data: FlightData,
+    segment: Segment,
+    base: Model,
+    probe: Model,
+    exact: bool,
+    criteria: Criteria,
+) -> FlightRecord:
+    """The record of one segment of a flight. index: of the flight; probe: `base` with all inputs of candidates; exact: whether
+    controls have their measured values near steps."""
+    rows = segment.rows
+    inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
+    noise = {name: level for name, (level, _) in data.noise.items()}
+    raw: dict[str, Mask] = {}
+    for signal in (s for s in base.inputs if exact and s.control and s.name not in data.restless):
+        name, level, interval = signal.name, noise.get(signal.name, 0.0), flight.sample_interval
+        if level > 0.0 and flight.measured(signal.source):
+            measured = flight[signal.source][rows]
+            near = near_edges(measured, data.grids.get(name), interval)
+            inputs[name], raw[name] = with_raw_steps(inputs[name], near, level, criteria.surface_step, interval)
+            noise[name] = noise_between_steps(measured, raw[name], level)
+    follows = data.follows[rows].T if data.follows is not None else ()
+    return FlightRecord(
+        index,
+        segment.first,
+        segment.time,
+        inputs,
+        segment.z,
+        segment.x0,
+        noise,
+        raw=raw,
+        errors=_input_errors(probe, flight, data, rows, noise, criteria),
+        uncompared=_not_compared(base, flight, segment),
+        states=data.states[rows],
+        follows={s.name: f for s, f in zip(probe.inputs, follows, strict=False) if f.any()},
+        filtered=data.restless,
+        grids=data.grids,
+    )
+
+
 def controls_outdo_gyros(model: Model, flights: Sequence[FlightData], criteria: Criteria) -> bool:
     """Whether the noise on a control, taken as a deflection, would turn the aircraft fast enough in one sample for the gyros to
     show.
@@ -240,18 +227,13 @@ def controls_outdo_gyros(model: Model, flights: Sequence[FlightData], criteria: 
     The gyros then also show what de-noising takes off a control that steers against the motion, and it looks like a late servo.
     From the change of each rate per sample, regressed on motion and controls; median over the flights.
     """
-    rates = [i for i, s in enumerate(model.outputs) if s.name in RATE_OF.values()]
-    ratios = [_loudest(model, part, flight, rates) for flight in flights for part in flight.segments]
-    return are_loud(ratios, criteria)
-
-
-def are_loud(ratios: Sequence[float], criteria: Criteria) -> bool:
-    """Whether the median of the changes of a rate by a control's noise, over the noise of that rate, is large."""
+    ratios = [_loudest(model, part, flight) for flight in flights for part in flight.segments]
     return bool(ratios) and float(np.median(ratios)) > criteria.loud_control
 
 
-def _loudest(model: Model, part: Segment, flight: FlightData, rates: Sequence[int]) -> float:
+def _loudest(model: Model, part: Segment, flight: FlightData) -> float:
     """Largest change of a rate by one standard deviation of a control's noise, over the noise of that rate."""
+    rates = [i for i, s in enumerate(model.outputs) if s.name in RATE_OF.values()]
     controls = [i for i, s in enumerate(model.inputs) if s.control]
     levels = np.array([flight.noise.get(model.inputs[i].name, (0.0, 0.0))[0] for i in controls])
     motion = np.column_stack([part.u[:, controls], flight.states[part.rows], np.ones(len(part))])[:-1]
@@ -265,14 +247,37 @@ def _loudest(model: Model, part: Segment, flight: FlightData, rates: Sequence[in
     return float(np.max(levels[:, None] * np.abs(by_control) / np.maximum(quiet, TINY)))
 
 
-def _stretches(segment: Segment, states: Array, controls: list[int], criteria: Criteria) -> list[Segment]:
-    """The segment, or the stretches of a long one. states: (samples, nx) of the flight, from which a stretch starts."""
+def _in_stretches(model: Model, data: FlightData, criteria: Criteria) -> list[Segment]:
+    """The segments of a flight, long ones in stretches, each of a length with a quick Fourier transform."""
+    controls = [i for i, s in enumerate(model.inputs) if s.control]
     segments = []
-    for part in stretches(segment, controls, criteria):
-        first = segment.first + part.start
-        x0 = segment.x0 if part.start == 0 else np.where(np.isfinite(states[first]), states[first], segment.x0)
-        segments.append(Segment(first, segment.time[part], segment.u[part], segment.z[part], x0))
+    for segment in data.segments:
+        for part in stretches(segment, controls, criteria):
+            state = data.states[segment.first + part.start]
+            x0 = segment.x0 if part.start == 0 else np.where(np.isfinite(state), state, segment.x0)
+            segments.append(segment.part(part.start, part.start + quick_length(part.stop - part.start), x0))
     return segments
+
+
+def stretches(segment: Segment, controls: list[int], criteria: Criteria) -> list[slice]:
+    """Samples of a segment in stretches of about equal length, cut where the controls rest. controls: their columns in `u`."""
+    count = len(segment)
+    step = float(np.median(np.diff(segment.time)))
+    parts = int(np.ceil((count - 1) * step / criteria.longest_record - ROUNDING))
+    if parts < 2:
+        return [slice(0, count)]
+    window = 2 * max(round(AROUND / step), 1) + 1
+    motion = np.zeros(count)  # ranges of the controls about each sample, over their ranges in all
+    for course in (u for u in segment.u[:, controls].T if np.ptp(u) > 0.0):
+        local = maximum_filter1d(course, window, mode="nearest") - minimum_filter1d(course, window, mode="nearest")
+        motion += np.round(local / np.ptp(course), 2)
+    length = count / parts
+    cuts = [0]
+    for k in range(1, parts):
+        target = round(k * length)
+        candidates = np.arange(max(target - int(NEAR * length), 1), min(target + int(NEAR * length), count - 1) + 1)
+        cuts.append(int(min(candidates, key=lambda i: (motion[i], abs(i - target)))))
+    return [slice(a, b) for a, b in zip(cuts, [*cuts[1:], count], strict=True)]
 
 
 def quick_length(count: int) -> int:
@@ -280,39 +285,8 @@ def quick_length(count: int) -> int:
 
     The Fourier transform of a prime number of samples takes five times as long.
     """
-    for length in range(count, count - int(LOST * count) - 1, -1):
-        factor = length
-        for prime in SMALL_PRIMES:
-            while factor % prime == 0:
-                factor //= prime
-        if factor == 1:
-            return length
-    return count
-
-
-def _raw_steps(
-    signals: Sequence[Signal],
-    flight: Flight,
-    first: int,
-    inputs: dict[str, Array],
-    noise: Mapping[str, float],
-    criteria: Criteria,
-    grids: Mapping[str, Grid],
-) -> tuple[dict[str, NDArray[np.bool_]], dict[str, float]]:
-    """Put the measured values of the controls among `signals` near their steps into `inputs`. Returns for each control (N,)
-    where, and the noise between the steps. grids: of the coarsely rounded controls."""
-    masks, levels = {}, {}
-    for signal in signals:
-        level = noise.get(signal.name, 0.0)
-        if signal.control and level > 0.0 and flight.measured(signal.source):
-            measured = flight.columns[signal.source][first : first + inputs[signal.name].size]
-            interval = flight.sample_interval
-            near = near_edges(measured, grids.get(signal.name), interval)
-            inputs[signal.name], masks[signal.name] = with_raw_steps(
-                inputs[signal.name], near, level, criteria.surface_step, interval
-            )
-            levels[signal.name] = noise_between_steps(measured, masks[signal.name], level)
-    return masks, levels
+    quick = int(prev_fast_len(count))
+    return quick if quick >= count - int(LOST * count) else count
 
 
 def _not_compared(base: Model, flight: Flight, segment: Segment) -> Array:
@@ -320,35 +294,53 @@ def _not_compared(base: Model, flight: Flight, segment: Segment) -> Array:
     values = np.full(segment.z.shape, np.nan)
     for i, signal in enumerate(base.outputs):
         if flight.measured(signal.source):
-            measured = flight.columns[signal.source][segment.first : segment.first + len(segment)]
-            values[:, i] = np.where(np.isnan(segment.z[:, i]), measured, np.nan)
+            values[:, i] = np.where(np.isnan(segment.z[:, i]), flight[signal.source][segment.rows], np.nan)
     return values
 
 
-def _draws(
-    model: Model, data: FlightData, segment: Segment, level: Mapping[str, float]
+def _input_errors(
+    model: Model, flight: Flight, data: FlightData, rows: slice, noise: Mapping[str, float], criteria: Criteria
 ) -> dict[str, NDArray[np.float32]]:
-    """(draws, N) possible errors of each input of a segment, scaled to its noise `level`."""
+    """(draws, N) possible errors of each input after its preparation, scaled to its `noise`; of controls also by their unknown
+    paths across samples that they lack, and by the unknown times of commands."""
     if data.errors is None:
         return {}
-    errors = data.errors[segment.first : segment.first + len(segment)]
-    share = {n: np.float32(level[n] / noise) for n, (noise, _) in data.noise.items() if noise > 0.0}
-    return {s.name: errors[:, i].T * share.get(s.name, np.float32(1.0)) for i, s in enumerate(model.inputs)}
+    errors = {}
+    for i, signal in enumerate(model.inputs):
+        usual = data.noise.get(signal.name, (0.0, 0.0))[0]
+        share = np.float32(noise[signal.name] / usual) if usual > 0.0 else np.float32(1.0)
+        errors[signal.name] = data.errors[rows][:, i].T * share
+        if signal.control and flight.measured(signal.source):
+            course, draws = flight[signal.source][rows], len(errors[signal.name])
+            rng = np.random.default_rng([PATHS, rows.start])
+            paths, interval = unseen_paths(course, draws, rng, criteria), flight.held(signal.source)
+            if interval is not None and np.isfinite(course).all():
+                paths = paths + command_times(course, flight.sample_interval, interval, draws, rng)
+            if paths.any():
+                errors[signal.name] = errors[signal.name] + paths.astype(np.float32)
+    return errors
 
 
-def _with_unseen_paths(
-    model: Model, flight: Flight, segment: Segment, errors: dict[str, NDArray[np.float32]], criteria: Criteria
-) -> dict[str, NDArray[np.float32]]:
-    """The draws of errors, with the unknown paths of controls across samples that they lack and the unknown times of commands."""
-    span = slice(segment.first, segment.first + len(segment))
-    for signal in (s for s in model.inputs if s.control and s.name in errors and flight.measured(s.source)):
-        rng = np.random.default_rng([PATHS, segment.first])
-        course, draws = flight.columns[signal.source][span], len(errors[signal.name])
-        paths, interval = unseen_paths(course, draws, rng, criteria), flight.held(signal.source)
-        if interval is not None and np.isfinite(course).all():
-            paths = paths + command_times(course, flight.sample_interval, interval, draws, rng)
-        if paths.any():
-            errors[signal.name] = errors[signal.name] + paths.astype(np.float32)
+def command_times(control: Array, step: float, interval: float, draws: int, rng: np.random.Generator) -> Array:
+    """(draws, N) possible errors of a command (N,) recorded every `interval` [s], in samples `step` [s] apart: each move began
+    anywhere within one interval, and is early or late by the same time until the next move begins."""
+    change = np.abs(np.diff(control, prepend=control[:1]))
+    begins = np.zeros(control.size, bool)  # a sample before the change grows: its slope belongs to the move
+    begins[1:-1] = (change[2:] > change[1:-1]) & (change[1:-1] <= change[:-2])
+    move = np.cumsum(begins)
+    delay = rng.uniform(-0.5 * interval, 0.5 * interval, (draws, int(move[-1]) + 1))
+    return np.asarray(-delay[:, move] * np.gradient(control, step))
+
+
+def unseen_paths(control: Array, draws: int, rng: np.random.Generator, criteria: Criteria) -> Array:
+    """(draws, N) possible errors of straight lines across unseen moves: the step was anywhere between the samples on either
+    side."""
+    errors = np.zeros((draws, control.size))
+    for a, b in true_runs(unseen_moves(control, criteria)):
+        samples = np.arange(a, b)
+        share = (samples - (a - 1.0)) / (b - (a - 1.0))
+        instant = rng.uniform(a - 1.0, b, (draws, 1))
+        errors[:, a:b] = ((samples > instant) - share) * (control[b] - control[a - 1])
     return errors
 
 

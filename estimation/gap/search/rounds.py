@@ -30,7 +30,7 @@ from estimation.gap.search.select import (
 from estimation.gap.search.sharper import sharper_base
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
 from estimation.gap.shapes.places import ModelMotion, places_of, rank
-from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
+from estimation.gap.significance.calibration import Round, beyond_doubt, inflation_by_hypothesis
 from estimation.gap.significance.omnibus import Remainder
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess
 from estimation.gap.significance.tangent import Tangent
@@ -92,7 +92,7 @@ def _rival(
     screen = build_screen(Tangent(problem, without.fit), hypotheses)
     rounds = (old.round_, last)
     inflation = _latest_known(screen, *(individual_inflation(round_) for round_ in rounds))
-    keys = [h.key for h in hypotheses]
+    keys = [h.key for h in screen.hypotheses]  # without those that cannot be asked
     old_key, old_inflation = old.candidate.hypothesis.key, own_inflation(old.candidate)
     if old_key in keys:
         tied = screen.tied(keys.index(old_key), criteria)
@@ -175,6 +175,18 @@ def _standing(setting: Setting, findings: list[AcceptedEffect]) -> tuple[list[Ac
     return findings, fallen
 
 
+def weighed(round_: Round) -> tuple[Round, Remainder, Choice]:
+    """A round with as many nulls as decide it, what its baseline leaves without a name, and its hypotheses weighed."""
+    rest = Remainder(round_)
+    if not round_.clear and not beyond_doubt(rest.omnibus.score, rest.omnibus.threshold):
+        round_ = round_.with_enough_nulls
+        rest = Remainder(round_)
+    choice = choose(round_)
+    best = max((c.score for c in choice.candidates), default=0.0)
+    surer = round_ if beyond_doubt(best, round_.threshold) else round_.with_enough_nulls
+    return (round_, rest, choice) if surer is round_ else (surer, Remainder(surer), choose(surer))
+
+
 def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
     """Add one effect after the other to `baseline` as long as one is accepted; then test the residuals for anything nameless.
 
@@ -188,19 +200,20 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
     before = set[frozenset[tuple[str, str]]]()  # sets of effects that were in the model
     while True:
         try:
-            round_ = setting.screened(baseline, len(rounds))
+            round_ = setting.first_screened(baseline, len(rounds))
         except GapError as error:  # the last effect is taken back, the earlier ones stand
             if not findings:
                 raise
             label = findings.pop().candidate.hypothesis.label
             rejected.append(Rejected(label, f"the model with it cannot be examined: {error}"))
             break
-        rounds.append(round_)
-        rest = Remainder(round_)
         if len(findings) == setting.options.most or in_circles:
+            rounds.append(round_.with_enough_nulls)
+            rest = Remainder(rounds[-1])
             break
-        setting.tell(f"round {len(rounds)}: full fits", setting.options.progress(len(rounds)))
-        choice = choose(round_)
+        setting.tell(f"round {len(rounds) + 1}: full fits", setting.options.progress(len(rounds) + 1))
+        round_, rest, choice = weighed(round_)
+        rounds.append(round_)
         deeper_base = _better_base(setting, round_, choice) if restarts < DEEPER else None
         if deeper_base is not None:
             baseline, restarts = deeper_base, restarts + 1

@@ -1,7 +1,7 @@
 """What the rounds of the search share (options, setting) and what they result in (findings, remainder)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
@@ -17,7 +17,7 @@ from estimation.gap.search.select import Choice
 from estimation.gap.significance.calibration import Round, screen_round
 from estimation.gap.significance.measure import Floors, floors
 from estimation.gap.significance.nulls import InputErrors
-from estimation.gap.significance.omnibus import Omnibus
+from estimation.gap.significance.omnibus import Omnibus, examine
 from estimation.models.base import Model
 
 ProgressCallback = Callable[[str, float], None]
@@ -65,6 +65,14 @@ class SearchState:
     omnibus: Omnibus
     rejected: tuple[Rejected, ...]
 
+    @property
+    def with_enough_nulls(self) -> "SearchState":
+        """The same with all nulls in its last round, but where these would change nothing."""
+        last = self.rounds[-1].with_enough_nulls
+        return (
+            self if last is self.rounds[-1] else replace(self, rounds=(*self.rounds[:-1], last), omnibus=examine(last))
+        )
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -108,6 +116,10 @@ class Setting:
 
     def screened(self, baseline: Baseline, number: int) -> Round:
         """Round `number`, counted from 0: nulls and screen about a fitted model. Raises GapError where its nulls run away."""
+        return self.first_screened(baseline, number).with_enough_nulls
+
+    def first_screened(self, baseline: Baseline, number: int) -> Round:
+        """The same with the first nulls only, which may not be enough to decide."""
         nulls = self.options.nulls
 
         def tick(done: int) -> None:

@@ -108,6 +108,11 @@ class ShapeSearch:
     rejected: tuple[Rejected, ...]
     follower: LaggedTerm | SwingingTerm | None = None
 
+    @property
+    def found(self) -> bool:
+        """Whether there is a shape, a lag or a swing."""
+        return self.shape is not None or self.follower is not None
+
 
 def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
     """A function of one variable, or a swing. at_length: also a function of two variables, and a lag where no function closes the

@@ -1,7 +1,7 @@
 """A screen of all hypotheses about a fitted baseline, its scores calibrated on simulated nulls: one round of the search."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from estimation.gap.significance.screen import Screen, Signatures, hypotheses_fo
 from estimation.gap.significance.tangent import Tangent
 
 FIRST_NULLS = 50  # flown before it is known whether more are needed: they give a threshold to 5 %
-CLEAR = 2.0  # thresholds: nothing so far above one of the first nulls is below that of all
+CLEAR, QUIET = 2.0, 0.75  # thresholds of the first nulls: what is so far above or below one is so for that of all
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,8 @@ class Round:
 
     gains: (hypotheses,) twice the log-likelihood by linear theory.
     inflation: (hypotheses,) variance of the score on the nulls, at least 1. threshold: family-wise quantile of the
-    largest standardised score on the nulls, with a margin. tangent: linearised records for further tests of the fit.
+    largest standardised score on the nulls, with a margin. tangent: linearised records for further tests of the fit. more:
+    gives the same round with all nulls; None where it has them.
     """
 
     baseline: Baseline
@@ -35,6 +36,7 @@ class Round:
     inflation: Array
     threshold: float
     tangent: Tangent
+    more: "Callable[[], Round] | None" = None
 
     @property
     def criteria(self) -> Criteria:
@@ -51,8 +53,18 @@ class Round:
 
     @property
     def clear(self) -> bool:
-        """Whether the largest score is so far above the threshold that more nulls would change nothing."""
+        """Whether a score by linear theory is so far above the threshold that more nulls would change nothing."""
         return bool(self.standardised().max(initial=0.0) > CLEAR * self.threshold)
+
+    @property
+    def with_enough_nulls(self) -> "Round":
+        """The same round with all nulls, but where a score stands so clearly out that these would change nothing."""
+        return self if self.more is None or self.clear else self.more()
+
+
+def beyond_doubt(score: float, threshold: float) -> bool:
+    """Whether a score is so far from a threshold of the first nulls that all of them would decide the same."""
+    return score > CLEAR * threshold or score < QUIET * threshold
 
 
 def inflation_by_hypothesis(round_: Round) -> dict[tuple[str, str], float]:
@@ -69,13 +81,14 @@ def screen_round(
     seed: int,
     tell: Callable[[int], None] = lambda done: None,
 ) -> Round:
-    """Screen every applicable hypothesis and calibrate the scores on up to `nulls` simulated nulls: on the first of them where
-    something stands clearly out. tell: called with the number of nulls so far. Raises GapError where most of them run away."""
+    """Screen every applicable hypothesis and calibrate the scores on simulated nulls: on the first of up to `nulls`, with `more`
+    of them for when they are needed. tell: called with the number of nulls so far. Raises GapError where most run away."""
     flyer = NullFlyer.build(baseline.problem, baseline.fit, baseline.noise, errors)
     hypotheses = hypotheses_for(baseline.clean, effects, prepared.available)
     signatures = Signatures.of(baseline.problem, baseline.fit, hypotheses)
     source, flown = fly_nulls(flyer, nulls, seed), list[tuple[Array, ...]]()
-    for count in dict.fromkeys((min(FIRST_NULLS, nulls), nulls)):
+
+    def with_nulls(count: int) -> Round:
         while len(flown) < count and (null := next(source, None)) is not None:
             flown.append(null)
             tell(len(flown))
@@ -83,10 +96,12 @@ def screen_round(
             raise GapError(
                 f"only {len(flown)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
             )
-        round_ = _calibrated(baseline, signatures, flown)
-        if len(round_.null_residuals) == count and round_.clear:
-            break
-    return round_
+        return _calibrated(baseline, signatures, flown)
+
+    first = with_nulls(min(FIRST_NULLS, nulls))
+    if len(first.null_residuals) < FIRST_NULLS:  # some ran away, or there are no more
+        return with_nulls(nulls) if nulls > FIRST_NULLS else first
+    return replace(first, more=lambda: with_nulls(nulls)) if nulls > FIRST_NULLS else first
 
 
 def _calibrated(baseline: Baseline, signatures: Signatures, flown: Sequence[tuple[Array, ...]]) -> Round:

@@ -21,7 +21,7 @@ from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes, 
 from estimation.gap.random_streams import KINEMATIC, Stream
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
 from estimation.gap.records.flight_records import prepare_flights
-from estimation.gap.significance.calibration import Round, screen_round
+from estimation.gap.significance.calibration import Round, beyond_doubt, screen_round
 from estimation.gap.significance.nulls import input_errors
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
 from estimation.models.dependence import force_states
@@ -159,8 +159,9 @@ def _checked(
     ]
     try:
         baseline = fit_baseline(working, clean, prepared, scatter)
-        count = min(nulls, MOST_NULLS)
-        return origin_of_error(screen_round(baseline, prepared, instruments, errors, count, seed + KINEMATIC))
+        round_ = screen_round(baseline, prepared, instruments, errors, min(nulls, MOST_NULLS), seed + KINEMATIC)
+        decides = beyond_doubt(float(round_.standardised().max(initial=0.0)), round_.threshold)
+        return origin_of_error(round_ if decides else round_.with_enough_nulls)
     except GapError as error:  # the check is undecided: the search goes on without it
         return KinematicCheck("undecided", "", 0.0, 0.0, str(error))
 

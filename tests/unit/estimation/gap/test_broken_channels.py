@@ -12,13 +12,19 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.answer.words import conclude, describe_not_predicted, describe_step
 from estimation.gap.criteria import AS_SET
-from estimation.gap.decision import held_out
-from estimation.gap.decision.held_out import held_out_step, not_predicted
+from estimation.gap.decision import unnamed
+from estimation.gap.decision.unnamed import held_out_step, not_predicted
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.spectra import rms_measured
-from estimation.gap.pages.first_screen import next_steps
-from estimation.gap.records.broken import broken_in_words, dead_everywhere, unmoved_in_words, without_stuck
-from estimation.gap.records.reconstructed import compared, not_compared
+from estimation.gap.pages.report import next_steps
+from estimation.gap.records.channels import (
+    broken_in_words,
+    compared,
+    dead_everywhere,
+    not_compared,
+    unmoved_in_words,
+    without_stuck,
+)
 from estimation.gap.significance.measure import odd_flights, repeatability
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
@@ -103,8 +109,8 @@ def judged(monkeypatch: pytest.MonkeyPatch, gap: float) -> Any:
     """Of a held-out record with that gap, where nothing hidden leaves up to 2; off in its second output from 5 to 8 s."""
     residuals = np.full((TIME.size, 2), 0.1)
     residuals[(TIME >= 5.0) & (TIME <= 8.0), 1] = 5.0
-    monkeypatch.setattr(held_out, "rms_over_noise", lambda *a: gap)
-    monkeypatch.setattr(held_out, "plain_residuals", lambda *a: residuals)
+    monkeypatch.setattr(unnamed, "rms_over_noise", lambda *a: gap)
+    monkeypatch.setattr(unnamed, "plain_residuals", lambda *a: residuals)
     problem = SimpleNamespace(records=[SimpleNamespace(flight=3, time=TIME)])
     fit = SimpleNamespace(diverged=False, residuals=[residuals])
     model = SimpleNamespace(output_names=("p", "beta"))

@@ -11,9 +11,9 @@ import pytest
 
 from estimation.answers.gaps import untested_effects
 from estimation.engine.simulate import simulate
-from estimation.gap.effects import add_effect, catalogue, load_effects
+from estimation.gap.effects import catalogue, load_effects
 from estimation.gap.effects.base import EffectParameter, Form
-from estimation.gap.effects.missing import missing_derivatives
+from estimation.gap.effects.catalogue import missing_derivatives
 from estimation.gap.errors import EffectError
 from estimation.gap.records.candidate_model import awakened, with_dormant
 from estimation.models.base import Model
@@ -136,7 +136,8 @@ parameters = [{ name = "Cl_r2", unit = "1/rad2", typical = 0.5, lower = -5.0, up
     )
     (mine,) = load_effects(path)
     assert [(f.label, f.equation) for f in mine.forms] == [("odd", ""), ("Cl_r_abs_r", "C_l = ... + k r̂²")]
-    model = add_effect(mine, load_model("lateral", "cdfp"), size=1.0)
+    lateral = load_model("lateral", "cdfp")
+    model = mine.applicable(lateral)[0].added_to(lateral, {"Cl_r_abs_r": 0.5})
     assert model.parameter("Cl_r_abs_r").start == 0.5
     write_model(model, tmp_path / "child.toml")
     assert read_model(tmp_path / "child.toml").definitions == model.definitions

@@ -15,14 +15,13 @@ from estimation.errors import DataError
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.location import spans_of
 from estimation.gap.effects import catalogue
-from estimation.gap.records.doubts import doubts_of, refuse_twice
-from estimation.gap.records.flight_records import prepare_flights
+from estimation.gap.records.channels import doubts_of, refuse_twice
+from estimation.gap.records.flight_records import prepare_flights, unseen_paths
 from estimation.gap.records.sampling import (
     at_own_rates,
     clock_step,
     find_slow_control,
     unseen_moves,
-    unseen_paths,
     with_lost_rows,
     without_unseen_moves,
 )

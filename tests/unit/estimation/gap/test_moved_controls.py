@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import GapResult, GapVerdict
-from estimation.gap.decision.moved_controls import more_beside_moved_controls
+from estimation.gap.decision.conclusion import more_beside_moved_controls
 from estimation.gap.effects import catalogue
 from estimation.models.load import load_model
 from tests.unit.estimation.gap.test_rerun_report import an_answer

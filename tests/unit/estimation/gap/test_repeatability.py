@@ -9,7 +9,7 @@ from estimation.gap.answer.result import GapResult
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.pages.rerun_report import write_gap_recording
-from estimation.gap.records.doubts import sample_notes
+from estimation.gap.records.channels import sample_notes
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight

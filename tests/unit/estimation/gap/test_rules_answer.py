@@ -325,7 +325,7 @@ def test_names_in_place_of_a_shape_are_concluded_from_as_long_as_more_of_them_st
     def state(setting: Any, search: Any) -> Any:
         decision = stub(kept=next(states), doubted=False)
         decided.append(stub(setting=setting, search=search, decision=decision, findings=(), named=(), event=None))
-        vars(decided[-1]).update(model=None, shapes=None)
+        vars(decided[-1]).update(model=None, shapes=concluding.NOT_SEARCHED)
         return decided[-1]
 
     monkeypatch.setattr(concluding, "_decided", state)

@@ -10,8 +10,7 @@ import pytest
 from estimation.gap.answer.result import GapVerdict
 from estimation.gap.answer.shape import LaggedTerm
 from estimation.gap.criteria import AS_SET
-from estimation.gap.decision.decide import Decision
-from estimation.gap.decision.followers import (
+from estimation.gap.decision.beside import (
     SIZE,
     LateRest,
     beside_memory,
@@ -19,6 +18,7 @@ from estimation.gap.decision.followers import (
     significant_beside,
     stands_out,
 )
+from estimation.gap.decision.decide import Decision
 from estimation.gap.effects import catalogue
 from estimation.gap.search.state import Options
 from estimation.gap.workflow import run_gap

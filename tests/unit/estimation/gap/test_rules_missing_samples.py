@@ -16,8 +16,8 @@ from estimation.gap.fit.channel_noise import channel_noise
 from estimation.gap.fit.spectra import NoisePart, NoiseSource, Shapes, as_seen, estimate_noise, whitener
 from estimation.gap.fit.whitener import spectrum_of
 from estimation.gap.records.candidate_model import with_nuisance
-from estimation.gap.records.flight_records import prepare_flights
-from estimation.gap.records.sampling import command_times, flown_apart
+from estimation.gap.records.flight_records import command_times, prepare_flights
+from estimation.gap.records.sampling import flown_apart
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight, Provenance

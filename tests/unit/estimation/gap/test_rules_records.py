@@ -12,7 +12,7 @@ from estimation.engine.simulate import Segment
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import estimated_noise, noise_parts
-from estimation.gap.fit.closed_loop import ClosedLoop
+from estimation.gap.fit.closed_loop import ClosedLoop, only_following, without_hardware_of
 from estimation.gap.fit.problem import LikelihoodProblem
 from estimation.gap.fit.spectra import (
     Linear,
@@ -25,19 +25,17 @@ from estimation.gap.fit.spectra import (
     spectral_matrix,
 )
 from estimation.gap.fit.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
-from estimation.gap.records import attitudes
-from estimation.gap.records.attitudes import with_attitudes_between
+from estimation.gap.records import flight_records, sampling
 from estimation.gap.records.candidate_model import with_nuisance
-from estimation.gap.records.doubts import sample_notes
+from estimation.gap.records.channels import sample_notes
 from estimation.gap.records.flight_records import (
     FlightRecord,
-    are_loud,
+    controls_outdo_gyros,
     prepare_flights,
     stretches,
     with_own_noise,
 )
-from estimation.gap.records.own_motion import only_following, without_hardware_of
-from estimation.gap.records.sampling import at_own_rates
+from estimation.gap.records.sampling import at_own_rates, with_attitudes_between
 from estimation.gap.significance.nulls import NullFlyer
 from estimation.models.base import Parameter, ParameterRole
 from estimation.models.load import load_model
@@ -402,7 +400,7 @@ def test_the_freedom_that_flights_show_counts_with_one_step_as_usual(seen: float
 def test_an_attitude_of_which_half_is_white_is_measured_not_filtered(
     monkeypatch: pytest.MonkeyPatch, white: float, is_filled: bool
 ) -> None:
-    monkeypatch.setattr(attitudes, "white_share", lambda *given: white)
+    monkeypatch.setattr(sampling, "white_share", lambda *given: white)
     time, slow = 0.05 * np.arange(400), np.repeat(np.random.default_rng(5).standard_normal(200), 2)
     flight = Flight.build("f", time, {"p": np.sin(time), "q": time, "r": time, "phi": slow, "theta": slow})
     filled = with_attitudes_between(flight, AS_SET)
@@ -422,6 +420,8 @@ def test_a_control_is_felt_that_moves_by_half_of_its_answers_to_gusts(share: flo
 
 @pytest.mark.parametrize(("ratios", "loud"), [((1.9, 1.9, 7.0), False), ((2.1, 2.1, 0.5), True), ((), False)])
 def test_a_control_is_loud_whose_noise_moves_a_rate_by_twice_that_of_the_gyro(
-    ratios: tuple[float, ...], loud: bool
+    monkeypatch: pytest.MonkeyPatch, ratios: tuple[float, ...], loud: bool
 ) -> None:
-    assert are_loud(ratios, AS_SET) is loud
+    monkeypatch.setattr(flight_records, "_loudest", lambda model, ratio, flight: ratio)
+    flights: Any = [SimpleNamespace(segments=ratios)]
+    assert controls_outdo_gyros(ROLL, flights, AS_SET) is loud

@@ -29,7 +29,7 @@ from estimation.gap.search.sharper import holds_an_effect
 from estimation.gap.search.state import AcceptedEffect, Options
 from estimation.gap.significance.calibration import Round
 from estimation.models.base import Parameter
-from tests.unit.estimation.gap.candidates_by_hand import ROUND, candidate, hypothesis, remainder, stub
+from tests.unit.estimation.gap.candidates_by_hand import ROUND, candidate, hypothesis, remainder, round_by_hand, stub
 from tests.unit.estimation.gap.roll import ROLL
 
 SETTING: Any = stub(options=Options())
@@ -93,11 +93,10 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
 
     elsewhere = replace(rival("valley", 1100.0), fit=stub())  # the model without it fits as well from there
     monkeypatch.setattr(searching, "deeper_fit", lambda base, fit: fit if fit is elsewhere.fit else None)
-    monkeypatch.setattr(searching, "hypotheses_for", lambda *args: asked)
+    monkeypatch.setattr(searching, "hypotheses_for", lambda *args: [hypothesis("runs away", "linear"), *asked])
     monkeypatch.setattr(searching, "Tangent", lambda *args: None)
-    monkeypatch.setattr(
-        searching, "build_screen", lambda *args: stub(hypotheses=asked, tied=lambda *_: [True, False, False, True])
-    )
+    tied = {0: [True, False, False, True]}  # `own` is the first that the screen has, the second that it was given
+    monkeypatch.setattr(searching, "build_screen", lambda *args: stub(hypotheses=asked, tied=lambda h, _: tied[h]))
     monkeypatch.setattr(searching, "linear_gains", lambda *args: np.array([20.0, 1000.0, 30.0, 5.0]))
     monkeypatch.setattr(searching, "linear_guess", lambda *args: {})
     monkeypatch.setattr(
@@ -164,6 +163,43 @@ def test_an_earlier_effect_is_dropped_exchanged_or_stands(
         assert answer[0][-1].choice.beside_rest(30.0)["a"] == pytest.approx(1.0 / (1.0 + np.e))
 
 
+# ------------------------------------------------------------------------------------------------ enough nulls
+@pytest.mark.parametrize(
+    ("clear", "nameless", "best", "nulls", "asked"),
+    [
+        (True, 0.99, 2.5, "first", ["first"]),
+        (False, 0.74, 0.74, "first", ["first"]),
+        (False, 2.01, 0.0, "first", ["first"]),
+        (False, 0.5, 2.01, "first", ["first"]),
+        (False, 0.76, 0.0, "all", ["all"]),
+        (False, 1.99, 0.0, "all", ["all"]),
+        (False, 0.5, 0.76, "all", ["first", "all"]),
+        (False, 0.5, 1.99, "all", ["first", "all"]),
+    ],
+)
+def test_all_nulls_are_asked_where_the_first_leave_a_doubt(
+    monkeypatch: pytest.MonkeyPatch, clear: bool, nameless: float, best: float, nulls: str, asked: list[str]
+) -> None:
+    """Scores in thresholds: of the strongest nameless signal and of the best candidate."""
+    weighed: list[str] = []
+
+    def choose(round_: Any) -> Choice:
+        weighed.append(round_.nulls)
+        return Choice((candidate("a", score=best * 4.0),), {}, ())
+
+    every = round_by_hand(nulls="all")
+    first = stub(threshold=4.0, nulls="first", clear=clear)
+    first.with_enough_nulls = first if clear else every
+    monkeypatch.setattr(searching, "choose", choose)
+    monkeypatch.setattr(
+        searching, "Remainder", lambda r: stub(of=r.nulls, omnibus=stub(score=6.0 * nameless, threshold=6.0))
+    )
+    round_, rest, choice = searching.weighed(first)
+    assert (round_.nulls, rest.of) == (nulls, nulls)
+    assert weighed == asked
+    assert choice.best is not None
+
+
 # ------------------------------------------------------------------------------------------------ rounds
 def test_a_model_that_cannot_be_examined_is_withdrawn_and_what_was_found_before_it_stands(
     monkeypatch: pytest.MonkeyPatch,
@@ -179,13 +215,13 @@ def test_a_model_that_cannot_be_examined_is_withdrawn_and_what_was_found_before_
             raise GapError("barely stable")
         return ROUND
 
-    setting: Any = stub(screened=screened, options=Options(most=4), tell=lambda *given: None, prepared=None)
+    setting: Any = stub(first_screened=screened, options=Options(most=4), tell=lambda *given: None, prepared=None)
     left = run_rounds(setting, stub())
     assert [f.candidate.hypothesis.label for f in left.findings] == ["a"]
     assert [r.effect for r in left.rejected] == ["b"]
     assert "barely stable" in left.rejected[0].why
     assert len(left.rounds) == 2
-    setting.screened = lambda baseline, number: screened(baseline, 2)
+    setting.first_screened = lambda baseline, number: screened(baseline, 2)
     with pytest.raises(GapError):
         run_rounds(setting, stub())
 
@@ -205,7 +241,9 @@ def test_rounds_go_on_until_nothing_is_accepted_or_enough_is(monkeypatch: pytest
         seen.clear()
         answers = iter(found)
         monkeypatch.setattr(searching, "accept", lambda *given: (next(answers), []))
-        setting: Any = stub(screened=screened, options=Options(most=most), tell=lambda *given: None, prepared=None)
+        setting: Any = stub(
+            first_screened=screened, options=Options(most=most), tell=lambda *given: None, prepared=None
+        )
         return run_rounds(setting, stub())
 
     every = run(4)
@@ -226,7 +264,9 @@ def test_effects_are_asked_again_until_all_of_them_stand(monkeypatch: pytest.Mon
     monkeypatch.setattr(searching, "accept", lambda *given: (next(found), []))
     monkeypatch.setattr(searching, "sharper_base", lambda *given: None)
     monkeypatch.setattr(searching, "backward_check", lambda *given: next(revisions))
-    setting: Any = stub(screened=lambda *given: ROUND, options=Options(most=4), tell=lambda *given: None, prepared=None)
+    setting: Any = stub(
+        first_screened=lambda *given: ROUND, options=Options(most=4), tell=lambda *given: None, prepared=None
+    )
     assert [f.candidate.hypothesis.label for f in run_rounds(setting, stub()).findings] == ["c"]
     assert list(revisions) == [None], "one effect alone has none beside it"
 
@@ -244,7 +284,7 @@ def test_effects_that_drop_each_other_in_turn_end_the_rounds(monkeypatch: pytest
         numbers.append(number)
         return ROUND
 
-    setting: Any = stub(screened=screened, options=Options(most=4), tell=lambda *given: None, prepared=None)
+    setting: Any = stub(first_screened=screened, options=Options(most=4), tell=lambda *given: None, prepared=None)
     state = run_rounds(setting, stub())
     assert [f.candidate.hypothesis.label for f in state.findings] == ["a"]
     assert numbers == [0, 1, 2, 3], "the last round examines what is left"
@@ -262,7 +302,7 @@ def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPa
 
     def screened(baseline: Any, number: int) -> Any:
         seen.append((baseline.name, number))
-        return stub(threshold=4.0, baseline=baseline)
+        return round_by_hand(baseline=baseline)
 
     monkeypatch.setattr(searching, "Remainder", remainder)
     monkeypatch.setattr(searching, "choose", choose)
@@ -270,7 +310,9 @@ def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(searching, "fit_baseline", lambda model, clean, prepared, scatter, found, noise: base(found))
     monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
     monkeypatch.setattr(searching, "sharper_base", lambda *given: None)
-    setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)
+    setting: Any = stub(
+        first_screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None
+    )
     state = run_rounds(setting, base("first"))
     assert seen == [("first", 0), ("second", 0), ("third", 0)]
     assert [r.baseline.name for r in state.rounds] == ["third"]
@@ -291,13 +333,15 @@ def test_a_round_is_asked_once_more_with_noise_that_holds_no_effect(monkeypatch:
 
     def screened(baseline: Any, number: int) -> Any:
         seen.append((baseline.name, number))
-        return stub(threshold=4.0, baseline=baseline)
+        return round_by_hand(baseline=baseline)
 
     monkeypatch.setattr(searching, "Remainder", remainder)
     monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
     monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
     monkeypatch.setattr(searching, "sharper_base", lambda *given: sharp)
-    setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)
+    setting: Any = stub(
+        first_screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None
+    )
     state = run_rounds(setting, first)
     assert seen == [("first", 0), ("sharp", 0)]
     assert [r.baseline.name for r in state.rounds] == ["sharp"]

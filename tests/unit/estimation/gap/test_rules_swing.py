@@ -11,13 +11,13 @@ from estimation.gap.answer.result import GapVerdict
 from estimation.gap.answer.shape import SwingingTerm
 from estimation.gap.answer.words import describe_swing
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.beside import DAMPING as DAMPING_NAME
+from estimation.gap.decision.beside import FREQUENCY, as_fitted, hypothesis_of
 from estimation.gap.decision.decide import Decision, as_unknown
-from estimation.gap.decision.followers import DAMPING as DAMPING_NAME
-from estimation.gap.decision.followers import FREQUENCY, as_fitted, swing_of
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import fit_baseline
 from estimation.gap.shapes.lag_swing import DAMPING, SLOWEST, find_swing, frequencies, oscillator, rings
-from estimation.gap.shapes.places import ModelMotion
+from estimation.gap.shapes.places import ModelMotion, Place, rank
 from estimation.gap.shapes.search import alone
 from estimation.gap.significance.calibration import screen_round
 from estimation.gap.workflow import Options, _setting, prepare_flights, run_gap
@@ -71,7 +71,7 @@ def test_what_is_damped_by_more_than_two_fifths_does_not_swing(damping: float, s
 @pytest.mark.parametrize("model", ["longitudinal", "six-dof"])
 def test_a_swing_is_text_that_a_model_can_take(model: str) -> None:
     flown: Any = SimpleNamespace(scale={"Cm": 2e-3}, reach=lambda name: 4.0)
-    hypothesis, start = swing_of(FOUND, flown)
+    hypothesis, start = hypothesis_of(FOUND, flown)
     made = hypothesis.form.added_to(load_model(model, "cdfp"), start)
     assert "nameless_swing" in made.definitions["Cm"]
     assert made.starts()[FREQUENCY] == 9.0
@@ -147,6 +147,12 @@ def test_a_part_of_a_coefficient_changes_the_outputs_as_a_small_step_of_it_does(
     assert np.abs(linear - secant).max() < 0.01 * np.abs(secant).max()
     round_ = screen_round(baseline, setting.prepared, near, setting.errors, 40, 1)
     assert find_swing(flown, round_) is None  # nothing swings in these
+    # with the engine off a thrust multiplies nothing; its columns were no numbers, and no product stood out of such nulls
+    off = replace(flown, courses=tuple({**c, "V": np.zeros_like(c["V"])} for c in flown.courses))
+    products = rank(off, round_, [Place("Cm", "alpha", True, True, by) for by in ("V", "delta_e")])
+    assert [p.by for p in products.places] == ["delta_e"]
+    assert np.isfinite(products.scores).all()
+    assert 0.0 < products.threshold < 10.0
 
 
 def test_fuel_that_swings_is_no_thrust_line() -> None:

@@ -102,7 +102,7 @@ def test_paths_between_samples_are_columns_of_the_same_run(path: str) -> None:
 
 def test_a_control_that_rests_has_no_unknown_edges() -> None:
     bound = problem()
-    assert bound.edges == {}
+    assert list(bound.paths) == ["curvature_delta_a"]
     restless = replace(bound, records=tuple(replace(r, restless=frozenset({"delta_a"})) for r in bound.records))
     assert restless.prior("edge_delta_a") == (0.0, AS_SET.surface_freedom)
     assert restless.limits("edge_delta_a") == (-0.8, 0.8)

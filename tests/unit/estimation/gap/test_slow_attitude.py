@@ -5,7 +5,7 @@ import pytest
 
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
-from estimation.gap.records.attitudes import white_share, with_attitudes_between
+from estimation.gap.records.sampling import white_share, with_attitudes_between
 from groundstation.flight import Flight, Provenance
 from groundstation.flight.arrays import integral
 

@@ -106,8 +106,8 @@ def test_the_first_point_costs_what_any_other_does_and_steps_as_far() -> None:
     first, second = view(), view()
     at = first.packed(tuple(Local(np.full(1, 0.3), local.parameters) for local in bound.starting_locals()))
     with_, without = first.evaluate(at, True), second.evaluate(at, False)
-    assert len(with_.products) == 2
-    assert without.products == ()
+    assert len(with_.grams) == 2
+    assert without.grams == ()
     assert with_.cost == pytest.approx(without.cost, rel=1e-12)
     for a, b in zip(with_.residuals, without.residuals, strict=True):
         np.testing.assert_array_equal(a, b)
@@ -115,7 +115,7 @@ def test_the_first_point_costs_what_any_other_does_and_steps_as_far() -> None:
     for step in steps[1:]:  # the last: a second step from the same point, as after a step that led nowhere
         np.testing.assert_allclose(step.direction, steps[0].direction, rtol=1e-9, atol=1e-12)
         assert step.decrement == pytest.approx(steps[0].decrement)
-    assert first.evaluate(at, True).products == ()
+    assert first.evaluate(at, True).grams == ()
 
 
 def test_what_is_forgiven_is_what_unknowns_of_one_standard_deviation_do() -> None:
