@@ -18,7 +18,7 @@ WIDER = 3.0
 """Bounds of an autopilot alone against those of all sensors, the pitot's calibration in both."""
 SCENARIO = """
 [flight]
-duration_s = 40.0
+duration_s = 60.0
 manoeuvres = "rich"
 seed = 53
 """
