@@ -81,9 +81,8 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     state = _decided(setting, search)
     while True:
         beside = _names_beside_unnamed(state)
-        has_unnamed = state.shapes.found or state.event is not None
-        if has_unnamed and (surer := state.search.with_enough_nulls) is not state.search:
-            state = _decided(setting, surer)
+        if _is_hasty(state):
+            state = _decided(setting, state.search.with_enough_nulls)
             continue
         renewed = None if beside is None else in_its_place(setting, state.search, state.findings, beside)
         further = None if renewed is None else _decided(setting, renewed)
@@ -124,9 +123,14 @@ def _names_beside_unnamed(state: _Conclusion) -> ShapeContinuation | None:
         state.decision, state.findings, state.model, state.shapes, continuation = replaced
         return continuation
     _search_unnamed(state)
-    if state.event is not None:
+    if state.event is not None or _is_hasty(state):
         return None
     return names_beside(setting, search, state.model, state.shapes, state.decision)
+
+
+def _is_hasty(state: _Conclusion) -> bool:
+    """Whether something without a name stands out of the first nulls alone."""
+    return (state.shapes.found or state.event is not None) and not state.search.rounds[-1].has_enough_nulls
 
 
 def _search_unnamed(state: _Conclusion) -> None:

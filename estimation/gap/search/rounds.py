@@ -178,7 +178,7 @@ def _standing(setting: Setting, findings: list[AcceptedEffect]) -> tuple[list[Ac
 def weighed(round_: Round) -> tuple[Round, Remainder, Choice]:
     """A round with as many nulls as decide it, what its baseline leaves without a name, and its hypotheses weighed."""
     rest = Remainder(round_)
-    if not round_.clear and not beyond_doubt(rest.omnibus.score, rest.omnibus.threshold):
+    if not round_.has_enough_nulls and not beyond_doubt(rest.omnibus.score, rest.omnibus.threshold):
         round_ = round_.with_enough_nulls
         rest = Remainder(round_)
     choice = choose(round_)

@@ -67,11 +67,9 @@ class SearchState:
 
     @property
     def with_enough_nulls(self) -> "SearchState":
-        """The same with all nulls in its last round, but where these would change nothing."""
+        """The same with enough nulls in its last round."""
         last = self.rounds[-1].with_enough_nulls
-        return (
-            self if last is self.rounds[-1] else replace(self, rounds=(*self.rounds[:-1], last), omnibus=examine(last))
-        )
+        return replace(self, rounds=(*self.rounds[:-1], last), omnibus=examine(last))
 
 
 @dataclass(frozen=True)

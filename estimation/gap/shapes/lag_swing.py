@@ -41,7 +41,7 @@ def lag_behind(course: Array, time: Array, memory: float) -> Array:
 
 def find_memory(motion: ModelMotion, round_: Round, places: Sequence[Place]) -> LaggedTerm | None:
     """The place and time constant with the largest gain by linear theory; None where it is not above the nulls."""
-    candidates = [(p, t) for p in places if motion.moves(p.variable) and motion.scale[p.line] > 0.0 for t in TIMES]
+    candidates = [(p, t) for p in places if motion.shows(p) for t in TIMES]
 
     def changes(i: int) -> Iterator[Array]:
         courses, time = motion.courses[i], motion.segments[i].time

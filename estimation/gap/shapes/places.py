@@ -161,9 +161,11 @@ class ModelMotion:
         """Largest size of a variable: the unit of a multiplier."""
         return max(float(np.abs(c[variable]).max()) for c in self.courses)
 
-    def multiplies(self, variable: str) -> bool:
-        """Whether a multiplier, if any, is more than nothing on the flights (thrust with the engine off)."""
-        return not variable or self.reach(variable) > 0.0
+    def shows(self, place: Place) -> bool:
+        """Whether a place can be seen on the flights: its variable varies, its coefficient does, and a multiplier is more than
+        nothing (thrust with the engine off)."""
+        has_multiplier = not place.by or self.reach(place.by) > 0.0
+        return self.moves(place.variable) and self.scale[place.line] > 0.0 and has_multiplier
 
     def changes(self, index: int, parts: Sequence[tuple[str, Array]]) -> Iterator[Array]:
         """(N, ny) changes of the outputs of a record by each of `parts`, a coefficient and the course (2N - 1,) added to it, by
@@ -216,7 +218,7 @@ class Ranked(Generic[Candidate]):
 def rank(motion: ModelMotion, round_: Round, places: Sequence[Place]) -> Ranked[Place]:
     """Score every place on the residuals of a round's baseline and on its nulls."""
     problem, criteria = motion.problem, round_.criteria
-    usable = [p for p in places if motion.moves(p.variable) and motion.scale[p.line] > 0.0 and motion.multiplies(p.by)]
+    usable = [p for p in places if motion.shows(p)]
     spans: list[range] = []
     parts: list[list[tuple[str, Array]]] = [[] for _ in problem.records]
     weights: list[Array] = []

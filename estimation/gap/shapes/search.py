@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from estimation.gap.answer.result import Gap, Rejected
-from estimation.gap.answer.shape import LaggedTerm, SwingingTerm
+from estimation.gap.answer.shape import Follower, SwingingTerm
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline
@@ -106,7 +106,7 @@ class ShapeSearch:
 
     shape: CoefficientShape | None
     rejected: tuple[Rejected, ...]
-    follower: LaggedTerm | SwingingTerm | None = None
+    follower: Follower | None = None
 
     @property
     def found(self) -> bool:

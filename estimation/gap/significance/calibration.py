@@ -57,9 +57,14 @@ class Round:
         return bool(self.standardised().max(initial=0.0) > CLEAR * self.threshold)
 
     @property
+    def has_enough_nulls(self) -> bool:
+        """Whether it has all nulls, or a score that stands so clearly out that these would change nothing."""
+        return self.more is None or self.clear
+
+    @property
     def with_enough_nulls(self) -> "Round":
-        """The same round with all nulls, but where a score stands so clearly out that these would change nothing."""
-        return self if self.more is None or self.clear else self.more()
+        """The same round with all nulls where it has not enough."""
+        return self.more() if self.more is not None and not self.has_enough_nulls else self
 
 
 def beyond_doubt(score: float, threshold: float) -> bool:
@@ -98,10 +103,11 @@ def screen_round(
             )
         return _calibrated(baseline, signatures, flown)
 
-    first = with_nulls(min(FIRST_NULLS, nulls))
-    if len(first.null_residuals) < FIRST_NULLS:  # some ran away, or there are no more
-        return with_nulls(nulls) if nulls > FIRST_NULLS else first
-    return replace(first, more=lambda: with_nulls(nulls)) if nulls > FIRST_NULLS else first
+    if nulls <= FIRST_NULLS:
+        return with_nulls(nulls)
+    first = with_nulls(FIRST_NULLS)
+    some_ran_away = len(first.null_residuals) < FIRST_NULLS
+    return with_nulls(nulls) if some_ran_away else replace(first, more=lambda: with_nulls(nulls))
 
 
 def _calibrated(baseline: Baseline, signatures: Signatures, flown: Sequence[tuple[Array, ...]]) -> Round:

@@ -36,9 +36,10 @@ def craft_and_file(**file: float) -> tuple[Aeroplane, Aircraft]:
 
 def flown(situation: Situation, flights: int = 1) -> tuple[list[Flight], Aircraft, Mapping[str, float]]:
     craft, aircraft = craft_and_file()
-    if (situation.name, flights) not in FLOWN:
-        FLOWN[situation.name, flights] = fly(craft, situation, np.random.default_rng(SEED + 2), flights)
-    return list(FLOWN[situation.name, flights]), aircraft, craft.derivatives
+    asked = repr((situation, flights))
+    if asked not in FLOWN:
+        FLOWN[asked] = fly(craft, situation, np.random.default_rng(SEED + 2), flights)
+    return list(FLOWN[asked]), aircraft, craft.derivatives
 
 
 def estimated(
@@ -48,8 +49,8 @@ def estimated(
     return runner.estimate(load_model(model, aircraft), flights, aircraft, ("ml",), joint=joint, structure=wish)
 
 
-FLOWN: dict[tuple[str, int], list[Flight]] = {}
-"""Flights by the name of their situation and their number, each flown once for all tests."""
+FLOWN: dict[str, list[Flight]] = {}
+"""Flights by their situation and number, each flown once for all tests."""
 
 YAWING = Situation("adverse yaw", hidden={"Cn_da": 0.014})
 

@@ -62,7 +62,7 @@ def screen(hypotheses: Sequence[Hypothesis], gram: Array | None = None, flights:
 
 def round_by_hand(**known: Any) -> Any:
     """A round that its nulls decide."""
-    made = stub(threshold=4.0, clear=True, **known)
+    made = stub(threshold=4.0, has_enough_nulls=True, **known)
     made.with_enough_nulls = made
     return made
 

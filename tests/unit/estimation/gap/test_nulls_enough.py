@@ -58,11 +58,11 @@ def test_the_first_nulls_suffice_where_something_stands_clearly_out() -> None:
 
 def test_a_nameless_shape_or_event_is_asked_again_with_all_nulls(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first nulls had let no name come near its threshold; they have not shown that a shape is none either."""
-    every: Any = stub(nulls="all")
-    first: Any = stub(nulls="first", with_enough_nulls=every)
-    every.with_enough_nulls = every
+    every: Any = stub(nulls="all", has_enough_nulls=True)
+    first: Any = stub(nulls="first", has_enough_nulls=False, with_enough_nulls=every)
+    left: Any = "rest of first"
     monkeypatch.setattr(searched, "examine", lambda round_: f"rest of {round_.nulls}")
-    search = SearchState((), (first,), "rest", ())  # type: ignore[arg-type]
+    search = SearchState((), (first,), left, ())
     asked: list[str] = []
 
     def unnamed(state: Any) -> None:
@@ -71,8 +71,8 @@ def test_a_nameless_shape_or_event_is_asked_again_with_all_nulls(monkeypatch: py
 
     def decided(setting: Any, search: SearchState) -> Any:
         decision = stub(doubted=False, kept=0)
-        return stub(setting=setting, search=search, decision=decision, event=None, shapes=NOT_SEARCHED, findings=(),
-                    named=(), model=None)  # fmt: skip
+        empty = {"event": None, "shapes": NOT_SEARCHED, "findings": (), "named": (), "model": None}
+        return stub(setting=setting, search=search, decision=decision, **empty)
 
     monkeypatch.setattr(concluding, "_decided", decided)
     monkeypatch.setattr(concluding, "without_doubted", lambda *given: None)

@@ -188,7 +188,7 @@ def test_all_nulls_are_asked_where_the_first_leave_a_doubt(
         return Choice((candidate("a", score=best * 4.0),), {}, ())
 
     every = round_by_hand(nulls="all")
-    first = stub(threshold=4.0, nulls="first", clear=clear)
+    first = stub(threshold=4.0, nulls="first", has_enough_nulls=clear)
     first.with_enough_nulls = first if clear else every
     monkeypatch.setattr(searching, "choose", choose)
     monkeypatch.setattr(
