@@ -17,6 +17,7 @@ from estimation.gap.significance.calibration import Round, significant_above
 from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import responses
 from estimation.models.base import Model, ParameterRole, Signal
+from estimation.models.dependence import names_reached
 from estimation.models.expressions import names_in, products_in
 
 INCREMENT = "increment_{}"
@@ -104,6 +105,16 @@ def _place(model: Model, line: str, variable: str, by: str = "") -> Place:
     if by:
         return Place(line, variable, True, by not in linear_names, by)
     return Place(line, variable, variable not in linear_names, not has_constant)
+
+
+def without_circles(model: Model, places: Sequence[Place]) -> list[Place]:
+    """The places whose variables do not depend on the coefficient that they change: lift by the rate of the angle of attack, which
+    lift itself drives, is no function that a model can have."""
+
+    def is_circle(place: Place) -> bool:
+        return place.line in names_reached(model, [n for n in (place.variable, place.by) if n])
+
+    return [p for p in places if not is_circle(p)]
 
 
 @dataclass(frozen=True)

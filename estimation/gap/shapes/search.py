@@ -24,7 +24,7 @@ from estimation.gap.shapes.increment import (
     refitted_with,
 )
 from estimation.gap.shapes.lag_swing import find_memory, find_swing
-from estimation.gap.shapes.places import ModelMotion, Place, Ranked, places_of, products_of, rank
+from estimation.gap.shapes.places import ModelMotion, Place, Ranked, places_of, products_of, rank, without_circles
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measure import Floors, gaps
 from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
@@ -119,8 +119,9 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
     gap."""
     baseline = round_.baseline
     motion = ModelMotion.of(baseline.problem, baseline.fit)
-    singles = places_of(task.prepared.base)
-    ranking = rank(motion, round_, singles)
+    base = task.prepared.base
+    singles = places_of(base)
+    ranking = rank(motion, round_, without_circles(base, singles))
     swing = find_swing(motion, round_)
     minimum = swing.gain if swing is not None else 0.0
     shape, rejected = _best(round_, task, motion, ranking, minimum)
@@ -131,7 +132,7 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
         return ShapeSearch(None, tuple(rejected), swing if stands_alone else None)
     if ranking.order:
         line = ranking.places[ranking.order[0]].line
-        products = [p for p in products_of(task.prepared.base) if p.line == line]
+        products = without_circles(base, [p for p in products_of(base) if p.line == line])
         shape, rejected_products = _best(round_, task, motion, rank(motion, round_, products), minimum)
         rejected += rejected_products
     memory = find_memory(motion, round_, singles) if shape is None else None
