@@ -8,7 +8,7 @@ until nothing is significant. `estimation.gap.search` defines these words.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimation.errors import DataError, EstimationError
+from estimation.errors import DataError, EstimationError, GapError
 from estimation.estimators.output_error import output_error
 from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.answer.words import unconfirmed_in_words
@@ -17,7 +17,6 @@ from estimation.gap.decision.lineage import late_commands, turned_signs
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.catalogue import missing_derivatives
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline, stretch_that_holds
 from estimation.gap.fit.channel_noise import (
     bank_error,

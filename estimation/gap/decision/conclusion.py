@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimation.errors import GapError
 from estimation.gap.answer.result import EffectStep, Gap, GapResult, GapVerdict, Histories, Rejected
 from estimation.gap.answer.shape import Follower, Happened, HeldInstrument, NotPredicted
 from estimation.gap.answer.words import conclude, describe_not_predicted, describe_step, rest_of_inputs
@@ -33,7 +34,6 @@ from estimation.gap.decision.steps import (
     unknown_step,
 )
 from estimation.gap.effects.base import Effect
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.channel_noise import sample_interval, time_bound
 from estimation.gap.search.accept import estimates_of

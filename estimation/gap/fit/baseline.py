@@ -14,9 +14,9 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
+from estimation.errors import GapError
 from estimation.estimators.equation_error import start_values
 from estimation.gap.criteria import Criteria
-from estimation.gap.errors import GapError
 from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes
 from estimation.gap.fit.fitting import ENOUGH, cost_at, fit
 from estimation.gap.fit.growing import FOLDS, GROWS, SHORTEST, fastest_growth, growth, linear_motions

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimation.errors import GapError
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Group
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_from
 from estimation.gap.fit.closed_loop import ClosedLoop
 from estimation.gap.fit.problem import ModelFit

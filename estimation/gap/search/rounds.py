@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, deeper_fit, fit_baseline
 from estimation.gap.fit.channel_noise import sample_interval
 from estimation.gap.search.accept import accept, confirmed, own_inflation

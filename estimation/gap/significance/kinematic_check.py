@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from daq.utilities.constants import GRAVITY
+from estimation.errors import GapError
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Group
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import fit_baseline
 from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes, sample_interval
 from estimation.gap.random_streams import KINEMATIC, Stream

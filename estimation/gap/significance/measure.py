@@ -9,10 +9,10 @@ import numpy as np
 from scipy.special import ndtri
 
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.estimators.normal_equations import eliminated, solved
 from estimation.gap.answer.result import Gap
 from estimation.gap.criteria import Criteria
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import local_prior
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit

@@ -9,10 +9,10 @@ import pytest
 from scipy.linalg import block_diag
 
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.gap import workflow
 from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.criteria import AS_SET
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline, stretch_that_holds
 from estimation.gap.fit.channel_noise import channel_noise, sample_interval
 from estimation.gap.fit.growing import BoundedMotion, BoundedResponse, fastest_growth, growth

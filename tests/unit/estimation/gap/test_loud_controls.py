@@ -5,8 +5,8 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from estimation.errors import GapError
 from estimation.gap.criteria import AS_SET
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import fit_baseline
 from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.significance import calibration

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimation.errors import GapError
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import AS_SET
-from estimation.gap.errors import GapError
 from estimation.gap.search import rounds as searching
 from estimation.gap.search import sharper
 from estimation.gap.search.confirm import FittedHypothesis
