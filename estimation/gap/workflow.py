@@ -27,7 +27,6 @@ from estimation.gap.fit.channel_noise import (
 )
 from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of, only_following, without_hardware_of, words_on
 from estimation.gap.fit.spikes import Spikes, spikes_about, spikes_in_words, without_spikes
-from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import (
     levels,
     rare_commands,
@@ -70,7 +69,7 @@ from estimation.gap.search.free_base import (
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AS_USUAL, Options, ProgressCallback, SearchState, Setting
 from estimation.gap.significance.kinematic_check import kinematic_check
-from estimation.gap.significance.nulls import input_errors, with_errors
+from estimation.gap.significance.nulls import Stream, input_errors, with_errors
 from estimation.models.base import Model
 from estimation.models.dependence import force_states
 from groundstation.flight import Flight

@@ -16,10 +16,9 @@ from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import NoiseModel
-from estimation.gap.random_streams import Stream
 from estimation.gap.shapes.places import ModelMotion, Place, spread_of
 from estimation.gap.shapes.spline import KEPT, Range, curve_lines, lines, polynomial
-from estimation.gap.significance.nulls import InputErrors, NullFlyer
+from estimation.gap.significance.nulls import InputErrors, NullFlyer, Stream
 from estimation.gap.significance.tangent import RecordTangent
 from estimation.models.base import Model, Parameter
 

@@ -16,9 +16,8 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import local_prior
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
-from estimation.gap.random_streams import Stream
 from estimation.gap.significance.calibration import Round, significant_above
-from estimation.gap.significance.nulls import InputErrors, NullFlyer
+from estimation.gap.significance.nulls import InputErrors, NullFlyer, Stream
 from estimation.gap.significance.tangent import Tangent
 
 PAIR = 2  # flights: which of them is the odd one cannot be known
