@@ -56,7 +56,7 @@ from estimation.gap.records.sampling import (
     without_unseen_moves,
 )
 from estimation.gap.search.accept import is_strong
-from estimation.gap.search.free_base import (
+from estimation.gap.search.bases import (
     answers_an_effect,
     derivatives_off,
     far_off,
