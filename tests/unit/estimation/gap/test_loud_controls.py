@@ -12,7 +12,7 @@ from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.significance import calibration
 from estimation.gap.significance.calibration import Round, screen_round
 from estimation.gap.significance.measured_again import MeasuredAgain
-from estimation.gap.significance.nameless_terms import (
+from estimation.gap.significance.omnibus import (
     OmnibusSignal,
     beyond_control_noise,
     nameless_terms,

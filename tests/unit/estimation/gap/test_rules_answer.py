@@ -24,8 +24,7 @@ from estimation.gap.search import accept as accepting
 from estimation.gap.search.accept import confirmed as confirm
 from estimation.gap.search.state import AcceptedEffect, Options, SearchState
 from estimation.gap.significance.measure import Repeatability, odd_flights
-from estimation.gap.significance.nameless_terms import OmnibusSignal
-from estimation.gap.significance.omnibus import Omnibus
+from estimation.gap.significance.omnibus import Omnibus, OmnibusSignal
 from estimation.models.load import load_model
 
 EFFECTS = {e.name: e for e in catalogue()}
