@@ -17,7 +17,7 @@ from estimation.gap.effects.base import Effect, Form
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
-from estimation.gap.shapes.formulas import Plain
+from estimation.gap.shapes.increment import Plain
 from estimation.gap.shapes.places import Place
 from estimation.gap.shapes.search import CoefficientShape, SearchTask, ShapeSearch, find_shape
 from estimation.gap.significance.calibration import Round
