@@ -12,8 +12,7 @@ scatter twice too far. An attitude that is the output of a filter adds two parts
 attitude integrates, and the slow wandering of the attitude alone.
 
 The free strengths are estimated by maximum likelihood in the frequency domain (Whittle 1953); nothing is assumed about the
-sensors or the weather. The motion is linearised about steady flight: lateral motion about zero, longitudinal motion about the
-trimmed speed, angles and load factor.
+sensors or the weather.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -24,48 +23,20 @@ from types import MappingProxyType
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.catalogue import REFERENCE
+from estimation.gap.fit.linear_motion import Linear
 from estimation.gap.fit.whitener import Complex, Whitener
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.models.base import Model
 from estimation.models.dependence import force_states
 
-STEADY = frozenset({"V", "alpha", "theta", "u", "w", "ax", "az"})
-"""Quantities that have a value in straight and level flight; all others are zero there."""
 ITERATIONS = 60  # multiplicative steps: strengths of recorded flights settle to some 1 % in them
 FOLLOWING = 20  # steps from an earlier estimate
 LOWEST = 0.25  # of 1 / length of the record: in place of zero frequency, where an integrating response is infinite
 BEGIN = 0.3  # of the measurement noise: power with which every part starts
 SPAN = REFERENCE["b"]  # m, span for which `twist_memory` is stated
 FLOOR = 1e-7  # of the power of the measurement noise: the least that a part keeps, as a strength of zero could never grow again
-DIFFERENCE = 1e-4  # rad, rad/s, m/s, step of central differences: rounding 1e-12 of the motion, curvature as little
-SMALLEST_SCALE = 1e-9  # of an output that never leaves its steady value, so that one can divide by it
-
-
-def steady_state(model: Model, segment: Segment) -> Array:
-    """(nx,) state about which a record moves: medians of the measured outputs, zero for states that are zero in level flight.
-
-    A state that is no output (a lag of a vane or of the flow) takes the value of the signal from which it starts.
-    """
-    levels = {n: level for n, level in zip(model.output_names, steady_outputs(model, segment), strict=True) if level}
-    state = np.zeros(len(model.states))
-    for i, signal in enumerate(model.states):
-        first = float(segment.x0[i]) if signal.name in STEADY else 0.0
-        shown = [levels[n] for n in (signal.name, signal.column, signal.start) if isinstance(n, str) and n in levels]
-        state[i] = shown[0] if shown else first
-    return state
-
-
-def steady_outputs(model: Model, segment: Segment) -> Array:
-    """(ny,) values of the outputs about which a record moves: medians, or zero for what is zero in level flight."""
-    levels = np.zeros(len(model.outputs))
-    for i, signal in enumerate(model.outputs):
-        measured = segment.z[np.isfinite(segment.z[:, i]), i]
-        if signal.name in STEADY and measured.size:
-            levels[i] = np.median(measured)
-    return levels
 
 
 class NoiseSource(Enum):
@@ -113,67 +84,6 @@ class Shapes:
     count: int
     step: float
     louder: Array | None = None
-
-
-@dataclass(frozen=True)
-class Linear:
-    """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u, with u over `inputs`.
-
-    dt: sample interval [s]; scale: (ny,) rms of the measured outputs about their steady values, infinite where not measured."""
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    inputs: tuple[str, ...]
-    dt: float
-    scale: Array
-
-
-def linear_motion(
-    model: Model,
-    simulator: Simulator,
-    segment: Segment,
-    values: Mapping[str, float],
-    inputs: Sequence[str] | None = None,
-) -> Linear:
-    """Linearise a model at the mean inputs of a record and small motion about its steady state. inputs: by default its
-    controls."""
-    p = simulator.vector(values)
-    nx = len(model.states)
-    u0 = segment.u.mean(axis=0)
-    if inputs is None:
-        inputs = [s.name for s in model.inputs if s.control]
-    points_x = steady_state(model, segment) + np.concatenate(
-        [np.zeros((1, nx)), DIFFERENCE * np.eye(nx), -DIFFERENCE * np.eye(nx), np.zeros((2 * len(inputs), nx))]
-    )
-    points_u = np.repeat(u0[None], points_x.shape[0], axis=0)
-    for j, i in enumerate(model.input_names.index(n) for n in inputs):
-        points_u[1 + 2 * nx + 2 * j, i] += DIFFERENCE
-        points_u[2 + 2 * nx + 2 * j, i] -= DIFFERENCE
-    f, _, y, _ = simulator.kernel.evaluate(points_x, points_u, p)
-    first = 1 + 2 * nx  # point of the first input
-
-    def by_inputs(values: Array) -> Array:
-        return np.asarray((values[first::2] - values[first + 1 :: 2]).T / (2 * DIFFERENCE))
-
-    return Linear(
-        A=(f[1 : 1 + nx] - f[1 + nx : first]).T / (2 * DIFFERENCE),
-        B=by_inputs(f),
-        C=(y[1 : 1 + nx] - y[1 + nx : first]).T / (2 * DIFFERENCE),
-        D=by_inputs(y),
-        inputs=tuple(inputs),
-        dt=float(np.median(np.diff(segment.time))),
-        scale=np.maximum(rms_measured(segment.z - steady_outputs(model, segment)), SMALLEST_SCALE),
-    )
-
-
-def rms_measured(values: Array) -> Array:
-    """(ny,) rms over the finite values of each column of (N, ny); infinite for a column without any, so that nothing stands out
-    of it."""
-    finite = np.isfinite(values)
-    counts, squares = finite.sum(axis=0), np.sum(np.where(finite, values, 0.0) ** 2, axis=0)
-    return np.sqrt(np.divide(squares, counts, out=np.full(counts.shape, np.inf), where=counts > 0))
 
 
 def shapes_of(

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes
-from estimation.gap.fit.growing import linear_motions
+from estimation.gap.fit.linear_motion import linear_motions
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.fit.surface_steps import find_surface_steps

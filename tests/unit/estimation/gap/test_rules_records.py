@@ -13,9 +13,9 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import estimated_noise, noise_parts
 from estimation.gap.fit.closed_loop import ClosedLoop, only_following, without_hardware_of
+from estimation.gap.fit.linear_motion import Linear
 from estimation.gap.fit.problem import LikelihoodProblem
 from estimation.gap.fit.spectra import (
-    Linear,
     NoiseModel,
     NoisePart,
     NoiseSource,
