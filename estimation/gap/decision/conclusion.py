@@ -35,7 +35,7 @@ from estimation.gap.decision.steps import (
 )
 from estimation.gap.effects.base import Effect
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.channel_noise import sample_interval, time_bound
+from estimation.gap.fit.noise import sample_interval, time_bound
 from estimation.gap.search.accept import estimates_of
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.shapes.search import ShapeSearch

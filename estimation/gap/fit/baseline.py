@@ -17,20 +17,21 @@ from estimation.engine.simulate import Simulator
 from estimation.errors import GapError
 from estimation.estimators.equation_error import start_values
 from estimation.gap.criteria import Criteria
-from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes
 from estimation.gap.fit.fitting import ENOUGH, cost_at, fit
 from estimation.gap.fit.linear_motion import GROWS, fastest_growth, growth, linear_motion, linear_motions
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, integration_steps
-from estimation.gap.fit.spectra import (
+from estimation.gap.fit.noise import (
     NoiseModel,
     NoisePart,
     NoiseSource,
     Shapes,
     as_seen,
+    channel_noise,
     estimate_noise,
+    filtered_attitudes,
     shapes_of,
     whitener,
 )
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, integration_steps
 from estimation.gap.fit.surface_steps import (
     SurfaceSteps,
     displaced,

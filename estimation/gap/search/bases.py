@@ -25,8 +25,8 @@ from estimation.gap.effects.base import Group
 from estimation.gap.fit.baseline import Baseline, fit_from
 from estimation.gap.fit.closed_loop import ClosedLoop
 from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.noise import NoiseModel
 from estimation.gap.fit.problem import ModelFit
-from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.search.select import NOISE_CANDIDATES, Choice
 from estimation.gap.search.state import Setting

@@ -16,8 +16,8 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Form
-from estimation.gap.fit.channel_noise import sample_interval
 from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.noise import sample_interval
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, changes_by
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.records.flight_records import FlightRecord

@@ -15,8 +15,8 @@ from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.noise import NoiseModel
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
-from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.shapes.places import ModelMotion, Place, spread_of
 from estimation.gap.shapes.spline import KEPT, Range, curve_lines, lines, polynomial
 from estimation.gap.significance.nulls import InputErrors, NullFlyer, Stream

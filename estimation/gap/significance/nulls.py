@@ -18,8 +18,8 @@ from scipy.special import ndtr
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.fit.linear_motion import BoundedMotion, linear_motion
+from estimation.gap.fit.noise import ON_FORCES, NoiseModel, NoisePart, NoiseSource
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
-from estimation.gap.fit.spectra import ON_FORCES, NoiseModel, NoisePart, NoiseSource
 from estimation.gap.fit.spikes import beside_neighbours, stepping_samples
 from estimation.gap.fit.surface_steps import find_surface_steps
 from estimation.gap.records.candidate_model import DISTURBANCE, RATE_OF

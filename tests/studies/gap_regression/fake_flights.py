@@ -12,7 +12,7 @@ import numpy as np
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import Baseline, fit_baseline
-from estimation.gap.fit.channel_noise import bank_error, channel_noise, filtered_attitudes
+from estimation.gap.fit.noise import bank_error, channel_noise, filtered_attitudes
 from estimation.gap.fit.problem import Local
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights

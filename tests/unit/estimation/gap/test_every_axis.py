@@ -11,8 +11,8 @@ from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.answer.result import GapVerdict
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import Effect, catalogue
-from estimation.gap.fit.channel_noise import pitch_error
 from estimation.gap.fit.linear_motion import linear_motion, steady_outputs, steady_state
+from estimation.gap.fit.noise import pitch_error
 from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.flight_records import FlightRecord, prepare_flights
 from estimation.gap.search.select import material

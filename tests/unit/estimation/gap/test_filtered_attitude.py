@@ -8,9 +8,18 @@ import pytest
 from estimation.engine.kernel import Array
 from estimation.engine.transforms import apply_transforms
 from estimation.gap.criteria import AS_SET
-from estimation.gap.fit.channel_noise import bank_error, filtered_attitudes, slow_error
 from estimation.gap.fit.linear_motion import Linear
-from estimation.gap.fit.spectra import NoiseModel, NoisePart, NoiseSource, estimate_noise, shapes_of, whitener
+from estimation.gap.fit.noise import (
+    NoiseModel,
+    NoisePart,
+    NoiseSource,
+    bank_error,
+    estimate_noise,
+    filtered_attitudes,
+    shapes_of,
+    slow_error,
+    whitener,
+)
 from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.significance.nulls import NullFlyer

@@ -6,7 +6,7 @@ import pytest
 from estimation.gap.answer.result import Gap
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.fit.spectra import (
+from estimation.gap.fit.noise import (
     NoiseModel,
     NoisePart,
     NoiseSource,
