@@ -19,7 +19,7 @@ from estimation.gap.effects.base import Effect
 from estimation.gap.effects.catalogue import missing_derivatives
 from estimation.gap.fit.baseline import Baseline, fit_baseline, stretch_that_holds
 from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of, only_following, without_hardware_of, words_on
-from estimation.gap.fit.noise import bank_error, channel_noise, filtered_attitudes, pitch_error, sample_interval
+from estimation.gap.fit.noise import bank_error, channel_noise, filtered_attitudes, pitch_error
 from estimation.gap.fit.spikes import Spikes, spikes_about, spikes_in_words, without_spikes
 from estimation.gap.records.candidate_model import (
     levels,
@@ -41,7 +41,7 @@ from estimation.gap.records.channels import (
     unmoved_in_words,
     without_stuck,
 )
-from estimation.gap.records.flight_records import FlightRecords, prepare_flights
+from estimation.gap.records.flight_records import FlightRecords, prepare_flights, sample_interval
 from estimation.gap.records.sampling import (
     at_own_rates,
     flown_apart,

@@ -16,7 +16,6 @@ The free strengths are estimated by maximum likelihood in the frequency domain (
 sensors or the weather.
 """
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -160,17 +159,6 @@ def _measured(record: FlightRecord, outputs: Sequence[str], name: str) -> Array:
         return record.inputs.get(name, zeros)
     output = record.z[:, outputs.index(name)]
     return output if np.isfinite(output).any() else zeros
-
-
-def sample_interval(records: Sequence[FlightRecord]) -> float:
-    """Median over the records of their sample interval [s]."""
-    return float(np.median([r.interval for r in records]))
-
-
-def time_bound(std: float, interval: float, criteria: Criteria) -> float:
-    """Standard deviation [s] of a time of which a fit gives the bound `std` [s], with the uncertainty that samples at `interval`
-    [s] add."""
-    return math.hypot(std, criteria.timing_share * interval)
 
 
 # ---- of the residuals

@@ -15,7 +15,7 @@ from estimation.errors import GapError
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline, deeper_fit, fit_baseline
-from estimation.gap.fit.noise import sample_interval
+from estimation.gap.records.flight_records import sample_interval
 from estimation.gap.search.accept import accept, confirmed, own_inflation
 from estimation.gap.search.bases import sharper_base
 from estimation.gap.search.confirm import FittedHypothesis, assess, fit_hypothesis

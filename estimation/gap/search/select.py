@@ -17,10 +17,9 @@ from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Form
 from estimation.gap.fit.fitting import fit
-from estimation.gap.fit.noise import sample_interval
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, changes_by
 from estimation.gap.records.candidate_model import awakened
-from estimation.gap.records.flight_records import FlightRecord
+from estimation.gap.records.flight_records import FlightRecord, sample_interval
 from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, fit_from_afar, fit_hypothesis
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import Hypothesis, Projected, Screen, gram_of, linear_guess

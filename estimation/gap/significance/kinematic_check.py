@@ -17,9 +17,9 @@ from estimation.errors import GapError
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Group
 from estimation.gap.fit.baseline import fit_baseline
-from estimation.gap.fit.noise import channel_noise, filtered_attitudes, sample_interval
+from estimation.gap.fit.noise import channel_noise, filtered_attitudes
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
-from estimation.gap.records.flight_records import prepare_flights
+from estimation.gap.records.flight_records import prepare_flights, sample_interval
 from estimation.gap.significance.calibration import Round, beyond_doubt, screen_round
 from estimation.gap.significance.nulls import KINEMATIC, Stream, input_errors
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
