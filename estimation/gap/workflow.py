@@ -13,7 +13,6 @@ from estimation.estimators.output_error import output_error
 from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.answer.words import unconfirmed_in_words
 from estimation.gap.decision.conclusion import concluded
-from estimation.gap.decision.lineage import late_commands, turned_signs
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.catalogue import missing_derivatives
@@ -62,7 +61,7 @@ from estimation.gap.search.bases import (
 )
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AS_USUAL, Options, ProgressCallback, SearchState, Setting
-from estimation.gap.significance.kinematic_check import kinematic_check
+from estimation.gap.significance.instruments import kinematic_check, late_commands, turned_signs
 from estimation.gap.significance.nulls import Stream, input_errors, with_errors
 from estimation.models.base import Model
 from estimation.models.dependence import force_states

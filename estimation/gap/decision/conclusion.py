@@ -41,7 +41,7 @@ from estimation.gap.search.accept import estimates_of
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.shapes.search import ShapeSearch
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.kinematic_check import KinematicCheck
+from estimation.gap.significance.instruments import KinematicCheck
 from estimation.gap.significance.measure import Floors, odd_flights, repeatability, rms_over_noise
 from estimation.gap.significance.omnibus import Omnibus, examine
 

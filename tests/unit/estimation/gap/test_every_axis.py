@@ -16,7 +16,7 @@ from estimation.gap.fit.noise import pitch_error
 from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.flight_records import FlightRecord, prepare_flights
 from estimation.gap.search.select import material
-from estimation.gap.significance.kinematic_check import KinematicCheck, clearest, kinematic_check, pitch_kinematic_model
+from estimation.gap.significance.instruments import KinematicCheck, clearest, kinematic_check, pitch_kinematic_model
 from estimation.gap.significance.nulls import input_errors, spectrum, with_errors
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Signal

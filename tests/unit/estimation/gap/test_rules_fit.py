@@ -20,7 +20,7 @@ from estimation.gap.significance.calibration import (
     significant_above,
     unknown_above,
 )
-from estimation.gap.significance.kinematic_check import kinematic_model, origin_of_error
+from estimation.gap.significance.instruments import kinematic_model, origin_of_error
 from estimation.gap.significance.measure import Floors, usual_and_limit
 from estimation.gap.significance.nulls import heavy_tails
 from estimation.gap.significance.omnibus import (
