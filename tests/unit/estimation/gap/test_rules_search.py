@@ -11,9 +11,10 @@ import pytest
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.steps import misfit_of
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
+from estimation.gap.fit.problem import freed_by
 from estimation.gap.search import confirm
 from estimation.gap.search import select as selecting
-from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, freed_by, impossible, price
+from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, impossible, price
 from estimation.gap.search.select import (
     Choice,
     credible_set,
