@@ -23,3 +23,11 @@ class ModelError(EstimationError):
 
 class DataError(EstimationError):
     """A flight that cannot feed the chosen model."""
+
+
+class GapError(EstimationError):
+    """The gap workflow cannot run on these flights and this model."""
+
+
+class EffectError(EstimationError):
+    """A candidate effect that cannot be used."""

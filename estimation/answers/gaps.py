@@ -53,9 +53,9 @@ def gap(
         answer = ss.gap("lateral", ["f0.mcap", "f1.mcap"], holdout=["f2.mcap"])
         print(answer.verdict, answer.effects)
     """
+    from estimation.errors import GapError
     from estimation.gap.decision.conclusion import more_beside_moved_controls
     from estimation.gap.effects import catalogue, load_effects
-    from estimation.gap.errors import GapError
     from estimation.gap.workflow import Options, run_gap
     from estimation.prepare.measured_cg import at_stated_cg
     from estimation.prepare.measured_mass import at_mean_mass

@@ -154,7 +154,7 @@ class Criteria:
         "by hand: simulations that are refitted first have derivatives wrong by up to 10 %; a quarter is an effect")
     noise_held: float = criterion(100.0, "2 log likelihood",
         "where a hypothesis with its own noise makes the flights likelier by more, the search is repeated with that noise",
-        "between nothing hidden and effects that the noise had absorbed; see estimation.gap.search.sharper")
+        "between nothing hidden and effects that the noise had absorbed; see estimation.gap.search.bases")
 
     # ---- which hypotheses are fitted, and their weights
     in_sight: float = criterion(0.15, "best gain", "a hypothesis with a smaller gain by linear theory gets no full fit")

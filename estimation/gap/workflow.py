@@ -8,27 +8,18 @@ until nothing is significant. `estimation.gap.search` defines these words.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimation.errors import DataError, EstimationError
+from estimation.errors import DataError, EstimationError, GapError
 from estimation.estimators.output_error import output_error
 from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.answer.words import unconfirmed_in_words
 from estimation.gap.decision.conclusion import concluded
-from estimation.gap.decision.lineage import late_commands, turned_signs
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.catalogue import missing_derivatives
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline, stretch_that_holds
-from estimation.gap.fit.channel_noise import (
-    bank_error,
-    channel_noise,
-    filtered_attitudes,
-    pitch_error,
-    sample_interval,
-)
 from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of, only_following, without_hardware_of, words_on
+from estimation.gap.fit.noise import bank_error, channel_noise, filtered_attitudes, pitch_error
 from estimation.gap.fit.spikes import Spikes, spikes_about, spikes_in_words, without_spikes
-from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import (
     levels,
     rare_commands,
@@ -49,7 +40,7 @@ from estimation.gap.records.channels import (
     unmoved_in_words,
     without_stuck,
 )
-from estimation.gap.records.flight_records import FlightRecords, prepare_flights
+from estimation.gap.records.flight_records import FlightRecords, prepare_flights, sample_interval
 from estimation.gap.records.sampling import (
     at_own_rates,
     flown_apart,
@@ -58,7 +49,7 @@ from estimation.gap.records.sampling import (
     without_unseen_moves,
 )
 from estimation.gap.search.accept import is_strong
-from estimation.gap.search.free_base import (
+from estimation.gap.search.bases import (
     answers_an_effect,
     derivatives_off,
     far_off,
@@ -70,8 +61,8 @@ from estimation.gap.search.free_base import (
 )
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AS_USUAL, Options, ProgressCallback, SearchState, Setting
-from estimation.gap.significance.kinematic_check import kinematic_check
-from estimation.gap.significance.nulls import input_errors, with_errors
+from estimation.gap.significance.instruments import kinematic_check, late_commands, turned_signs
+from estimation.gap.significance.nulls import Stream, input_errors, with_errors
 from estimation.models.base import Model
 from estimation.models.dependence import force_states
 from groundstation.flight import Flight

@@ -15,8 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from estimation.errors import GapError
 from estimation.gap.effects import catalogue
-from estimation.gap.errors import GapError
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Model
 from estimation.models.load import load_model

@@ -14,13 +14,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from estimation.errors import GapError
 from estimation.gap.answer.result import EffectStep, GapVerdict, Rejected
 from estimation.gap.answer.shape import Follower, LaggedTerm, SwingingTerm
 from estimation.gap.criteria import Criteria
 from estimation.gap.decision.decide import Decision, as_unknown
 from estimation.gap.decision.unnamed import search_shape, standing_round
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.search.accept import own_inflation

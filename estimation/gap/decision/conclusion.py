@@ -1,10 +1,12 @@
 """From the state of the search to the answer: facts, decision, steps, models before and after, histories for pictures."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimation.errors import GapError
 from estimation.gap.answer.result import EffectStep, Gap, GapResult, GapVerdict, Histories, Rejected
 from estimation.gap.answer.shape import Follower, Happened, HeldInstrument, NotPredicted
 from estimation.gap.answer.words import conclude, describe_not_predicted, describe_step, rest_of_inputs
@@ -33,14 +35,13 @@ from estimation.gap.decision.steps import (
     unknown_step,
 )
 from estimation.gap.effects.base import Effect
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.channel_noise import sample_interval, time_bound
+from estimation.gap.records.flight_records import sample_interval
 from estimation.gap.search.accept import estimates_of
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.shapes.search import ShapeSearch
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.kinematic_check import KinematicCheck
+from estimation.gap.significance.instruments import KinematicCheck
 from estimation.gap.significance.measure import Floors, odd_flights, repeatability, rms_over_noise
 from estimation.gap.significance.omnibus import Omnibus, examine
 
@@ -272,12 +273,9 @@ def with_final_estimates(step: EffectStep, finding: AcceptedEffect, after: Basel
     """A step with the size of its effect in the final model: effects that were still missing had biased the first one. The bound
     of a time includes the uncertainty from sampling."""
     estimates = estimates_of(finding.round_, finding.candidate, after)
-    interval, criteria = sample_interval(after.problem.records), after.criteria
-    times = {
-        n: (v, time_bound(std, interval, criteria)) for n, (v, std) in estimates.items() if step.units.get(n) == "s"
-    }
-    sampling_bound = time_bound(0.0, interval, criteria) if times else 0.0
-    return replace(step, estimates={**estimates, **times}, sampling_bound=sampling_bound)
+    sampling_bound = after.criteria.timing_share * sample_interval(after.problem.records)
+    times = {n: (v, math.hypot(std, sampling_bound)) for n, (v, std) in estimates.items() if step.units.get(n) == "s"}
+    return replace(step, estimates={**estimates, **times}, sampling_bound=sampling_bound if times else 0.0)
 
 
 def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:

@@ -1,5 +1,4 @@
-"""Models before and after as files with their lineage: the effects added to a parent, the flights and the evidence; and columns
-of the wrong sign, unit or time that show in the fit of the first model."""
+"""Models before and after, and as files with their lineage: the effects added to a parent, the flights and the evidence."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -7,24 +6,13 @@ from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import numpy as np
-
 from daq.utilities.outputs import write_json
-from estimation.estimators.normal_equations import pseudo_inverse
-from estimation.estimators.result import Estimate
 from estimation.gap.answer.result import GapResult
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.records.candidate_model import GYROS, TIMING, TOGETHER, rare_commands, timing_of
 from estimation.gap.search.state import AcceptedEffect
 from estimation.gap.shapes.search import CoefficientShape
 from estimation.models.base import Model
 from estimation.models.load import write_model
-from estimation.session.sanity_checks import (
-    controls_of_another_unit,
-    turned_controls,
-    turned_outputs,
-    turned_side_force,
-)
 from groundstation.flight import Flight
 
 
@@ -96,42 +84,3 @@ def _software() -> str:
         return f"sideslip {version('sideslip')}"
     except PackageNotFoundError:
         return "sideslip (not installed)"
-
-
-def turned_signs(baseline: Baseline) -> list[str]:
-    """One sentence for each column that contradicts the base model or its reference values in sign or unit."""
-    problem, fit = baseline.problem, baseline.fit
-    base, bounds = problem.base, fit.std()
-    pairs = [(record.z, record.z - e) for record, e in zip(problem.coarse, fit.residuals, strict=True)]
-    estimates = {
-        n: Estimate(n, fit.values[n], bounds[n], bounds[n], reference=base.parameter(n).reference)
-        for n in base.starts()
-        if n in bounds
-    }
-    return [
-        *turned_outputs(base, pairs),
-        *turned_side_force(base, estimates),
-        *turned_controls(base, estimates),
-        *controls_of_another_unit(base, estimates),
-    ]
-
-
-def late_commands(flights: Sequence[Flight], baseline: Baseline) -> str:
-    """A sentence on controls recorded as commands no more often than the motion: how long before their record they moved, as the
-    gyros show it; empty without such controls."""
-    fit, intervals = baseline.fit, rare_commands(baseline.clean, flights)
-    signals = [s for s in baseline.clean.inputs if s.name in intervals]
-    if not signals:
-        return ""
-    back = [float(np.mean([f.dated_back(s.source) for f in flights])) for s in signals]
-    shifts = [timing_of(s.name, fit.values) for s in signals]
-    weight = {TOGETHER: -1.0, GYROS: 1.0} | {f"{TIMING}{s.name}": -1.0 / len(signals) for s in signals}
-    share = np.array([weight.get(n, 0.0) for n in fit.free])
-    before = np.mean(back) - np.mean(shifts) + fit.values.get(GYROS, 0.0)
-    bound = np.sqrt(max(share @ pseudo_inverse(fit.hessian)[0] @ share, 0.0))
-    are, they = ("are commands", "they") if len(signals) > 1 else ("is a command", "it")
-    return (
-        f"{' and '.join(s.name for s in signals)} {are} that the log has every {1e3 * max(intervals.values()):.0f} ms, recorded "
-        f"{1e3 * before:.0f} +- {1e3 * bound:.0f} ms after {they} moved by what the gyros show, each move by another time "
-        "within that interval: counted."
-    )

@@ -19,16 +19,9 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Form
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.linear_motion import linear_motion
+from estimation.gap.fit.noise import NoiseModel, NoisePart, NoiseSource, as_seen, shapes_of, spectral_matrix
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
-from estimation.gap.fit.spectra import (
-    NoiseModel,
-    NoisePart,
-    NoiseSource,
-    as_seen,
-    linear_motion,
-    shapes_of,
-    spectral_matrix,
-)
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.significance.measure import plain_residuals
 from estimation.models.dependence import force_states

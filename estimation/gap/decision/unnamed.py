@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Rejected, Where
 from estimation.gap.answer.shape import Alike, EventReport, Happened, HeldInstrument, NotPredicted, ShapeCurve
 from estimation.gap.criteria import Criteria
@@ -13,11 +14,10 @@ from estimation.gap.decision.decide import Decision
 from estimation.gap.decision.location import SPANS, channels_that_gain, locate, spans_of
 from estimation.gap.decision.steps import UNKNOWN, nameless_step
 from estimation.gap.effects.base import Effect, Form
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
-from estimation.gap.shapes.formulas import Plain
+from estimation.gap.shapes.increment import Plain
 from estimation.gap.shapes.places import Place
 from estimation.gap.shapes.search import CoefficientShape, SearchTask, ShapeSearch, find_shape
 from estimation.gap.significance.calibration import Round

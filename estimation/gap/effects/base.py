@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from estimation.gap.errors import EffectError
+from estimation.errors import EffectError
 from estimation.models.base import InputTransform, Model, Parameter, Signal
 from estimation.models.dependence import names_reached
 from estimation.models.expressions import names_in

@@ -15,9 +15,8 @@ from typing import Any
 
 from daq.utilities.input_files import read_toml
 from daq.utilities.plain_words import did_you_mean
-from estimation.errors import ModelError
+from estimation.errors import EffectError, ModelError
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
-from estimation.gap.errors import EffectError
 from estimation.models.base import InputTransform, Model, Signal
 from estimation.models.expressions import parse
 from estimation.own_code import mistake_text

@@ -14,24 +14,24 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
+from estimation.errors import GapError
 from estimation.estimators.equation_error import start_values
 from estimation.gap.criteria import Criteria
-from estimation.gap.errors import GapError
-from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes
 from estimation.gap.fit.fitting import ENOUGH, cost_at, fit
-from estimation.gap.fit.growing import FOLDS, GROWS, SHORTEST, fastest_growth, growth, linear_motions
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, integration_steps
-from estimation.gap.fit.spectra import (
+from estimation.gap.fit.linear_motion import GROWS, fastest_growth, growth, linear_motion, linear_motions
+from estimation.gap.fit.noise import (
     NoiseModel,
     NoisePart,
     NoiseSource,
     Shapes,
     as_seen,
+    channel_noise,
     estimate_noise,
-    linear_motion,
+    filtered_attitudes,
     shapes_of,
     whitener,
 )
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, integration_steps
 from estimation.gap.fit.surface_steps import (
     SurfaceSteps,
     displaced,
@@ -52,6 +52,8 @@ PASSES = 3  # of noise and parameters in turn; a third changes both by less than
 SPARE_PASSES = 3  # more of them where the fit has not converged
 ROUGH = 0.5  # of the log-likelihood: accuracy of a fit whose noise is not yet known
 STEP_TURNS = 2  # of stationary noise and freedom of the surfaces in turn
+FOLDS = 3.0  # by which power of e the motion may grow in a stretch: 20 times the noise of its beginning
+SHORTEST = 4.0  # s, of a stretch
 CALMER = 0.5  # times the growth: so much slower another fit has to grow to be preferred
 AS_GOOD = 3.0  # of the log-likelihood: which of two fits so close is better is chance
 ALIKE = 0.005  # of the cost: what a change of the noise in the third digit makes where the base lacks an effect

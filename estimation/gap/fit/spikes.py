@@ -12,10 +12,9 @@ from scipy.special import ndtri
 
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes
-from estimation.gap.fit.growing import linear_motions
+from estimation.gap.fit.linear_motion import linear_motions
+from estimation.gap.fit.noise import NoiseModel, channel_noise, filtered_attitudes
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
-from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.fit.surface_steps import find_surface_steps
 from estimation.gap.records.sampling import smallest_step
 from estimation.prepare.plausible import MOST_WILD

@@ -29,7 +29,8 @@ from scipy.ndimage import correlate1d
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
-from estimation.gap.fit.spectra import Linear, NoiseSource, Shapes
+from estimation.gap.fit.linear_motion import Linear
+from estimation.gap.fit.noise import NoiseSource, Shapes
 from estimation.gap.fit.whitener import Slack, Whitener, spectrum_of
 from estimation.gap.records.sampling import smallest_step
 from estimation.models.base import Model

@@ -1,6 +1,6 @@
 """The whitener: the operator S(f)^(-1/2) of one record, with the unknowns that it marginalises over (its slack).
 
-Multiplying by S(f)^(-1/2) makes residuals white and keeps them aligned in time and channel. `spectra` has S(f).
+Multiplying by S(f)^(-1/2) makes residuals white and keeps them aligned in time and channel. `noise` has S(f).
 """
 
 from collections.abc import Sequence

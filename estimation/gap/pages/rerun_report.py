@@ -13,8 +13,8 @@ import numpy as np
 from daq.utilities.durable import make_directories
 from daq.utilities.packages import installed
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.gap.answer.result import GapResult, Histories
-from estimation.gap.errors import GapError
 from estimation.report.names import face
 from groundstation.flight.writing import rerun_file
 

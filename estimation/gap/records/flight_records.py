@@ -96,6 +96,11 @@ class FlightRecord:
         return Segment(self.first, self.time, np.ascontiguousarray(u), self.z, x0)
 
 
+def sample_interval(records: Sequence[FlightRecord]) -> float:
+    """Median over the records of their sample interval [s]."""
+    return float(np.median([r.interval for r in records]))
+
+
 def starting_state(model: Model, known: Mapping[str, float]) -> Array:
     """(nx,) initial state of `model` from `known` states; the others start as their signal says, which may be at another
     state."""

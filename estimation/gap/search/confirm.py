@@ -13,8 +13,8 @@ import numpy as np
 from estimation.gap.effects.base import EffectParameter, Form
 from estimation.gap.fit.baseline import ROUGH, first_values
 from estimation.gap.fit.fitting import cost_at, fit
+from estimation.gap.fit.noise import NoiseModel
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, freed_by
-from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.significance.screen import Hypothesis, equivalent_z, one_sided
 from estimation.models.base import Model

@@ -11,12 +11,13 @@ from functools import partial
 import numpy as np
 
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, deeper_fit, fit_baseline
-from estimation.gap.fit.channel_noise import sample_interval
+from estimation.gap.records.flight_records import sample_interval
 from estimation.gap.search.accept import accept, confirmed, own_inflation
+from estimation.gap.search.bases import sharper_base
 from estimation.gap.search.confirm import FittedHypothesis, assess, fit_hypothesis
 from estimation.gap.search.select import (
     Choice,
@@ -27,7 +28,6 @@ from estimation.gap.search.select import (
     material,
     within_reach,
 )
-from estimation.gap.search.sharper import sharper_base
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
 from estimation.gap.shapes.places import ModelMotion, places_of, rank
 from estimation.gap.significance.calibration import Round, beyond_doubt, inflation_by_hypothesis

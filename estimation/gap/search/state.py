@@ -9,14 +9,13 @@ from estimation.gap.criteria import AS_SET, Criteria
 from estimation.gap.effects.base import Effect
 from estimation.gap.fit.baseline import Baseline, fit_afresh, fit_baseline
 from estimation.gap.fit.closed_loop import ClosedLoop
-from estimation.gap.random_streams import ROUND
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.select import Choice
 from estimation.gap.significance.calibration import Round, screen_round
 from estimation.gap.significance.measure import Floors, floors
-from estimation.gap.significance.nulls import InputErrors
+from estimation.gap.significance.nulls import ROUND, InputErrors
 from estimation.gap.significance.omnibus import Omnibus, examine
 from estimation.models.base import Model
 

@@ -4,22 +4,23 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from estimation.errors import GapError
 from estimation.gap.answer.result import Gap, Rejected
 from estimation.gap.answer.shape import Follower, SwingingTerm
 from estimation.gap.criteria import Criteria
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline
 from estimation.gap.records.flight_records import FlightRecords
-from estimation.gap.shapes.formulas import Plain, plain_formulas
 from estimation.gap.shapes.increment import (
     FittedIncrement,
     HoldoutPrediction,
     Increment,
+    Plain,
     closed,
     fit_increment,
     floor_energy,
     holdout_energy,
     holdout_predictions,
+    plain_formulas,
     predicts_every_flight,
     refitted_with,
 )

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.significance.nulls import InputErrors, NullFlyer, fly_nulls

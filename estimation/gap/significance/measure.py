@@ -9,16 +9,15 @@ import numpy as np
 from scipy.special import ndtri
 
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.estimators.normal_equations import eliminated, solved
 from estimation.gap.answer.result import Gap
 from estimation.gap.criteria import Criteria
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import local_prior
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
-from estimation.gap.random_streams import Stream
 from estimation.gap.significance.calibration import Round, significant_above
-from estimation.gap.significance.nulls import InputErrors, NullFlyer
+from estimation.gap.significance.nulls import InputErrors, NullFlyer, Stream
 from estimation.gap.significance.tangent import Tangent
 
 PAIR = 2  # flights: which of them is the odd one cannot be known

@@ -22,9 +22,8 @@ from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, freed_by
-from estimation.gap.random_streams import Stream
 from estimation.gap.records.flight_records import FlightRecord
-from estimation.gap.significance.nulls import InputErrors, NullFlyer
+from estimation.gap.significance.nulls import InputErrors, NullFlyer, Stream
 from estimation.models.base import Model
 from estimation.signals.controls import with_raw_steps
 from estimation.signals.denoise import denoise_many, wiener
@@ -33,7 +32,6 @@ from estimation.signals.rounding import near_edges, without_stairs
 NOT_ITS_OWN = "gains nearly as much without it, where controls are measured again"  # why a candidate is rejected
 RAN_AWAY = 3.0  # energies of the flights: with more the base did not follow its own flight, whose motion grows
 NOTHING = 1e-12  # smallest score
-FEWEST = 4  # simulated sets, for the scatter of a score
 REPEATS = 16  # simulated sets: their mean gain is known to a quarter of its scatter, some 4 of a gain of 40
 
 

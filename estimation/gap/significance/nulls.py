@@ -1,12 +1,15 @@
-"""Nulls: simulated flights of the fitted baseline with nothing hidden.
+"""Nulls: simulated flights of the fitted baseline with nothing hidden; and the random numbers of a run, in named streams.
 
 Each null flies the fitted model through the recorded inputs with process noise of the strength found in these flights,
 adds sensor noise to the outputs, treats the inputs as de-noised noisy measurements of the true ones, and is analysed by
 the same linear algebra as the flights. Thresholds, floors and inflation factors come from nulls; none is assumed.
+
+From the seed of a run there is one stream for every purpose, the same in any process.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +17,11 @@ from scipy.special import ndtr
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
-from estimation.gap.fit.growing import BoundedMotion
+from estimation.gap.fit.linear_motion import BoundedMotion, linear_motion
+from estimation.gap.fit.noise import ON_FORCES, NoiseModel, NoisePart, NoiseSource
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
-from estimation.gap.fit.spectra import ON_FORCES, NoiseModel, NoisePart, NoiseSource, linear_motion
 from estimation.gap.fit.spikes import beside_neighbours, stepping_samples
 from estimation.gap.fit.surface_steps import find_surface_steps
-from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import DISTURBANCE, RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.models.base import Model
@@ -28,6 +30,23 @@ from estimation.signals.first_order import decaying_sum
 KURTOSIS = 3.0  # of Gaussian noise
 FEWEST = 300  # samples away from steps that show the tails of a channel's noise
 SMOOTHED = 0.25  # of a frequency, to either side: the spectrum of errors falls slowly
+ROUND = 1000  # added to the seed for every round: more than any offset used within a round
+KINEMATIC = 31  # added to the seed of the run for the nulls of the kinematic check
+
+
+class Stream(IntEnum):
+    """What is drawn. The values are distinct large primes, so that no two streams start alike."""
+
+    NULLS = 7919
+    INPUT_ERRORS = 104729
+    HELD_OUT_NULLS = 32452843
+    KINEMATIC_INPUT_ERRORS = 49979687
+    CLOSURE_NULLS = 86028121
+    MEASURED_AGAIN = 122949823
+
+    def generator(self, seed: int, *which: int) -> np.random.Generator:
+        """The generator of one draw of this stream. which: indices of the draw, such as record and number."""
+        return np.random.default_rng([seed, int(self), *which])
 
 
 @dataclass(frozen=True)

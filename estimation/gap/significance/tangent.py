@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.estimators.normal_equations import pseudo_inverse
-from estimation.gap.errors import GapError
 from estimation.gap.fit.fitting import local_prior
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.whitener import White

@@ -12,12 +12,12 @@ import numpy as np
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import Baseline, fit_baseline
-from estimation.gap.fit.channel_noise import bank_error, channel_noise, filtered_attitudes
+from estimation.gap.fit.noise import bank_error, channel_noise, filtered_attitudes
 from estimation.gap.fit.problem import Local
-from estimation.gap.fit.spectra import force_states
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
+from estimation.models.dependence import force_states
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies.gap_regression.equations import CONSTANTS, COURSES, with_airspeed_rate

@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 
 from daq.utilities import limits
-from estimation.errors import ModelError
+from estimation.errors import EffectError, ModelError
 from estimation.gap.effects.catalogue import load_effects
-from estimation.gap.errors import EffectError
 from estimation.models.load import read_model
 
 HEAD = """states = [{ name = "x", unit = "1" }]

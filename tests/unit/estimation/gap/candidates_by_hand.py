@@ -11,8 +11,7 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.nameless_terms import OmnibusSignal
-from estimation.gap.significance.omnibus import Omnibus, Remainder
+from estimation.gap.significance.omnibus import Omnibus, OmnibusSignal, Remainder
 from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Screen
 from estimation.models.base import InputTransform, Model, Parameter
 from estimation.models.base import Signal as Variable

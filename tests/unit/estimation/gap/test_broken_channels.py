@@ -15,7 +15,7 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.decision import unnamed
 from estimation.gap.decision.unnamed import held_out_step, not_predicted
 from estimation.gap.effects import catalogue
-from estimation.gap.fit.spectra import rms_measured
+from estimation.gap.fit.linear_motion import rms_measured
 from estimation.gap.pages.report import next_steps
 from estimation.gap.records.channels import (
     broken_in_words,

@@ -11,7 +11,7 @@ from estimation.gap import workflow
 from estimation.gap.fit.baseline import Baseline, fit_baseline
 from estimation.gap.fit.closed_loop import ClosedLoop, feedback_of
 from estimation.gap.records.flight_records import prepare_flights
-from estimation.gap.search.free_base import answers_an_effect
+from estimation.gap.search.bases import answers_an_effect
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.select import Choice
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting

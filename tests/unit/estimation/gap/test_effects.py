@@ -11,10 +11,10 @@ import pytest
 
 from estimation.answers.gaps import untested_effects
 from estimation.engine.simulate import simulate
+from estimation.errors import EffectError
 from estimation.gap.effects import catalogue, load_effects
 from estimation.gap.effects.base import EffectParameter, Form
 from estimation.gap.effects.catalogue import missing_derivatives
-from estimation.gap.errors import EffectError
 from estimation.gap.records.candidate_model import awakened, with_dormant
 from estimation.models.base import Model
 from estimation.models.expressions import evaluate

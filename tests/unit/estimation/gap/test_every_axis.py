@@ -11,15 +11,16 @@ from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.answer.result import GapVerdict
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import Effect, catalogue
-from estimation.gap.fit.channel_noise import pitch_error
-from estimation.gap.fit.spectra import force_states, linear_motion, steady_outputs, steady_state
+from estimation.gap.fit.linear_motion import linear_motion, steady_outputs, steady_state
+from estimation.gap.fit.noise import pitch_error
 from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.flight_records import FlightRecord, prepare_flights
 from estimation.gap.search.select import material
-from estimation.gap.significance.kinematic_check import KinematicCheck, clearest, kinematic_check, pitch_kinematic_model
+from estimation.gap.significance.instruments import KinematicCheck, clearest, kinematic_check, pitch_kinematic_model
 from estimation.gap.significance.nulls import input_errors, spectrum, with_errors
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Signal
+from estimation.models.dependence import force_states
 from estimation.models.load import load_model
 from estimation.signals.controls import near_steps, step_reach, with_raw_steps
 from estimation.signals.denoise import noise_level

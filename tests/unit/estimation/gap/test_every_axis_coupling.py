@@ -6,14 +6,14 @@ import pytest
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import Baseline, fit_afresh, fit_baseline
-from estimation.gap.fit.channel_noise import channel_noise, sample_interval
-from estimation.gap.fit.spectra import force_states
+from estimation.gap.fit.noise import channel_noise
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
-from estimation.gap.records.flight_records import FlightRecords, prepare_flights
+from estimation.gap.records.flight_records import FlightRecords, prepare_flights, sample_interval
 from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.significance.nulls import InputErrors, NullFlyer, input_errors
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess
 from estimation.gap.significance.tangent import Tangent
+from estimation.models.dependence import force_states
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies import second_truth as truth

@@ -8,14 +8,16 @@ import pytest
 from estimation.engine.kernel import Array
 from estimation.engine.transforms import apply_transforms
 from estimation.gap.criteria import AS_SET
-from estimation.gap.fit.channel_noise import bank_error, filtered_attitudes, slow_error
-from estimation.gap.fit.spectra import (
-    Linear,
+from estimation.gap.fit.linear_motion import Linear
+from estimation.gap.fit.noise import (
     NoiseModel,
     NoisePart,
     NoiseSource,
+    bank_error,
     estimate_noise,
+    filtered_attitudes,
     shapes_of,
+    slow_error,
     whitener,
 )
 from estimation.gap.records.candidate_model import with_nuisance

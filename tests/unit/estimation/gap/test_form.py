@@ -12,8 +12,7 @@ from estimation.gap.answer.result import GapVerdict
 from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.effects import catalogue
 from estimation.gap.pages.report import write_gap_report
-from estimation.gap.shapes.formulas import regressed
-from estimation.gap.shapes.increment import Increment
+from estimation.gap.shapes.increment import Increment, regressed
 from estimation.gap.shapes.lag_swing import lag_behind
 from estimation.gap.shapes.places import Place, coefficient_lines, places_of, products_of, variables_of
 from estimation.gap.shapes.spline import KEPT, Range, basis, curve_lines, lines, polynomial

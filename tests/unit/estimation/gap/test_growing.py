@@ -9,16 +9,15 @@ import pytest
 from scipy.linalg import block_diag
 
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.gap import workflow
 from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.criteria import AS_SET
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline, stretch_that_holds
-from estimation.gap.fit.channel_noise import channel_noise, sample_interval
-from estimation.gap.fit.growing import BoundedMotion, BoundedResponse, fastest_growth, growth
-from estimation.gap.fit.spectra import Linear
+from estimation.gap.fit.linear_motion import BoundedMotion, BoundedResponse, Linear, fastest_growth, growth
+from estimation.gap.fit.noise import channel_noise
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
-from estimation.gap.records.flight_records import FlightRecords, prepare_flights
+from estimation.gap.records.flight_records import FlightRecords, prepare_flights, sample_interval
 from estimation.gap.significance.calibration import screen_round
 from estimation.gap.significance.nulls import input_errors
 from estimation.models.base import Model, Parameter

@@ -6,9 +6,9 @@ import pytest
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import Baseline, fit_baseline
-from estimation.gap.fit.channel_noise import channel_noise, sample_interval
+from estimation.gap.fit.noise import channel_noise
 from estimation.gap.records.candidate_model import with_dormant, with_nuisance
-from estimation.gap.records.flight_records import prepare_flights
+from estimation.gap.records.flight_records import prepare_flights, sample_interval
 from estimation.gap.search import accept as accepting
 from estimation.gap.search.confirm import fit_from_afar, fit_hypothesis, strayed
 from estimation.gap.significance import measured_again

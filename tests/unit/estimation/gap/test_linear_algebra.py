@@ -6,7 +6,7 @@ import pytest
 from estimation.gap.answer.result import Gap
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.fit.spectra import (
+from estimation.gap.fit.noise import (
     NoiseModel,
     NoisePart,
     NoiseSource,
@@ -16,8 +16,7 @@ from estimation.gap.fit.spectra import (
     whitener,
 )
 from estimation.gap.fit.whitener import Slack, Whitener, spectrum_of
-from estimation.gap.search.promise import leading
-from estimation.gap.search.select import credible_set
+from estimation.gap.search.select import credible_set, leading
 from estimation.gap.significance.calibration import upper_quantile
 from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Screen, equivalent_z
 

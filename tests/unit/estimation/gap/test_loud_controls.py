@@ -5,20 +5,14 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from estimation.errors import GapError
 from estimation.gap.criteria import AS_SET
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import fit_baseline
 from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.significance import calibration
 from estimation.gap.significance.calibration import Round, screen_round
-from estimation.gap.significance.measured_again import MeasuredAgain
-from estimation.gap.significance.nameless_terms import (
-    OmnibusSignal,
-    beyond_control_noise,
-    nameless_terms,
-    own_shares,
-    regressors_of,
-)
+from estimation.gap.significance.measured_again import MeasuredAgain, own_shares
+from estimation.gap.significance.omnibus import OmnibusSignal, beyond_control_noise, nameless_terms, regressors_of
 from estimation.gap.workflow import Options, _setting
 from groundstation.flight import Flight
 from tests.unit.estimation.gap.roll import ROLL

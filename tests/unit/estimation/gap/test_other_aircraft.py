@@ -23,9 +23,9 @@ from estimation.gap.fit.baseline import (
     fit_baseline,
     fit_from,
 )
-from estimation.gap.fit.channel_noise import channel_noise, sample_interval
+from estimation.gap.fit.noise import channel_noise
 from estimation.gap.records.candidate_model import awakened, with_nuisance
-from estimation.gap.records.flight_records import FlightRecords, prepare_flights
+from estimation.gap.records.flight_records import FlightRecords, prepare_flights, sample_interval
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Model
 from estimation.models.load import load_model

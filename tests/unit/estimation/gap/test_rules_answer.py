@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from estimation.errors import GapError
 from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Where
 from estimation.gap.answer.words import conclude, describe_step, rest_of_inputs
 from estimation.gap.criteria import AS_SET
@@ -19,13 +20,11 @@ from estimation.gap.decision.lineage import models
 from estimation.gap.decision.steps import unknown_step
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search.accept import confirmed as confirm
 from estimation.gap.search.state import AcceptedEffect, Options, SearchState
 from estimation.gap.significance.measure import Repeatability, odd_flights
-from estimation.gap.significance.nameless_terms import OmnibusSignal
-from estimation.gap.significance.omnibus import Omnibus
+from estimation.gap.significance.omnibus import Omnibus, OmnibusSignal
 from estimation.models.load import load_model
 
 EFFECTS = {e.name: e for e in catalogue()}

@@ -20,14 +20,16 @@ from estimation.gap.significance.calibration import (
     significant_above,
     unknown_above,
 )
-from estimation.gap.significance.kinematic_check import kinematic_model, origin_of_error
+from estimation.gap.significance.instruments import kinematic_model, origin_of_error
 from estimation.gap.significance.measure import Floors, usual_and_limit
-from estimation.gap.significance.nameless_terms import OmnibusSignal, pooled, standardised
 from estimation.gap.significance.nulls import heavy_tails
 from estimation.gap.significance.omnibus import (
+    OmnibusSignal,
     beside_others,
     energy_with_activity,
+    pooled,
     restless_times,
+    standardised,
     summed_up,
     window_energy,
 )

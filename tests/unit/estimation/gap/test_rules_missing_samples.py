@@ -9,15 +9,14 @@ from estimation.gap.answer.result import Gap
 from estimation.gap.answer.shape import HeldInstrument
 from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
-from estimation.gap.decision.lineage import late_commands
 from estimation.gap.decision.unnamed import held_instrument, held_step
 from estimation.gap.fit.baseline import fit_baseline
-from estimation.gap.fit.channel_noise import channel_noise
-from estimation.gap.fit.spectra import NoisePart, NoiseSource, Shapes, as_seen, estimate_noise, whitener
+from estimation.gap.fit.noise import NoisePart, NoiseSource, Shapes, as_seen, channel_noise, estimate_noise, whitener
 from estimation.gap.fit.whitener import spectrum_of
 from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.flight_records import command_times, prepare_flights
 from estimation.gap.records.sampling import flown_apart
+from estimation.gap.significance.instruments import late_commands
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight, Provenance

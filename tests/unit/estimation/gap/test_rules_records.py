@@ -13,9 +13,8 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import estimated_noise, noise_parts
 from estimation.gap.fit.closed_loop import ClosedLoop, only_following, without_hardware_of
-from estimation.gap.fit.problem import LikelihoodProblem
-from estimation.gap.fit.spectra import (
-    Linear,
+from estimation.gap.fit.linear_motion import Linear
+from estimation.gap.fit.noise import (
     NoiseModel,
     NoisePart,
     NoiseSource,
@@ -24,6 +23,7 @@ from estimation.gap.fit.spectra import (
     shapes_of,
     spectral_matrix,
 )
+from estimation.gap.fit.problem import LikelihoodProblem
 from estimation.gap.fit.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
 from estimation.gap.records import flight_records, sampling
 from estimation.gap.records.candidate_model import with_nuisance

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimation.errors import GapError
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import AS_SET
-from estimation.gap.errors import GapError
+from estimation.gap.search import bases
 from estimation.gap.search import rounds as searching
-from estimation.gap.search import sharper
-from estimation.gap.search.confirm import FittedHypothesis
-from estimation.gap.search.free_base import (
+from estimation.gap.search.bases import (
     factors_off,
     far_off,
+    holds_an_effect,
     largest,
     many,
     moved_in_words,
@@ -23,9 +23,9 @@ from estimation.gap.search.free_base import (
     stands_out,
     with_free_derivatives,
 )
+from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.rounds import better_rivals, idle, questioners, run_rounds
 from estimation.gap.search.select import Choice
-from estimation.gap.search.sharper import holds_an_effect
 from estimation.gap.search.state import AcceptedEffect, Options
 from estimation.gap.significance.calibration import Round
 from estimation.models.base import Parameter
@@ -417,8 +417,8 @@ def test_the_noise_is_that_of_the_hypothesis_with_which_flights_are_likeliest(
     monkeypatch: pytest.MonkeyPatch, gains: tuple[float, ...], surprise: float, noise: str | None
 ) -> None:
     surprises = {"base": 1000.0, "a": 930.0, "b": surprise, "c": 999.0}
-    monkeypatch.setattr(sharper, "_deviance", lambda base, fit: (surprises[fit], f"noise of {fit}"))
-    monkeypatch.setattr(sharper, "with_noise", lambda base, noise: noise)
+    monkeypatch.setattr(bases, "_deviance", lambda base, fit: (surprises[fit], f"noise of {fit}"))
+    monkeypatch.setattr(bases, "with_noise", lambda base, noise: noise)
     round_ = stub(baseline=stub(criteria=AS_SET, fit="base"))
     choice = stub(candidates=[stub(gain=g, fit=f) for g, f in zip(gains, "abc", strict=True)])
-    assert sharper.sharper_base(round_, choice) == noise
+    assert bases.sharper_base(round_, choice) == noise

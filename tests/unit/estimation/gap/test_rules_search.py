@@ -11,16 +11,19 @@ import pytest
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.steps import misfit_of
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
+from estimation.gap.fit.problem import freed_by
 from estimation.gap.search import confirm
-from estimation.gap.search import promise as promising
-from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, freed_by, impossible, price
-from estimation.gap.search.promise import gain_along, leading, promise
+from estimation.gap.search import select as selecting
+from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, impossible, price
 from estimation.gap.search.select import (
     Choice,
     credible_set,
+    gain_along,
     held_first,
+    leading,
     material,
     noise_candidates,
+    promise,
     shared_inflation,
     within_reach,
     worth_comparing,
@@ -100,7 +103,7 @@ def test_what_a_small_step_does_not_tell_promises_what_it_gains_at_its_best_size
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And its scatter on the nulls, that of a small step, is not held against it."""
-    monkeypatch.setattr(promising, "gains_at_sizes", lambda round_: np.array([0.0, 40.0, 3.0]))
+    monkeypatch.setattr(selecting, "gains_at_sizes", lambda round_: np.array([0.0, 40.0, 3.0]))
     kinds = screen([hypothesis("x"), hypothesis("play", "backlash"), hypothesis("late", "delay")])
     round_ = stub(screen=kinds, gains=np.array([8.0, 0.0, 10.0]), inflation=np.array([2.0, 9.0, 1.0]))
     assert promise(round_) == pytest.approx([4.0, 20.0, 10.0])
@@ -124,11 +127,11 @@ def test_the_gain_along_a_hypothesis_is_that_at_its_best_point(changes: list[lis
 
 def test_sizes_of_a_control_made_late_or_with_play_are_followed_and_those_of_an_output_are_not() -> None:
     parameter = EffectParameter("x", "s", 0.1, 0.0, 1.0)
-    assert promising.strongly_nonlinear(hypothesis("late", "delay").form)
-    assert promising.strongly_nonlinear(hypothesis("play", "backlash").form)
-    assert promising.strongly_nonlinear(Form("flow", (parameter,), states=(Variable("wake", "rad", start="beta"),)))
-    assert not promising.strongly_nonlinear(Form("shown", (parameter,), output_delays={"beta": "x"}))
-    assert not promising.strongly_nonlinear(hypothesis("x").form)
+    assert selecting.strongly_nonlinear(hypothesis("late", "delay").form)
+    assert selecting.strongly_nonlinear(hypothesis("play", "backlash").form)
+    assert selecting.strongly_nonlinear(Form("flow", (parameter,), states=(Variable("wake", "rad", start="beta"),)))
+    assert not selecting.strongly_nonlinear(Form("shown", (parameter,), output_delays={"beta": "x"}))
+    assert not selecting.strongly_nonlinear(hypothesis("x").form)
 
 
 # ------------------------------------------------------------------------------------------------ how they are weighed

@@ -16,11 +16,12 @@ from estimation.gap.decision.beside import FREQUENCY, as_fitted, hypothesis_of
 from estimation.gap.decision.decide import Decision, as_unknown
 from estimation.gap.effects import catalogue
 from estimation.gap.fit.baseline import fit_baseline
+from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.shapes.lag_swing import DAMPING, SLOWEST, find_swing, frequencies, oscillator, rings
 from estimation.gap.shapes.places import ModelMotion, Place, rank
 from estimation.gap.shapes.search import alone
 from estimation.gap.significance.calibration import screen_round
-from estimation.gap.workflow import Options, _setting, prepare_flights, run_gap
+from estimation.gap.workflow import Options, _setting, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies import second_truth as truth

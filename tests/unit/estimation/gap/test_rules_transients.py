@@ -18,8 +18,8 @@ from estimation.gap.decision.decide import Decision, as_unknown
 from estimation.gap.decision.unnamed import event_report, event_step
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.noise import NoiseModel
 from estimation.gap.fit.problem import LikelihoodProblem
-from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.fit.whitener import Whitener
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import FlightRecord

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import Rejected
-from estimation.gap.answer.shape import ShapeCurve
+from estimation.gap.answer.shape import Alike, ShapeCurve
 from estimation.gap.answer.words import describe_curve
-from estimation.gap.decision.unnamed import Alike, effects_of_same_form
+from estimation.gap.decision.unnamed import effects_of_same_form
 from estimation.gap.effects import catalogue
 from estimation.models.load import load_model
 

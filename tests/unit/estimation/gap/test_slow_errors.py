@@ -8,7 +8,8 @@ import pytest
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import AS_SET
-from estimation.gap.fit.spectra import NoiseModel, NoisePart, NoiseSource, linear_motion, shapes_of, whitener
+from estimation.gap.fit.linear_motion import linear_motion
+from estimation.gap.fit.noise import NoiseModel, NoisePart, NoiseSource, shapes_of, whitener
 from estimation.gap.fit.surface_steps import SLOW, SurfaceSteps, loosened, slow_errors, without_slow
 from estimation.gap.fit.whitener import Whitener
 from estimation.models.base import Model, Parameter, Signal

@@ -6,9 +6,9 @@ import pytest
 from estimation.aircraft import load_aircraft
 from estimation.gap.criteria import AS_SET
 from estimation.gap.fit.baseline import Baseline, fit_baseline
-from estimation.gap.fit.channel_noise import channel_noise, sample_interval
+from estimation.gap.fit.noise import channel_noise
 from estimation.gap.records.candidate_model import with_nuisance
-from estimation.gap.records.flight_records import prepare_flights
+from estimation.gap.records.flight_records import prepare_flights, sample_interval
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 

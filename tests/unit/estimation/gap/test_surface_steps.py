@@ -9,8 +9,9 @@ from scipy.linalg import expm
 
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import AS_SET
+from estimation.gap.fit.linear_motion import Linear, linear_motion
+from estimation.gap.fit.noise import NoiseModel, Shapes, shapes_of, whitener
 from estimation.gap.fit.problem import fine_grid, middles
-from estimation.gap.fit.spectra import Linear, NoiseModel, Shapes, linear_motion, shapes_of, whitener
 from estimation.gap.fit.surface_steps import (
     SurfaceSteps,
     displaced,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from estimation.engine.kernel import Array
+from estimation.errors import GapError
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.errors import GapError
 from estimation.gap.records.candidate_model import levels, stamped_attitudes, with_levels, with_nuisance
 from estimation.gap.records.channels import as_measured, compared, not_compared
 from estimation.gap.workflow import Options, _with_estimated_starts, run_gap

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from estimation.errors import GapError
 from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.errors import GapError
 from estimation.gap.pages.report import write_gap_report
-from estimation.gap.significance.kinematic_check import kinematic_check
+from estimation.gap.significance.instruments import kinematic_check
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model, read_model
 from groundstation.flight import Flight, FlightError

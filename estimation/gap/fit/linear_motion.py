@@ -1,4 +1,7 @@
-"""Motion that grows: how fast it does, and disturbances of it that stay bounded.
+"""Small motion about a flight: linearised, and bounded where it grows.
+
+The motion is linearised about steady flight: lateral motion about zero, longitudinal motion about the trimmed speed, angles and
+load factor.
 
 A fitted model may be unstable because a pilot flew the aircraft, or because an effect that it lacks bends it. Simulated without a
 pilot the noise of half a minute then becomes a departure, which no flight shows. The likelihood has the bounded motion: in the
@@ -14,13 +17,101 @@ import numpy as np
 from scipy.linalg import eig, expm
 
 from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
-from estimation.gap.fit.spectra import Linear, linear_motion
+from estimation.models.base import Model
 
+STEADY = frozenset({"V", "alpha", "theta", "u", "w", "ax", "az"})
+"""Quantities that have a value in straight and level flight; all others are zero there."""
+DIFFERENCE = 1e-4  # rad, rad/s, m/s, step of central differences: rounding 1e-12 of the motion, curvature as little
+SMALLEST_SCALE = 1e-9  # of an output that never leaves its steady value, so that one can divide by it
 GROWS = 0.15  # 1/s: motion that doubles in less than five seconds, with which no pilot flies a whole record
 STANDING = 0.01  # 1/s: a mode that grows or decays so slowly stands still
-FOLDS = 3.0  # by which power of e the motion may grow in a stretch: 20 times the noise of its beginning
-SHORTEST = 4.0  # s, of a stretch
+
+
+def steady_state(model: Model, segment: Segment) -> Array:
+    """(nx,) state about which a record moves: medians of the measured outputs, zero for states that are zero in level flight.
+
+    A state that is no output (a lag of a vane or of the flow) takes the value of the signal from which it starts.
+    """
+    levels = {n: level for n, level in zip(model.output_names, steady_outputs(model, segment), strict=True) if level}
+    state = np.zeros(len(model.states))
+    for i, signal in enumerate(model.states):
+        first = float(segment.x0[i]) if signal.name in STEADY else 0.0
+        shown = [levels[n] for n in (signal.name, signal.column, signal.start) if isinstance(n, str) and n in levels]
+        state[i] = shown[0] if shown else first
+    return state
+
+
+def steady_outputs(model: Model, segment: Segment) -> Array:
+    """(ny,) values of the outputs about which a record moves: medians, or zero for what is zero in level flight."""
+    levels = np.zeros(len(model.outputs))
+    for i, signal in enumerate(model.outputs):
+        measured = segment.z[np.isfinite(segment.z[:, i]), i]
+        if signal.name in STEADY and measured.size:
+            levels[i] = np.median(measured)
+    return levels
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u, with u over `inputs`.
+
+    dt: sample interval [s]; scale: (ny,) rms of the measured outputs about their steady values, infinite where not measured."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    inputs: tuple[str, ...]
+    dt: float
+    scale: Array
+
+
+def linear_motion(
+    model: Model,
+    simulator: Simulator,
+    segment: Segment,
+    values: Mapping[str, float],
+    inputs: Sequence[str] | None = None,
+) -> Linear:
+    """Linearise a model at the mean inputs of a record and small motion about its steady state. inputs: by default its
+    controls."""
+    p = simulator.vector(values)
+    nx = len(model.states)
+    u0 = segment.u.mean(axis=0)
+    if inputs is None:
+        inputs = [s.name for s in model.inputs if s.control]
+    points_x = steady_state(model, segment) + np.concatenate(
+        [np.zeros((1, nx)), DIFFERENCE * np.eye(nx), -DIFFERENCE * np.eye(nx), np.zeros((2 * len(inputs), nx))]
+    )
+    points_u = np.repeat(u0[None], points_x.shape[0], axis=0)
+    for j, i in enumerate(model.input_names.index(n) for n in inputs):
+        points_u[1 + 2 * nx + 2 * j, i] += DIFFERENCE
+        points_u[2 + 2 * nx + 2 * j, i] -= DIFFERENCE
+    f, _, y, _ = simulator.kernel.evaluate(points_x, points_u, p)
+    first = 1 + 2 * nx  # point of the first input
+
+    def by_inputs(values: Array) -> Array:
+        return np.asarray((values[first::2] - values[first + 1 :: 2]).T / (2 * DIFFERENCE))
+
+    return Linear(
+        A=(f[1 : 1 + nx] - f[1 + nx : first]).T / (2 * DIFFERENCE),
+        B=by_inputs(f),
+        C=(y[1 : 1 + nx] - y[1 + nx : first]).T / (2 * DIFFERENCE),
+        D=by_inputs(y),
+        inputs=tuple(inputs),
+        dt=float(np.median(np.diff(segment.time))),
+        scale=np.maximum(rms_measured(segment.z - steady_outputs(model, segment)), SMALLEST_SCALE),
+    )
+
+
+def rms_measured(values: Array) -> Array:
+    """(ny,) rms over the finite values of each column of (N, ny); infinite for a column without any, so that nothing stands out
+    of it."""
+    finite = np.isfinite(values)
+    counts, squares = finite.sum(axis=0), np.sum(np.where(finite, values, 0.0) ** 2, axis=0)
+    return np.sqrt(np.divide(squares, counts, out=np.full(counts.shape, np.inf), where=counts > 0))
 
 
 def linear_motions(

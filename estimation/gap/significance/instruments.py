@@ -1,9 +1,11 @@
-"""The kinematic check: is it an instrument or the aircraft?
+"""Is it an instrument or the aircraft? The kinematic check, and columns of the wrong sign, unit or time.
 
 Flight-path reconstruction without any aerodynamics: sideslip and bank integrated from measured rates and side
 acceleration must agree with the vane and the attitude. Scale, lag, position and timing errors of instruments show here;
 aerodynamic, inertial and actuator effects cannot. Scored and calibrated on nulls like everything else. For a model that pitches,
 the same check uses airspeed, angle of attack and pitch attitude; a model of all axes has both, and the clearer answer counts.
+
+A column that is turned, in another unit or late shows in the first fit of the model.
 """
 
 from collections.abc import Sequence
@@ -13,18 +15,33 @@ from typing import Any
 import numpy as np
 
 from daq.utilities.constants import GRAVITY
+from estimation.errors import GapError
+from estimation.estimators.normal_equations import pseudo_inverse
+from estimation.estimators.result import Estimate
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Group
-from estimation.gap.errors import GapError
-from estimation.gap.fit.baseline import fit_baseline
-from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes, sample_interval
-from estimation.gap.random_streams import KINEMATIC, Stream
-from estimation.gap.records.candidate_model import with_dormant, with_nuisance
-from estimation.gap.records.flight_records import prepare_flights
+from estimation.gap.fit.baseline import Baseline, fit_baseline
+from estimation.gap.fit.noise import channel_noise, filtered_attitudes
+from estimation.gap.records.candidate_model import (
+    GYROS,
+    TIMING,
+    TOGETHER,
+    rare_commands,
+    timing_of,
+    with_dormant,
+    with_nuisance,
+)
+from estimation.gap.records.flight_records import prepare_flights, sample_interval
 from estimation.gap.significance.calibration import Round, beyond_doubt, screen_round
-from estimation.gap.significance.nulls import input_errors
+from estimation.gap.significance.nulls import KINEMATIC, Stream, input_errors
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
 from estimation.models.dependence import force_states
+from estimation.session.sanity_checks import (
+    controls_of_another_unit,
+    turned_controls,
+    turned_outputs,
+    turned_side_force,
+)
 from groundstation.flight import Flight
 
 MOST_NULLS = 100  # enough to tell sensor from physics
@@ -177,3 +194,43 @@ def origin_of_error(round_: Round) -> KinematicCheck:
     if score > round_.threshold:
         origin, agreement = ("sensor", "contradicts its own kinematics")
     return KinematicCheck(origin, label, score, round_.threshold, f"measured motion {agreement}")
+
+
+# ---- what the first fit shows
+def turned_signs(baseline: Baseline) -> list[str]:
+    """One sentence for each column that contradicts the base model or its reference values in sign or unit."""
+    problem, fit = baseline.problem, baseline.fit
+    base, bounds = problem.base, fit.std()
+    pairs = [(record.z, record.z - e) for record, e in zip(problem.coarse, fit.residuals, strict=True)]
+    estimates = {
+        n: Estimate(n, fit.values[n], bounds[n], bounds[n], reference=base.parameter(n).reference)
+        for n in base.starts()
+        if n in bounds
+    }
+    return [
+        *turned_outputs(base, pairs),
+        *turned_side_force(base, estimates),
+        *turned_controls(base, estimates),
+        *controls_of_another_unit(base, estimates),
+    ]
+
+
+def late_commands(flights: Sequence[Flight], baseline: Baseline) -> str:
+    """A sentence on controls recorded as commands no more often than the motion: how long before their record they moved, as the
+    gyros show it; empty without such controls."""
+    fit, intervals = baseline.fit, rare_commands(baseline.clean, flights)
+    signals = [s for s in baseline.clean.inputs if s.name in intervals]
+    if not signals:
+        return ""
+    back = [float(np.mean([f.dated_back(s.source) for f in flights])) for s in signals]
+    shifts = [timing_of(s.name, fit.values) for s in signals]
+    weight = {TOGETHER: -1.0, GYROS: 1.0} | {f"{TIMING}{s.name}": -1.0 / len(signals) for s in signals}
+    share = np.array([weight.get(n, 0.0) for n in fit.free])
+    before = np.mean(back) - np.mean(shifts) + fit.values.get(GYROS, 0.0)
+    bound = np.sqrt(max(share @ pseudo_inverse(fit.hessian)[0] @ share, 0.0))
+    are, they = ("are commands", "they") if len(signals) > 1 else ("is a command", "it")
+    return (
+        f"{' and '.join(s.name for s in signals)} {are} that the log has every {1e3 * max(intervals.values()):.0f} ms, recorded "
+        f"{1e3 * before:.0f} +- {1e3 * bound:.0f} ms after {they} moved by what the gyros show, each move by another time "
+        "within that interval: counted."
+    )

@@ -1,10 +1,17 @@
-"""What is settled about a base before the search: whether all its derivatives are freed, and whether controls answer gusts.
+"""Other bases: with all derivatives freed, with controls as given, and with noise that holds no effect.
 
-A base may hold its derivatives at fixed numbers; all are freed where several of these are off.
-
-A user's simulation takes its derivatives from a handbook or a wind tunnel. A single wrong one is an answer of the search and gets
-its name. Many that are off by some per cent each are no such answer, and together they hide the effect that is missing: with 14
+A base may hold its derivatives at fixed numbers; all are freed before the search where several of these are off. A user's
+simulation takes its derivatives from a handbook or a wind tunnel. A single wrong one is an answer of the search and gets its
+name. Many that are off by some per cent each are no such answer, and together they hide the effect that is missing: with 14
 lateral derivatives of a T-37 off by up to 10 %, a hidden `Cn_beta3` was not found.
+
+The loop that controls close is left open where they answer what an effect does that the base lacks, and no gusts.
+
+In each round the noise may contain an effect. The strengths of gusts and other process noise are estimated from the residuals
+of the base. A large effect that the base lacks is in these residuals too, and passes for gusts. Then nulls scatter as widely
+as the effect, and a large effect is missed where a smaller one is found: a `Cn_beta3` of 1 was named, one of 2 was not, for
+the noise model had a hundred times the true process noise and the score was divided by 5.6. With the effect in the model the
+estimated noise falls. The likelihood shows it, because the determinant of the noise covariance is a part of it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,26 +19,32 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimation.errors import GapError
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Group
-from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_from
 from estimation.gap.fit.closed_loop import ClosedLoop
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.noise import NoiseModel
 from estimation.gap.fit.problem import ModelFit
 from estimation.gap.search.confirm import fit_hypothesis
+from estimation.gap.search.select import NOISE_CANDIDATES, Choice
 from estimation.gap.search.state import Setting
+from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess
 from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model, Parameter, ParameterRole
 from estimation.models.expressions import names_in
 from groundstation.flight import Flight
 
+WORTH = 0.5  # of the gain that decides, with the noise of the base: chance reaches a third, an effect hidden in it more
 LEADING = 3  # hypotheses of the largest gain by linear theory, of which one may be what a pilot answers
 FACTOR = "k_"  # prefix of the factor on a simulation's coefficient; with all its derivatives free it is redundant
 SIMULATED = "_sim"  # suffix of the value that the simulation itself gives a coefficient
 OFF = 0.1  # prior width of a derivative for which the model has no parameter, as a share of the simulation's value
 
 
+# ---- derivatives that are off
 def derivatives_off(setting: Setting, baseline: Baseline) -> tuple[str, ...]:
     """All derivatives that a fitted base holds at fixed numbers, where several of them are off; otherwise none.
 
@@ -52,29 +65,6 @@ def derivatives_off(setting: Setting, baseline: Baseline) -> tuple[str, ...]:
             problem = replace(problem, model=problem.model.freed(name))
             model_fit = fit_from(problem, model_fit)
     return tuple(h.form.frees[0] for h in hypotheses)
-
-
-def answers_an_effect(setting: Setting, baseline: Baseline, loop: ClosedLoop, flights: Sequence[Flight]) -> bool:
-    """Whether the controls of `loop` answer what an effect does that the base lacks, and no gusts: with one of the leading
-    hypotheses in the base no control moves with the residuals any more. flights: of the fit, training ones first.
-
-    Late or loose controls are not asked: what one that answers gusts does beside its record looks like a dead zone of it.
-    """
-    problem, model_fit = baseline.problem, baseline.fit
-    hypotheses = hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
-    try:
-        screen = build_screen(Tangent(problem, model_fit), [h for h in hypotheses if not h.form.transforms])
-    except GapError:  # about a fit that is barely stable nothing is known
-        return False
-    for h in np.argsort(-linear_gains(screen, problem))[:LEADING]:
-        hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, int(h))
-        trial, trial_fit = fit_hypothesis(problem, model_fit, hypothesis, guess)
-        if trial_fit.diverged:
-            continue
-        child = replace(baseline, problem=trial, fit=trial_fit)
-        if not ClosedLoop.of(child, flights, loop.gains).felt(child):
-            return True
-    return False
 
 
 def many(off: Sequence[str], criteria: Criteria) -> bool:
@@ -175,3 +165,64 @@ def moved_in_words(names: Sequence[str], before: Mapping[str, float], baseline: 
 def others_freed_in_words(names: Sequence[str]) -> str:
     """A sentence on the derivatives that were free while the search tested the one that stands out."""
     return f"The {len(names)} other derivatives of the base were free beside it, as errors in the times of commands bias them."
+
+
+# ---- controls that answer an effect
+def answers_an_effect(setting: Setting, baseline: Baseline, loop: ClosedLoop, flights: Sequence[Flight]) -> bool:
+    """Whether the controls of `loop` answer what an effect does that the base lacks, and no gusts: with one of the leading
+    hypotheses in the base no control moves with the residuals any more. flights: of the fit, training ones first.
+
+    Late or loose controls are not asked: what one that answers gusts does beside its record looks like a dead zone of it.
+    """
+    problem, model_fit = baseline.problem, baseline.fit
+    hypotheses = hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
+    try:
+        screen = build_screen(Tangent(problem, model_fit), [h for h in hypotheses if not h.form.transforms])
+    except GapError:  # about a fit that is barely stable nothing is known
+        return False
+    for h in np.argsort(-linear_gains(screen, problem))[:LEADING]:
+        hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, int(h))
+        trial, trial_fit = fit_hypothesis(problem, model_fit, hypothesis, guess)
+        if trial_fit.diverged:
+            continue
+        child = replace(baseline, problem=trial, fit=trial_fit)
+        if not ClosedLoop.of(child, flights, loop.gains).felt(child):
+            return True
+    return False
+
+
+# ---- noise that contains an effect
+def sharper_base(round_: Round, choice: Choice) -> Baseline | None:
+    """The round's base refitted with the noise of the leading hypothesis that makes the flights likeliest; None where none of
+    them makes the flights clearly likelier."""
+    base = round_.baseline
+    worth = [c for c in choice.candidates if c.gain > WORTH * base.criteria.noise_held]
+    if not worth:
+        return None
+    base_deviance, _ = _deviance(base, base.fit)
+    leading = sorted(worth, key=lambda c: -c.gain)[:NOISE_CANDIDATES]
+    deviances = [_deviance(base, candidate.fit) for candidate in leading]
+    deviance, noise = min(deviances, key=lambda pair: pair[0])
+    return with_noise(base, noise) if holds_an_effect(base_deviance - deviance, base.criteria) else None
+
+
+def holds_an_effect(likelier: float, criteria: Criteria) -> bool:
+    """Whether the noise of the base contains an effect. likelier: increase of twice the log-likelihood with a hypothesis in the
+    model and the noise estimated with it."""
+    return likelier > criteria.noise_held
+
+
+def _deviance(base: Baseline, model_fit: ModelFit) -> tuple[float, NoiseModel]:
+    """Minus twice the log-likelihood (Whittle, up to a constant) of the training flights about a fitted model, with the noise
+    estimated from its own residuals; and that noise."""
+    noise, whiteners = base.noise_about(model_fit)
+    pairs = list(zip(whiteners, model_fit.residuals, strict=True))
+    return sum(w.log_determinant + w.energy(r) for w, r in pairs), noise
+
+
+def with_noise(base: Baseline, noise: NoiseModel) -> Baseline | None:
+    """A base fitted again with another noise; None where its motion runs away."""
+    _, whiteners = base.noise_about(base.fit, noise)
+    problem = replace(base.problem, whiteners=whiteners)
+    fitted = fit(problem, base.fit.values, base.fit.locals)
+    return None if fitted.diverged else replace(base, problem=problem, fit=fitted, noise=noise)

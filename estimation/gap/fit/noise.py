@@ -1,19 +1,19 @@
-"""The spectral matrix S(f) of the residuals, estimated from these residuals.
+"""The noise of the flights: of every channel, found before any fit, and the spectral matrix S(f) of the residuals of a fit,
+estimated from these residuals.
 
 Output-error residuals are coloured: gusts and the noise of the controls pass through the aircraft's own modes. Their spectral
 matrix is written as a sum of parts of known shape and unknown strength,
 
     S(f) = R + sum_j v_j g_j(f) g_j(f)^H,
 
-where R is diagonal (sensor noise), and g_j is the linearised response of all outputs to process noise on one force equation or to
-sample noise on one control. The error that remains on a control after its noise was removed has a known spectrum, so that its
-strength is fixed at 1; were it free, process noise would be estimated for it as well, and the nulls, which have both, would
-scatter twice too far. An attitude that is the output of a filter adds two parts: gyro noise, which the rate shows and the
-attitude integrates, and the slow wandering of the attitude alone.
+where R is diagonal (sensor noise), and g_j is the linearised response of all outputs to process noise on one force equation or
+to sample noise on one control. The error that remains on a control after its noise was removed has a known spectrum, so that
+its strength is fixed at 1; were it free, process noise would be estimated for it as well, and the nulls, which have both,
+would scatter twice too far. An attitude that is the output of a filter, which its smoothness shows, adds two parts: gyro
+noise, which the rate shows and the attitude integrates, and the slow wandering of the attitude alone.
 
 The free strengths are estimated by maximum likelihood in the frequency domain (Whittle 1953); nothing is assumed about the
-sensors or the weather. The motion is linearised about steady flight: lateral motion about zero, longitudinal motion about the
-trimmed speed, angles and load factor.
+sensors or the weather.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -24,50 +24,144 @@ from types import MappingProxyType
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.catalogue import REFERENCE
+from estimation.gap.fit.linear_motion import Linear
 from estimation.gap.fit.whitener import Complex, Whitener
 from estimation.gap.records.candidate_model import RATE_OF
+from estimation.gap.records.flight_records import FlightRecord
+from estimation.gap.records.sampling import MOTION, white_share
 from estimation.models.base import Model
 from estimation.models.dependence import force_states
+from estimation.signals.denoise import noise_level
+from groundstation.flight.arrays import integral
+from groundstation.flight.kinematics import EULER_RATES
 
-STEADY = frozenset({"V", "alpha", "theta", "u", "w", "ax", "az"})
-"""Quantities that have a value in straight and level flight; all others are zero there."""
+KNOWN = 0.2  # share of the steps from sample to sample that must be measured to represent all of them
+QUIETEST = 1e-4  # of the range of a channel: the least noise, as a coarsely rounded channel shows no scatter at all
+SMALLEST_RANGE = 1e-9  # [unit of the channel] of one that never changes
 ITERATIONS = 60  # multiplicative steps: strengths of recorded flights settle to some 1 % in them
 FOLLOWING = 20  # steps from an earlier estimate
 LOWEST = 0.25  # of 1 / length of the record: in place of zero frequency, where an integrating response is infinite
 BEGIN = 0.3  # of the measurement noise: power with which every part starts
 SPAN = REFERENCE["b"]  # m, span for which `twist_memory` is stated
 FLOOR = 1e-7  # of the power of the measurement noise: the least that a part keeps, as a strength of zero could never grow again
-DIFFERENCE = 1e-4  # rad, rad/s, m/s, step of central differences: rounding 1e-12 of the motion, curvature as little
-SMALLEST_SCALE = 1e-9  # of an output that never leaves its steady value, so that one can divide by it
 
 
-def steady_state(model: Model, segment: Segment) -> Array:
-    """(nx,) state about which a record moves: medians of the measured outputs, zero for states that are zero in level flight.
+# ---- of every channel
+def channel_noise(records: Sequence[FlightRecord]) -> Array:
+    """(ny,) standard deviation of the white part of every output, median over the records; 1 of an output that none has
+    measured."""
+    levels = np.array([[noise_level(column) for column in record.z.T] for record in records])
+    spans = [np.fmax.reduce(record.z) - np.fmin.reduce(record.z) for record in records]
+    span = np.fmax.reduce(spans)  # NaN where no record has measured an output
+    least = QUIETEST * np.maximum(span, SMALLEST_RANGE)
+    return np.where(np.isnan(span), 1.0, np.maximum(np.median(levels, axis=0), least))
 
-    A state that is no output (a lag of a vane or of the flow) takes the value of the signal from which it starts.
+
+def filtered_attitudes(
+    records: Sequence[FlightRecord], outputs: Sequence[str], white: Array, criteria: Criteria
+) -> tuple[str, ...]:
+    """Those attitudes among the outputs that come from a filter which integrates the gyro. white: (ny,) noise of the outputs.
+
+    From sample to sample they are smoother than the gyro's noise integrated over one step, as no independent measurement can be;
+    or their difference from the integrated rates is not white, as the noise of a measurement would be.
     """
-    levels = {n: level for n, level in zip(model.output_names, steady_outputs(model, segment), strict=True) if level}
-    state = np.zeros(len(model.states))
-    for i, signal in enumerate(model.states):
-        first = float(segment.x0[i]) if signal.name in STEADY else 0.0
-        shown = [levels[n] for n in (signal.name, signal.column, signal.start) if isinstance(n, str) and n in levels]
-        state[i] = shown[0] if shown else first
-    return state
+    step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
+    attitudes = []
+    for attitude, rate in RATE_OF.items():
+        if attitude in outputs:
+            input_levels = [record.input_noise.get(rate, 0.0) for record in records]
+            noise = white[outputs.index(rate)] if rate in outputs else float(np.median(input_levels))
+            smooth = white[outputs.index(attitude)] <= noise * step
+            if smooth or _white_share(records, outputs, attitude) < criteria.filter_white:
+                attitudes.append(attitude)
+    return tuple(attitudes)
 
 
-def steady_outputs(model: Model, segment: Segment) -> Array:
-    """(ny,) values of the outputs about which a record moves: medians, or zero for what is zero in level flight."""
-    levels = np.zeros(len(model.outputs))
-    for i, signal in enumerate(model.outputs):
-        measured = segment.z[np.isfinite(segment.z[:, i]), i]
-        if signal.name in STEADY and measured.size:
-            levels[i] = np.median(measured)
-    return levels
+def _white_share(records: Sequence[FlightRecord], outputs: Sequence[str], attitude: str) -> float:
+    """Median over the records of the share of an attitude's steps against the integrated gyros that is white noise; 1 where there
+    are no gyros."""
+    shares = []
+    for record in records:
+        motion = _motion(record, outputs)
+        if motion[RATE_OF[attitude]].any():
+            rate = np.nan_to_num(EULER_RATES[attitude](motion))
+            shares.append(white_share(_measured(record, outputs, attitude), integral(record.time, rate)))
+    return float(np.median(shares)) if shares else 1.0
 
 
+def bank_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria) -> Array:
+    """`scatter` (ny,) with the noise of the bank angle raised to its slow error where the bank angle comes from a filter.
+
+    An attitude filter integrates the gyro and corrects slowly, so that its angle is smooth from sample to sample. Its error shows
+    only in its difference from the integrated rates over the record (`slow_error`).
+    """
+    return _with_slow_error("phi", ("p", "r"), ("q", "theta"), records, outputs, scatter, criteria)
+
+
+def pitch_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria) -> Array:
+    """`scatter` (ny,) with the noise of the pitch attitude raised to its slow error where it comes from a filter, as in
+    `bank_error`."""
+    return _with_slow_error("theta", ("q",), (), records, outputs, scatter, criteria)
+
+
+def _with_slow_error(
+    attitude: str,
+    gyros: Sequence[str],
+    others: Sequence[str],
+    records: Sequence[FlightRecord],
+    outputs: Sequence[str],
+    scatter: Array,
+    criteria: Criteria,
+) -> Array:
+    """`scatter` (ny,) with the noise of a filter's attitude raised to the median of its slow errors. gyros: outputs without which
+    none is known; others: outputs or inputs without which that of a record is not."""
+    if not {*gyros} <= set(outputs) or attitude not in filtered_attitudes(records, outputs, scatter, criteria):
+        return scatter
+    errors = []
+    for record in records:
+        if {*others} <= {*record.inputs, *outputs}:
+            motion = _motion(record, outputs)
+            # as measured: zero for a gyro that was off would be a wrong rate
+            motion |= {n: record.z[:, outputs.index(n)] for n in (attitude, *gyros)}
+            errors.append(slow_error(record.time, motion[attitude], EULER_RATES[attitude](motion)))
+    wider = scatter.copy()
+    if known_errors := [e for e in errors if e is not None]:
+        column = outputs.index(attitude)
+        wider[column] = max(scatter[column], float(np.median(known_errors)))
+    return wider
+
+
+def slow_error(time: Array, angle: Array, rate: Array) -> float | None:
+    """Rms difference of a measured angle (N,) from its integrated rate (N,), without a constant and a drift.
+
+    Steps of which a sample is missing (NaN) are taken to be as wrong as the others; None where fewer than `KNOWN` are left.
+    """
+    dt = np.diff(time)
+    difference = np.diff(angle) - 0.5 * dt * (rate[1:] + rate[:-1])
+    measured = np.isfinite(difference)
+    if np.mean(measured) < KNOWN:
+        return None
+    error = np.concatenate([[0.0], np.cumsum(np.where(measured, difference, 0.0))]) / np.mean(measured)
+    return float(np.std(error - np.polyval(np.polyfit(time, error, 1), time)))
+
+
+def _motion(record: FlightRecord, outputs: Sequence[str]) -> dict[str, Array]:
+    """Rates and attitudes (N,) of a record, as of `_measured`."""
+    return {n: _measured(record, outputs, n) for n in MOTION}
+
+
+def _measured(record: FlightRecord, outputs: Sequence[str], name: str) -> Array:
+    """(N,) an output or an input; zero where the flight has neither, or the output was never measured."""
+    zeros = np.zeros(len(record))
+    if name not in outputs:
+        return record.inputs.get(name, zeros)
+    output = record.z[:, outputs.index(name)]
+    return output if np.isfinite(output).any() else zeros
+
+
+# ---- of the residuals
 class NoiseSource(Enum):
     """Where noise enters."""
 
@@ -113,67 +207,6 @@ class Shapes:
     count: int
     step: float
     louder: Array | None = None
-
-
-@dataclass(frozen=True)
-class Linear:
-    """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u, with u over `inputs`.
-
-    dt: sample interval [s]; scale: (ny,) rms of the measured outputs about their steady values, infinite where not measured."""
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    inputs: tuple[str, ...]
-    dt: float
-    scale: Array
-
-
-def linear_motion(
-    model: Model,
-    simulator: Simulator,
-    segment: Segment,
-    values: Mapping[str, float],
-    inputs: Sequence[str] | None = None,
-) -> Linear:
-    """Linearise a model at the mean inputs of a record and small motion about its steady state. inputs: by default its
-    controls."""
-    p = simulator.vector(values)
-    nx = len(model.states)
-    u0 = segment.u.mean(axis=0)
-    if inputs is None:
-        inputs = [s.name for s in model.inputs if s.control]
-    points_x = steady_state(model, segment) + np.concatenate(
-        [np.zeros((1, nx)), DIFFERENCE * np.eye(nx), -DIFFERENCE * np.eye(nx), np.zeros((2 * len(inputs), nx))]
-    )
-    points_u = np.repeat(u0[None], points_x.shape[0], axis=0)
-    for j, i in enumerate(model.input_names.index(n) for n in inputs):
-        points_u[1 + 2 * nx + 2 * j, i] += DIFFERENCE
-        points_u[2 + 2 * nx + 2 * j, i] -= DIFFERENCE
-    f, _, y, _ = simulator.kernel.evaluate(points_x, points_u, p)
-    first = 1 + 2 * nx  # point of the first input
-
-    def by_inputs(values: Array) -> Array:
-        return np.asarray((values[first::2] - values[first + 1 :: 2]).T / (2 * DIFFERENCE))
-
-    return Linear(
-        A=(f[1 : 1 + nx] - f[1 + nx : first]).T / (2 * DIFFERENCE),
-        B=by_inputs(f),
-        C=(y[1 : 1 + nx] - y[1 + nx : first]).T / (2 * DIFFERENCE),
-        D=by_inputs(y),
-        inputs=tuple(inputs),
-        dt=float(np.median(np.diff(segment.time))),
-        scale=np.maximum(rms_measured(segment.z - steady_outputs(model, segment)), SMALLEST_SCALE),
-    )
-
-
-def rms_measured(values: Array) -> Array:
-    """(ny,) rms over the finite values of each column of (N, ny); infinite for a column without any, so that nothing stands out
-    of it."""
-    finite = np.isfinite(values)
-    counts, squares = finite.sum(axis=0), np.sum(np.where(finite, values, 0.0) ** 2, axis=0)
-    return np.sqrt(np.divide(squares, counts, out=np.full(counts.shape, np.inf), where=counts > 0))
 
 
 def shapes_of(
