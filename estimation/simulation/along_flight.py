@@ -8,14 +8,14 @@ moves them, because a drag by |elevator| has no slope that holds on both sides o
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.engine.transforms import acting_on, apply_transforms
 from estimation.models.base import Model, Signal
 from estimation.prepare.columns import alpha_rate
-from estimation.prepare.flight_data import FlightData, Preparation
+from estimation.prepare.flight_data import FEWEST_DRAWS, FlightData, Preparation
 from estimation.prepare.pipeline import prepare
 from estimation.simulation.oracle import (
     ALPHA_RATE,
@@ -37,9 +37,10 @@ STEPS: Mapping[str, float] = {
 """Steps of the central differences [rad, rad/s]: a third of a degree, small against the cells of a wind tunnel's table, and a
 thousand times larger than rounding needs. For airspeed and thrust `RELATIVE_STEP` of their mean."""
 RELATIVE_STEP = 0.01
+TINY = 1e-300  # keeps a constant input from dividing by zero
 LEAST_SLOPE = 1e-9  # a slope smaller than this everywhere is rounding
 UNITS = {"V": "m/s", "alpha": "rad", "beta": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s", "thrust": "N"}
-WITHOUT_DRAWS = Preparation(draws=0, feedback=False)  # the remaining noise of the inputs is not needed here
+AS_MOTION = Preparation(draws=FEWEST_DRAWS, feedback=False)
 STABILITY = ("CL", "CD")
 MOMENTS = ("Cl", "Cm", "Cn")
 
@@ -65,7 +66,7 @@ def simulate_along(
     model: Model,
     flights: Sequence[Flight],
     motions: Sequence[Mapping[str, Array]] = (),
-    preparation: Preparation = WITHOUT_DRAWS,
+    preparation: Preparation = AS_MOTION,
     names: Sequence[str] | None = None,
     controls: Model | None = None,
 ) -> AlongFlights:
@@ -147,6 +148,8 @@ def motion(
     ]
     probe = model.plus(inputs=[*absent_signals, *([Signal("rho", "kg/m3")] if "rho" not in signal_names else [])])
     data = prepare(probe, flight, preparation)
+    if preparation.denoise:
+        data = _without_noise_alone(probe, data)
     usable = np.zeros(data.samples, bool)
     values = {name: np.zeros(data.samples) for name in (*VARIABLES, "rho", ALPHA_RATE)}
     for segment in data.segments:
@@ -170,6 +173,24 @@ def motion(
     unmeasured = {v for v in VARIABLES if not flight.measured(v)}
     usable_values = {n: values[n][usable] for n in VARIABLES}
     return States(usable_values, values["rho"][usable], values[ALPHA_RATE][usable]), usable, unmeasured
+
+
+def _without_noise_alone(probe: Model, data: FlightData) -> FlightData:
+    """The flight with each de-noised input, controls aside, drawn to its mean by the share of its variance that is error.
+
+    What is left of a vane's noise where nothing moves it has a mean size, and a drag by |sideslip| would take that for sideslip.
+    """
+    motion = [i for i, s in enumerate(probe.inputs) if not s.control]
+    if data.errors is None or not data.segments:
+        return data
+    u = np.concatenate([s.u[:, motion] for s in data.segments])
+    errors = np.concatenate([data.errors[s.rows][:, motion] for s in data.segments])
+    mean, variance = u.mean(axis=0), np.maximum(u.var(axis=0), TINY)
+    share = np.ones(len(probe.inputs))
+    share[motion] = np.maximum(1.0 - (errors**2).mean(axis=(0, 2)) / variance, 0.0)
+    center = np.zeros(len(probe.inputs))
+    center[motion] = mean
+    return replace(data, segments=tuple(replace(s, u=center + share * (s.u - center)) for s in data.segments))
 
 
 def as_moved_by(model: Model, control: str, time: Array, measured: Array) -> Array:

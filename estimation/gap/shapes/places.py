@@ -108,8 +108,8 @@ def _place(model: Model, line: str, variable: str, by: str = "") -> Place:
 
 
 def without_circles(model: Model, places: Sequence[Place]) -> list[Place]:
-    """The places whose variables do not depend on the coefficient that they change: lift by the rate of the angle of attack, which
-    lift itself drives, is no function that a model can have."""
+    """The places whose variables do not depend on the coefficient that they change: lift as a function of the rate of the angle
+    of attack, which lift itself drives, would define itself."""
 
     def is_circle(place: Place) -> bool:
         return place.line in names_reached(model, [n for n in (place.variable, place.by) if n])

@@ -14,7 +14,7 @@ from estimation.gap.answer.result import GapVerdict
 from estimation.gap.effects import catalogue
 from estimation.gap.workflow import Options
 from estimation.models import load_model
-from estimation.simulation.along_flight import WITHOUT_DRAWS, motion
+from estimation.simulation.along_flight import AS_MOTION, motion
 from estimation.simulation.attach import attach, simulation_of
 from estimation.simulation.conversion import export_to_jsbsim
 from estimation.simulation.jsbsim import flying
@@ -41,11 +41,11 @@ def test_the_rate_of_alpha_is_taken_from_the_accelerometers() -> None:
     simulation = simulation_of("jsbsim:c172p")
     model = load_model("longitudinal", simulation.aircraft)
     true = np.gradient(clean["alpha"], clean["time"])
-    states, usable, _ = motion(model, noisy, {}, WITHOUT_DRAWS)
+    states, usable, _ = motion(model, noisy, {}, AS_MOTION)
     assert usable.all()
     assert np.std(states.alpha_dot - true) < 0.25 * np.std(true)
     without = replace(noisy, columns={n: v for n, v in noisy.columns.items() if n != "az"})
-    vane, _, _ = motion(model.without_outputs("az"), without, {}, WITHOUT_DRAWS)
+    vane, _, _ = motion(model.without_outputs("az"), without, {}, AS_MOTION)
     assert np.std(vane.alpha_dot - true) > 0.4 * np.std(true)
 
 
