@@ -72,18 +72,20 @@ def windows(time: Array, *signals: Array) -> Iterator[tuple[Array, ...]]:
 
 def slope_and_agreement(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, float]:
     """Slope of y against x, and the share of y it explains, with a straight line in time removed from each window."""
-    xy = xx = yy = 0.0
-    trends: dict[int, tuple[Array, float]] = {}  # by number of samples
-    for x, y in pairs:
-        if x.size not in trends:
-            line = np.linspace(-1.0, 1.0, x.size)
-            trends[x.size] = line, float(line @ line)
-        trend, power = trends[x.size]
-        x, y = (v - v.sum() / v.size - trend * float(trend @ v) / power for v in (x, y))
-        xy, xx, yy = xy + float(x @ y), xx + float(x @ x), yy + float(y @ y)
+    products = np.zeros((2, 2))
+    for pair in pairs:
+        straight = without_line(np.column_stack(pair))
+        products += straight.T @ straight
+    (xx, xy), (_, yy) = products.tolist()
     if xx <= 0 or yy <= 0:
         return 0.0, 0.0
     return xy / xx, xy * xy / (xx * yy)
+
+
+def without_line(signals: Array) -> Array:
+    """(n, m) signals of a window less the straight line in time that is nearest to each. signals: (n, m), n > 1."""
+    line = np.linspace(-1.0, 1.0, len(signals))
+    return np.asarray(signals - signals.mean(axis=0) - np.outer(line, line @ signals) / (line @ line))
 
 
 def alternates(third: Array) -> bool:

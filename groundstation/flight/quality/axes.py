@@ -5,15 +5,14 @@ body axes. Its change must be that by specific force, gravity and rotation (Klei
 corrected in turn, and the one whose correction makes this hold is reported.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import permutations, product
 
 import numpy as np
 
 from daq.utilities.constants import GRAVITY
-from groundstation.flight.arrays import Array, integral, slope_and_agreement, windows
+from groundstation.flight.arrays import Array, integral, windows, without_line
 from groundstation.flight.findings import Finding, FindingKind
 
 Axes = tuple[str, ...]
@@ -22,6 +21,10 @@ Columns = Mapping[str, Array]
 
 FORCE, RATES, ATTITUDE = ("ax", "ay", "az"), ("p", "q", "r"), ("phi", "theta")
 FLOW = ("V", "alpha", "beta")
+COLUMNS = {"force": FORCE, "rates": RATES, "down": ATTITUDE}
+"""Vector -> the columns that give it."""
+VECTORS = {"force": FORCE, "rates": RATES, "down": ("theta", "phi", ""), "air": ("", "beta", "alpha")}
+"""Vector -> the column whose sign is that of its x, y and z component."""
 LARGEST_PITCH = 1.6
 """[rad]; a larger theta is in degrees, and so is a bank angle beyond twice that, or a vane beyond it."""
 LEAST_SHARE, LEAST_SHARE_INVERTED = 0.5, 0.25
@@ -59,15 +62,66 @@ REVERSALS = (
 """Columns whose signs are reversed together; `plausibility` reports these."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Mistake:
-    """columns: those in error. text: the mistake and its remedy; empty for a sign. undo: recorded columns -> corrected ones.
-    axes: the mounting of a turned sensor; empty for other mistakes."""
+    """columns: those in error. text: the mistake and its remedy; empty for a sign. axes: the mounting of a turned sensor; empty
+    for other mistakes. turns: vector -> (3, 3) from recorded to corrected axes, of those that change. exchanged: whether the two
+    columns are to be exchanged instead, which no matrix does to angles."""
 
     columns: tuple[str, ...]
     text: str
-    undo: Callable[[Columns], dict[str, Array]]
     axes: Axes = ()
+    turns: Mapping[str, Array] = field(default_factory=dict)
+    exchanged: bool = False
+
+    def turn(self, vector: str) -> Array:
+        return self.turns.get(vector, AS_IT_IS)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the airspeed vector changes, and what can explain it: corrected for any mistake, both combine the same integrals.
+
+    products: (18, 18) sums of products, over all windows and with straight lines in time removed, of the airspeed vector [m/s]
+    and the integrals of specific force, of gravity along body axes, and of rate i times airspeed j. down: (3,) mean of the unit
+    vector that points down, in body axes.
+    """
+
+    products: Array
+    down: Array
+
+    @classmethod
+    def of(cls, time: Array, c: Columns) -> "Motion":
+        (sa, sb, st, sf), (ca, cb, ct, cf) = (
+            [f(c[n]) for n in ("alpha", "beta", "theta", "phi")] for f in (np.sin, np.cos)
+        )
+        down = np.array([-st, sf * ct, cf * ct])
+        signals = [c["V"] * ca * cb, c["V"] * sb, c["V"] * sa * cb, *(c[n] for n in (*FORCE, *RATES)), *down]
+        products = np.zeros((18, 18))
+        for t, *rows in windows(time, *signals):
+            air, force, rates, gravity = rows[:3], rows[3:6], rows[6:9], GRAVITY * np.array(rows[9:])
+            turning = [rate * speed for rate in rates for speed in air]
+            change = np.column_stack([*air, integral(t, np.column_stack([*force, *gravity, *turning]))])
+            straight = without_line(change)
+            products += straight.T @ straight
+        return cls(products, np.nanmean(down, axis=1))
+
+    def is_upright(self, mistake: Mistake) -> bool:
+        """Whether the aircraft is not on its side or back throughout, by the attitude corrected for a mistake."""
+        return bool(mistake.turn("down")[2] @ self.down > LEAST_UPRIGHT)
+
+    def explained(self, mistake: Mistake) -> float:
+        """Share of the variance of the airspeed vector's change, in body axes, that specific force, gravity and rotation explain
+        once a mistake is corrected; 0 where the slope between the two is not about 1."""
+        change, cause = np.zeros((2, 3, 18))
+        change[:, :3] = mistake.turn("air")
+        change[:, 9:] = np.einsum("jki,jl,km->ilm", CROSS, mistake.turn("rates"), mistake.turn("air")).reshape(3, 9)
+        cause[:, 3:6], cause[:, 6:9] = mistake.turn("force"), mistake.turn("down")
+        pairs = (cause, change), (cause, cause), (change, change)
+        xy, xx, yy = (float(np.sum((a @ self.products) * b)) for a, b in pairs)
+        if xx <= 0.0 or yy <= 0.0:
+            return 0.0
+        return xy * xy / (xx * yy) if CREDIBLE_SLOPE[0] < xy / xx < CREDIBLE_SLOPE[1] else 0.0
 
 
 def wrong_axes(time: Array, columns: Columns) -> Iterator[Finding]:
@@ -78,11 +132,16 @@ def wrong_axes(time: Array, columns: Columns) -> Iterator[Finding]:
         return
     if _in_degrees(columns):
         return
-    upright = _upright(columns)
-    uncorrected = explained(time, columns) if upright else 0.0
+    motion = Motion.of(time, columns)
+    upright = motion.is_upright(AS_RECORDED)
+    uncorrected = motion.explained(AS_RECORDED) if upright else 0.0
     if uncorrected > SUFFICIENT_SHARE:
         return
-    shares = {m: explained(time, corrected) for m in MISTAKES if _upright(corrected := m.undo(columns))}
+    shares = {}
+    for mistake in MISTAKES:
+        corrected = Motion.of(time, _exchanged(columns, *mistake.columns)) if mistake.exchanged else motion
+        if corrected.is_upright(mistake):
+            shares[mistake] = corrected.explained(mistake)
     if not shares:
         return
     best = max(shares, key=lambda m: shares[m])
@@ -100,51 +159,13 @@ def _clearly_better(best: float, other: float, share: float) -> bool:
     return other < share * best or 1.0 - best < MOST_REMAINING * (1.0 - other)
 
 
-def explained(time: Array, c: Columns) -> float:
-    """Share of the variance of the airspeed vector's change, in body axes, that specific force, gravity and rotation explain;
-    0 where the slope between the two is not about 1."""
-    (sa, sb, st, sf), (ca, cb, ct, cf) = (
-        [f(c[n]) for n in ("alpha", "beta", "theta", "phi")] for f in (np.sin, np.cos)
-    )
-    air = c["V"] * np.array([ca * cb, sb, sa * cb])
-    force = np.array([c[n] for n in FORCE]) + GRAVITY * np.array([-st, sf * ct, cf * ct])
-    turning = np.cross(np.array([c[n] for n in RATES]), air, axis=0)
-    slope, share = slope_and_agreement(
-        (integral(t, rows[3 + i]), rows[i] + integral(t, rows[6 + i]))
-        for t, *rows in windows(time, *air, *force, *turning)
-        for i in range(3)
-    )
-    return share if CREDIBLE_SLOPE[0] < slope < CREDIBLE_SLOPE[1] else 0.0
-
-
 def _in_degrees(c: Columns) -> bool:
     multiples = {"theta": 1.0, "phi": 2.0, "alpha": 1.0, "beta": 1.0}
     return any(float(np.nanmax(np.abs(c[n]))) > LARGEST_PITCH * times for n, times in multiples.items())
 
 
-def _upright(c: Columns) -> bool:
-    return bool(np.nanmean(np.cos(c["phi"]) * np.cos(c["theta"])) > LEAST_UPRIGHT)
-
-
-def turned(c: Columns, axes: Axes, names: tuple[str, ...]) -> dict[str, Array]:
-    """The columns with those of `names` turned to body axes, from a sensor whose recorded `axes` lie along body x, y and z."""
-    matrix, in_body_axes = TURNS[axes], dict(c)
-    for triad in (FORCE, RATES):
-        if triad[0] in names:
-            in_body_axes.update(zip(triad, matrix @ np.array([c[n] for n in triad]), strict=True))
-    if ATTITUDE[0] in names:
-        sin, cos = (f(np.array([c["phi"], c["theta"]])) for f in (np.sin, np.cos))
-        down = matrix @ np.array([-sin[1], sin[0] * cos[1], cos[0] * cos[1]])
-        in_body_axes.update(phi=np.arctan2(down[1], down[2]), theta=-np.arcsin(np.clip(down[0], -1.0, 1.0)))
-    return in_body_axes
-
-
 def _exchanged(c: Columns, a: str, b: str) -> dict[str, Array]:
     return {**c, a: c[b], b: c[a]}
-
-
-def _reversed(c: Columns, names: tuple[str, ...]) -> dict[str, Array]:
-    return {**c, **{n: -c[n] for n in names}}
 
 
 def boresight(axes: Axes) -> list[float]:
@@ -169,27 +190,37 @@ def _turns() -> dict[Axes, Array]:
 
 
 def _mistakes() -> Iterator[Mistake]:
-    sensors = {
-        (*RATES, *FORCE, *ATTITUDE): ("IMU sits", "gyro.toml, accelerometer.toml and magnetometer.toml"),
-        (*RATES, *FORCE): ("IMU sits", "gyro.toml and accelerometer.toml"),
-        RATES: ("gyros sit", "gyro.toml"),
-        FORCE: ("accelerometers sit", "accelerometer.toml"),
-    }
+    sensors = (
+        (("rates", "force", "down"), "IMU sits", "gyro.toml, accelerometer.toml and magnetometer.toml"),
+        (("rates", "force"), "IMU sits", "gyro.toml and accelerometer.toml"),
+        (("rates",), "gyros sit", "gyro.toml"),
+        (("force",), "accelerometers sit", "accelerometer.toml"),
+    )
     for axes in list(TURNS)[1:]:
-        for names, (subject, files) in sensors.items():
-            level = f" and boresight = {boresight(axes)} in attitude.toml" if ATTITUDE[0] in names else ""
+        for vectors, subject, files in sensors:
+            level = f" and boresight = {boresight(axes)} in attitude.toml" if "down" in vectors else ""
             matrix = TURNS[axes].astype(int).tolist()
             text = (
                 f"the {subject} turned: what was recorded as {', '.join(axes)} lies along the aircraft's x, y, z. Turn it by "
                 f"matrix = {matrix} in {files}{level}, or by the map of the import; then correct its mounting"
             )
-            yield Mistake(names, text, partial(turned, axes=axes, names=names), axes)
-    for a, b in EXCHANGES:
+            columns = tuple(n for vector in vectors for n in COLUMNS[vector])
+            yield Mistake(columns, text, axes, dict.fromkeys(vectors, TURNS[axes]))
+    for pair in EXCHANGES:
         text = "exchanged, they agree with the rest of the motion as they do not now: are the two columns mixed up?"
-        yield Mistake((a, b), text, partial(_exchanged, a=a, b=b))
-    for signs in REVERSALS:
-        yield Mistake(signs, "", partial(_reversed, names=signs))
+        yield Mistake(pair, text, exchanged=True)
+    for names in REVERSALS:
+        signs = {
+            vector: np.diag([-1.0 if n in names else 1.0 for n in axes])
+            for vector, axes in VECTORS.items()
+            if set(axes) & set(names)
+        }
+        yield Mistake(names, "", turns=signs)
 
 
+AS_IT_IS = np.eye(3)
+CROSS = np.array([[np.cross(a, b) for b in np.eye(3)] for a in np.eye(3)])
+"""(3, 3, 3): cross product of unit vectors j and k, its component i last."""
 TURNS = _turns()  # the first is the identity
+AS_RECORDED = Mistake((), "")
 MISTAKES = tuple(_mistakes())
