@@ -38,8 +38,19 @@ KINDS = (
     Kind("J3Cub", 28.0, 0.7, 4 * DEG, 6 * DEG),
     Kind("L17", 50.0, 0.7, 4 * DEG, 4 * DEG),
     Kind("p51d", 100.0, 0.6, 3 * DEG, 3 * DEG),
+    Kind("A4", 130.0, 0.5, 3 * DEG, 4 * DEG),
+    Kind("C130", 100.0, 1.2, 5 * DEG, 4 * DEG),
+    Kind("sgs126", 25.0, 0.7, 5 * DEG, 6 * DEG),
+    Kind("pa28", 50.0, 0.6, 4 * DEG, 5 * DEG),
+    Kind("t6texan2", 90.0, 0.6, 4 * DEG, 4 * DEG),
+    Kind("c310", 70.0, 0.6, 4 * DEG, 5 * DEG),
+    Kind("c182", 50.0, 0.6, 4 * DEG, 5 * DEG),
+    Kind("OV10", 80.0, 0.6, 4 * DEG, 4 * DEG),
+    Kind("f15", 150.0, 0.6, 3 * DEG, 3 * DEG),
+    Kind("DHC6", 60.0, 0.7, 4 * DEG, 4 * DEG),
+    Kind("global5000", 130.0, 1.0, 4 * DEG, 4 * DEG),
 )
-ELEVATOR = {"c172p": 2.0 * DEG, "T37": 2.0 * DEG, "J3Cub": 2.0 * DEG, "L17": 2.0 * DEG, "p51d": 1.5 * DEG}
+ELEVATOR = {k.name: 1.5 * DEG if k.name == "p51d" else 2.0 * DEG for k in KINDS}
 """Peaks of the elevator."""
 LENGTH = {"LIFT": (), "DRAG": (), "PITCH": ("metrics/cbarw-ft",), "ROLL": ("metrics/bw-ft",), "YAW": ("metrics/bw-ft",)}
 ALPHA = "aero/alpha-rad", 0.1
