@@ -79,7 +79,7 @@ class Mistake:
 
 
 @dataclass(frozen=True)
-class Motion:
+class AirspeedKinematics:
     """How the airspeed vector changes, and what can explain it: corrected for any mistake, both combine the same integrals.
 
     products: (18, 18) sums of products, over all windows and with straight lines in time removed, of the airspeed vector [m/s]
@@ -91,7 +91,7 @@ class Motion:
     down: Array
 
     @classmethod
-    def of(cls, time: Array, c: Columns) -> "Motion":
+    def of(cls, time: Array, c: Columns) -> "AirspeedKinematics":
         (sa, sb, st, sf), (ca, cb, ct, cf) = (
             [f(c[n]) for n in ("alpha", "beta", "theta", "phi")] for f in (np.sin, np.cos)
         )
@@ -132,14 +132,14 @@ def wrong_axes(time: Array, columns: Columns) -> Iterator[Finding]:
         return
     if _in_degrees(columns):
         return
-    motion = Motion.of(time, columns)
+    motion = AirspeedKinematics.of(time, columns)
     upright = motion.is_upright(AS_RECORDED)
     uncorrected = motion.explained(AS_RECORDED) if upright else 0.0
     if uncorrected > SUFFICIENT_SHARE:
         return
     shares = {}
     for mistake in MISTAKES:
-        corrected = Motion.of(time, _exchanged(columns, *mistake.columns)) if mistake.exchanged else motion
+        corrected = AirspeedKinematics.of(time, _exchanged(columns, *mistake.columns)) if mistake.exchanged else motion
         if corrected.is_upright(mistake):
             shares[mistake] = corrected.explained(mistake)
     if not shares:
