@@ -42,7 +42,7 @@ LEAST_SLOPE = 1e-9  # a slope smaller than this everywhere is rounding
 UNITS = {"V": "m/s", "alpha": "rad", "beta": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s", "thrust": "N"}
 AS_MOTION = Preparation(draws=FEWEST_DRAWS, feedback=False)
 STABILITY = ("CL", "CD")
-MOMENTS = ("Cl", "Cm", "Cn")
+BY_ALPHA_RATE = ("CL", "Cl", "Cm", "Cn")  # coefficients that have slopes with the rate of alpha
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def _history(probe: Model, data: FlightData, s: slice, u: Array, name: str) -> A
 def _values_and_slopes(
     simulation: Simulation, states: States, wanted: Sequence[str], variables: Sequence[str]
 ) -> tuple[Array, dict[str, Array]]:
-    """(N, wanted) coefficients of one flight; column -> (N,) slopes. Only moments have slopes with the rate of alpha."""
+    """(N, wanted) coefficients of one flight; column -> (N,) slopes."""
     steps = {
         v: STEPS.get(v) or RELATIVE_STEP * max(float(np.mean(np.abs(_variable(states, v)))), 1.0) for v in variables
     }
@@ -220,7 +220,7 @@ def _values_and_slopes(
         column_name(c, v): (shifted_values[2 * j][:, k] - shifted_values[2 * j + 1][:, k]) / (2.0 * steps[v])
         for k, c in enumerate(wanted)
         for j, v in enumerate(variables)
-        if v != ALPHA_RATE or c in MOMENTS
+        if v != ALPHA_RATE or c in BY_ALPHA_RATE
     }
     return base_values, slopes
 

@@ -13,6 +13,7 @@ from estimation.aircraft.library import aircraft_of
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models.base import Model
+from estimation.models.expressions import names_in
 from estimation.models.library import BUILDERS
 from estimation.models.load import load_model, read_model
 from estimation.simulation.along_flight import AlongFlights, simulate_along
@@ -150,11 +151,11 @@ def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str |
 
 def without_simulation(model: Model) -> Model:
     """The model with the simulation's coefficients at zero, which needs only variables and columns that flights have."""
-    inputs = tuple(s for s in model.inputs if not s.computed)
-    coefficients = [c for c in ("CL", "CD", *COEFFICIENTS) if c in model.definitions]
-    zero_lines = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in coefficients else f"{n} = {text}"
-               for n, text in model.definitions.items()]  # fmt: skip
-    return replace(model, inputs=inputs, equations=tuple(zero_lines))
+    inputs, columns = tuple(s for s in model.inputs if not s.computed), set(computed(model))
+    zero = {f"{c}_sim" for c in ("CL", "CD", *COEFFICIENTS) if c in model.definitions}
+    lines = {n: "0" if n in zero else text for n, text in model.definitions.items()}
+    equations = tuple(f"{n} = {text}" for n, text in lines.items() if not names_in(text) & columns)
+    return replace(model, inputs=inputs, equations=equations)
 
 
 def _model_on_simulation(which: str) -> Model:

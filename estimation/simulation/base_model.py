@@ -8,6 +8,8 @@ with C_sim the simulation's coefficient along the flight (`along_flight`), a fac
 C_x are derivatives in the usual form (per rad, rates non-dimensional). They start at `mean_C_x`, the simulation's mean slope over
 the flights; an estimate minus this start is the increment that the simulation lacks. Effects append their terms.
 
+Lift by the rate of alpha would define itself, for that rate follows from the lift; the equation of alpha is solved for it.
+
 Where the simulation's induced drag depends on alpha alone (SITL), the model adds share_CD CD_k (CL^2 - CL(alpha)^2). Its files
 cannot express that term, so share_CD (0: as the simulation flies, 1: a parabolic polar) is estimated with the constants.
 """
@@ -20,7 +22,7 @@ from estimation.models.base import Model, Parameter, Signal
 from estimation.models.load import load_model
 from estimation.models.parts import usual_role
 from estimation.simulation.along_flight import AlongFlights, coefficients_in, column_name, variables_of
-from estimation.simulation.oracle import Simulation
+from estimation.simulation.oracle import ALPHA_RATE, Simulation
 
 REGRESSORS = {
     "alpha": ("alpha", "alpha"), "beta": ("beta", "beta"), "p": ("p_hat", "p"), "q": ("q_hat", "q"), "r": ("r_hat", "r"),
@@ -28,6 +30,8 @@ REGRESSORS = {
 }  # fmt: skip
 """Ending of a derivative's name -> its regressor, and the variable in that."""
 SHARE = "share_CD"
+RATE_BY_LIFT = "alpha_dot_solved"
+"""The rate of alpha as lift by that rate reads it: an effect added to the lift does not move it."""
 SHARE_WORDS = "induced drag by the lift of elevator and pitch rate, not in the simulation: share of a parabolic polar"
 DESCRIPTION = "Base: the simulation {}"
 
@@ -71,6 +75,12 @@ def base_model(
                                         reference_source=f"simulation {simulation.name}"))  # fmt: skip
         slopes = [f"{column_name(c, v)}*{v}" for v in variables if column_name(c, v) in along_flights.names]
         offset = [column_name(c)] if column_name(c) in along_flights.names else []
+        by_rate = column_name(c, ALPHA_RATE)
+        if c == "CL" and by_rate in along_flights.names:
+            slopes.remove(f"{by_rate}*{ALPHA_RATE}")
+            still = " + ".join([f"k_CL*({' + '.join([*offset, *slopes]) or '0'})", *terms[1:]])
+            lines[RATE_BY_LIFT] = alpha_rate_solved(f"({still})", f"k_CL*{by_rate}")
+            slopes.append(f"{by_rate}*{RATE_BY_LIFT}")
         lines[f"{c}_sim"] = " + ".join([*offset, *slopes]) or "0"
         lines[c] = " + ".join(terms)
     return replace(
@@ -85,6 +95,17 @@ def base_model(
         parameters=tuple(parameters),
         constants=constants,
         equations=tuple(f"{name} = {text}" for name, text in lines.items()),
+    )
+
+
+def alpha_rate_solved(lift: str, by_rate: str) -> str:
+    """The rate of alpha where lift depends on it: the equation of alpha with that part of the lift moved to its left side.
+
+    lift: the lift coefficient without that part; by_rate: its change per rad/s.
+    """
+    return (
+        "(q - tan(beta)*(p*cos(alpha) + r*sin(alpha)) + (g*(cos(theta)*cos(phi)*cos(alpha) + sin(theta)*sin(alpha))"
+        f" - thrust/m*sin(alpha) - q_dyn*S/m*{lift})/(V*cos(beta)))/(1 + q_dyn*S/(m*V*cos(beta))*{by_rate})"
     )
 
 

@@ -11,7 +11,7 @@ from estimation.engine.trace import trace
 from estimation.models.base import Model
 from estimation.prepare.flight_data import FlightData, Preparation, Segment
 from estimation.prepare.pipeline import prepare
-from estimation.simulation.along_flight import MOMENTS, column_name, simulate_along
+from estimation.simulation.along_flight import BY_ALPHA_RATE, column_name, simulate_along
 from estimation.simulation.attach import computed, with_simulation_columns, without_simulation
 from estimation.simulation.jsbsim.export import WrittenAircraft
 from estimation.simulation.jsbsim.flying import fly_aircraft
@@ -146,9 +146,9 @@ def move_model(simulation: Simulation, model: Model, flight: Flight, filters: tu
 
 
 def _with_recorded_alpha_rate(flight: Flight) -> Flight:
-    """The flight with moments at the rate of alpha that JSBSim's functions read, of its last step, instead of the model's own."""
+    """The flight with lift and moments at the rate of alpha that JSBSim's functions read, of its last step, not the model's own."""
     columns = {}
-    for c in MOMENTS:
+    for c in BY_ALPHA_RATE:
         slope = column_name(c, ALPHA_RATE)
         if slope in flight.columns and flight.measured(ALPHA_RATE):
             columns[column_name(c)] = flight[column_name(c)] + flight[slope] * flight[ALPHA_RATE]

@@ -55,19 +55,24 @@ class Place:
 
 
 def coefficient_lines(model: Model) -> tuple[str, ...]:
-    """Lines that hold derivatives of the aircraft: its coefficients, or its rates where the model names none."""
+    """Lines that hold derivatives of the aircraft: its coefficients, or its rates where the model names none; not those that show
+    a measurement, or repeat a coefficient in a solved equation."""
     parameters = {p.name for p in model.parameters if p.role in (ParameterRole.DERIVATIVE, ParameterRole.CONSTANT)}
     return tuple(
         line
         for line, text in model.definitions.items()
-        if names_in(text) & parameters and not line.endswith("_measured") and line not in model.output_names
+        if names_in(text) & parameters
+        and not line.endswith(("_measured", "_solved"))
+        and line not in model.output_names
     )
 
 
 def variables_of(model: Model, lines: Sequence[str]) -> tuple[str, ...]:
-    """Signals in the terms of the coefficients, angle of attack, and airspeed where it is a state."""
-    fixed_names = {*model.parameter_names, *model.constants, *lines}
-    signals = {*model.state_names, *model.input_names, *model.definitions}
+    """Signals in the terms of the coefficients, angle of attack, and airspeed where it is a state; no columns and coefficients of
+    a simulation, which a reader could not interpret and whose own errors would be fitted."""
+    fixed_names = {*model.parameter_names, *model.constants, *lines, *(f"{line}_sim" for line in lines)}
+    inputs = (s.name for s in model.inputs if not s.computed)
+    signals = {*model.state_names, *inputs, *model.definitions}
     factors = [n for line in lines for product in products_in(model.definitions[line]) for n in sorted(product)]
     variables = [n for n in dict.fromkeys(factors) if n in signals and n not in fixed_names]
     extras = [n for n in EXTRA_STATES if n in model.state_names] + [n for n in EXTRA_INPUTS if n in model.input_names]
@@ -75,14 +80,14 @@ def variables_of(model: Model, lines: Sequence[str]) -> tuple[str, ...]:
 
 
 def places_of(model: Model) -> tuple[Place, ...]:
-    """Every coefficient by every variable."""
+    """Every coefficient by every variable that it does not drive."""
     lines = coefficient_lines(model)
     variables = variables_of(model, lines)
-    return tuple(_place(model, line, v) for line in lines for v in variables)
+    return tuple(_place(model, line, v) for line in lines for v in variables if not drives(model, line, v))
 
 
 def products_of(model: Model) -> tuple[Place, ...]:
-    """Every coefficient by a function of one variable times another."""
+    """Every coefficient by a function of one variable times another, neither of which it drives."""
     lines = coefficient_lines(model)
     variables = variables_of(model, lines)
     return tuple(
@@ -90,8 +95,14 @@ def products_of(model: Model) -> tuple[Place, ...]:
         for line in lines
         for v in variables
         for multiplier in variables
-        if v != multiplier
+        if v != multiplier and not drives(model, line, v, multiplier)
     )
+
+
+def drives(model: Model, line: str, *variables: str) -> bool:
+    """Whether some variables depend on a coefficient: lift as a function of the rate of the angle of attack, which lift itself
+    drives, would define itself."""
+    return line in names_reached(model, variables)
 
 
 def _place(model: Model, line: str, variable: str, by: str = "") -> Place:
@@ -105,16 +116,6 @@ def _place(model: Model, line: str, variable: str, by: str = "") -> Place:
     if by:
         return Place(line, variable, True, by not in linear_names, by)
     return Place(line, variable, variable not in linear_names, not has_constant)
-
-
-def without_circles(model: Model, places: Sequence[Place]) -> list[Place]:
-    """The places whose variables do not depend on the coefficient that they change: lift as a function of the rate of the angle
-    of attack, which lift itself drives, would define itself."""
-
-    def is_circle(place: Place) -> bool:
-        return place.line in names_reached(model, [n for n in (place.variable, place.by) if n])
-
-    return [p for p in places if not is_circle(p)]
 
 
 @dataclass(frozen=True)

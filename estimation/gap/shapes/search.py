@@ -25,7 +25,7 @@ from estimation.gap.shapes.increment import (
     refitted_with,
 )
 from estimation.gap.shapes.lag_swing import find_memory, find_swing
-from estimation.gap.shapes.places import ModelMotion, Place, Ranked, places_of, products_of, rank, without_circles
+from estimation.gap.shapes.places import ModelMotion, Place, Ranked, places_of, products_of, rank
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measure import Floors, gaps
 from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
@@ -122,7 +122,7 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
     motion = ModelMotion.of(baseline.problem, baseline.fit)
     base = task.prepared.base
     singles = places_of(base)
-    ranking = rank(motion, round_, without_circles(base, singles))
+    ranking = rank(motion, round_, singles)
     swing = find_swing(motion, round_)
     minimum = swing.gain if swing is not None else 0.0
     shape, rejected = _best(round_, task, motion, ranking, minimum)
@@ -133,7 +133,7 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
         return ShapeSearch(None, tuple(rejected), swing if stands_alone else None)
     if ranking.order:
         line = ranking.places[ranking.order[0]].line
-        products = without_circles(base, [p for p in products_of(base) if p.line == line])
+        products = [p for p in products_of(base) if p.line == line]
         shape, rejected_products = _best(round_, task, motion, rank(motion, round_, products), minimum)
         rejected += rejected_products
     memory = find_memory(motion, round_, singles) if shape is None else None

@@ -16,6 +16,7 @@ from estimation.aircraft import Aircraft
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
 from estimation.models.library import six_dof
+from estimation.simulation.base_model import alpha_rate_solved
 from estimation.simulation.jsbsim.coefficients import (
     AXES,
     SIZE_TEXTS,
@@ -34,10 +35,6 @@ from estimation.simulation.oracle import ALPHA_RATE, SimulationError
 SUTHERLAND = 110.4  # K, of the viscosity of air
 FORCE_AXES = ("LIFT", "DRAG", "SIDE")
 MOST_NAMED = 4  # functions in one message
-SOLVED = (  # the equation of alpha, with the lift that is proportional to alpha_dot moved to its left side
-    "(q - tan(beta)*(p*cos(alpha) + r*sin(alpha)) + (g*(cos(theta)*cos(phi)*cos(alpha) + sin(theta)*sin(alpha))"
-    " - thrust/m*sin(alpha) - q_dyn*S/m*CL)/(V*cos(beta)))/(1 + q_dyn*S/(m*V*cos(beta))*CL_rate)"
-)
 
 
 @dataclass(frozen=True)
@@ -133,7 +130,7 @@ def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str
     aircraft_lines["CL"] = total.pop("CL", "0")
     if rate:
         aircraft_lines |= {"CL_rate": rate, "CL_all": f"CL + CL_rate*{ALPHA_RATE}"}
-        lines[f"{ALPHA_RATE}"] = SOLVED
+        lines[ALPHA_RATE] = alpha_rate_solved("CL", "CL_rate")
     aircraft_lines |= {LIFT: lift, "drag": total.pop("CD", "0"), "side": total.pop("CY", "0")}
     aircraft_lines |= {"CD": "drag*cos(beta) + side*sin(beta)", "CY": "side*cos(beta) - drag*sin(beta)"}
     aircraft_lines |= {"CX": f"{lift}*sin(alpha) - CD*cos(alpha)", "CZ": f"-{lift}*cos(alpha) - CD*sin(alpha)"}

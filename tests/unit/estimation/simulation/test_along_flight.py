@@ -8,6 +8,7 @@ import pytest
 
 from estimation.errors import AircraftError, EstimationError
 from estimation.estimators.output_error import output_error
+from estimation.gap.effects import catalogue
 from estimation.models import InputTransform, Model, Parameter, load_model, read_model, write_model
 from estimation.session.proof_of_match import predict_flight
 from estimation.simulation import along_flight
@@ -153,6 +154,37 @@ def test_a_moment_by_the_rate_of_alpha_follows_the_model_not_the_measured_rate(
         assert ("sim_Cm_alpha_dot" in told.model.input_names) == (rate == "alpha_dot")
         off.append(np.nanstd(predict_flight(told.model, told.flights[0]).predicted - exact, axis=0)[2:4])  # theta, q
     assert (off[0] < 0.2 * off[1]).all()
+
+
+LIFTED = """
+from numpy import cos, sin
+
+def lifted(V, alpha, beta, p, q, r, surfaces, thrust, rho, alpha_dot):
+    chords = {c} / (2 * V)
+    lift = {CL_0} + {CL_alpha}*alpha + ({CL_q}*q + 8*alpha_dot)*chords + {CL_de}*surfaces["delta_e"]
+    pitch = {Cm_0} + {Cm_alpha}*alpha + {Cm_q}*q*chords + {Cm_de}*surfaces["delta_e"]
+    return lift*sin(alpha) - {CD_0}*cos(alpha), None, -lift*cos(alpha) - {CD_0}*sin(alpha), None, pitch, None
+"""
+
+
+def test_lift_by_the_rate_of_alpha_follows_the_model_not_the_measured_rate(
+    short: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against the catalogue's CL_alphadot, on a flight that moves otherwise than the model: the measured rate is another one."""
+    plain = load_model("longitudinal", "cdfp").with_starts(CD_k=0.0)
+    text = LIFTED.format(**plain.starts(), **plain.constants)
+    (tmp_path / "lift_by_rate.py").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    (form,) = next(e for e in catalogue(model=plain) if e.name == "CL_alphadot").forms
+    exact = predict_flight(form.added_to(plain, {"CL_alphadot": 8.0}), short).predicted
+    errors = []
+    for by_rate in (("CL",), ()):
+        monkeypatch.setattr(along_flight, "BY_ALPHA_RATE", by_rate)
+        attached = attach("lift_by_rate:lifted", "longitudinal", [short], free=Free.NOTHING)
+        assert ("sim_CL_alpha_dot" in attached.model.input_names) == bool(by_rate)
+        settled = motion_settled(attached)
+        errors.append(np.std(predict_flight(settled.model, settled.flights[0]).predicted - exact, axis=0))
+    assert (errors[0] < 0.2 * errors[1]).all()
 
 
 def test_derivatives_are_estimated_as_of_the_plain_model(tmp_path: Path) -> None:
