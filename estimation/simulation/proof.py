@@ -146,7 +146,7 @@ def move_model(simulation: Simulation, model: Model, flight: Flight, filters: tu
 
 
 def _with_recorded_alpha_rate(flight: Flight) -> Flight:
-    """The flight with lift and moments at the rate of alpha that JSBSim's functions read, of its last step, not the model's own."""
+    """The flight with lift and moments at the rate of alpha that JSBSim's functions read (of its last step), not the model's."""
     columns = {}
     for c in BY_ALPHA_RATE:
         slope = column_name(c, ALPHA_RATE)
