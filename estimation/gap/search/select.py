@@ -201,13 +201,17 @@ def within_reach(cost: float, gain: float) -> float:
 # ---- what a fit is worth beside others
 def held_first(ranked: Sequence[FittedHypothesis], criteria: Criteria) -> tuple[FittedHypothesis, ...]:
     """The candidates in their order, except that a derivative which the base holds at a fixed number goes before a leading term
-    that the base lacks, where the evidence for it is about as much. At one angle of attack a wrong `Cn_beta` and a missing
+    that the base lacks, unless that has most of the weight of the two. At one angle of attack a wrong `Cn_beta` and a missing
     `Cn_alpha_beta` leave the same residuals, and chance would decide."""
-    behind = [2.0 * (ranked[0].evidence - c.evidence) for c in ranked]
-    held = [c for c, b in zip(ranked, behind, strict=True) if c.hypothesis.form.frees and b <= criteria.certain**2]
+    held = [c for c in ranked if c.hypothesis.form.frees and _share_beside(ranked[0], c) < criteria.named_weight]
     if not held or ranked[0].hypothesis.form.frees:
         return tuple(ranked)
     return (held[0], *(c for c in ranked if c is not held[0]))
+
+
+def _share_beside(leader: FittedHypothesis, other: FittedHypothesis) -> float:
+    """Weight of a hypothesis, of the two together."""
+    return float(1.0 / (1.0 + np.exp(other.evidence - leader.evidence)))
 
 
 def worth_comparing(
