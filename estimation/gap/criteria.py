@@ -217,8 +217,8 @@ class Criteria:
     named_weight: float = criterion(0.8, "1",
         "share of the significance beside a nameless rest, and of the weight beside a derivative that a simulation holds, from "
         "which a name stands",
-        "raised from 0.7, which gave recordings/gap/a one more impostor (2026-11-21); where a held derivative came first with up to "
-        "90 times less weight, it had 0.02 beside an accelerometer 5 % of the span off (A-4 of JSBSim, 2026-12-01)")
+        "raised from 0.7, which gave recordings/gap/a one more impostor (2026-11-21); where a held derivative came first with "
+        "a 90th of the weight, it had 0.02 beside an accelerometer 5 % of the span off (A-4 of JSBSim, 2026-12-01)")
     own_weight: float = criterion(0.9, "significance",
         "the same where the rest is in the instrument that the name blames",
         "recordings/gap/a and four fresh sets of sticking and stale vanes get no name with it (2026-11-21)")
