@@ -77,9 +77,12 @@ def slope_and_agreement(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, fl
         straight = without_line(np.column_stack(pair))
         products += straight.T @ straight
     (xx, xy), (_, yy) = products.tolist()
-    if xx <= 0 or yy <= 0:
-        return 0.0, 0.0
-    return xy / xx, xy * xy / (xx * yy)
+    return slope_and_share(xx, xy, yy)
+
+
+def slope_and_share(xx: float, xy: float, yy: float) -> tuple[float, float]:
+    """Slope of y against x, and the share of y it explains, from their sums of products; zeros where one of them is constant."""
+    return (xy / xx, xy * xy / (xx * yy)) if xx > 0.0 and yy > 0.0 else (0.0, 0.0)
 
 
 def without_line(signals: Array) -> Array:

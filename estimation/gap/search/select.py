@@ -203,15 +203,14 @@ def held_first(ranked: Sequence[FittedHypothesis], criteria: Criteria) -> tuple[
     """The candidates in their order, except that a derivative which the base holds at a fixed number goes before a leading term
     that the base lacks, unless that has most of the weight of the two. At one angle of attack a wrong `Cn_beta` and a missing
     `Cn_alpha_beta` leave the same residuals, and chance would decide."""
-    held = [c for c in ranked if c.hypothesis.form.frees and _share_beside(ranked[0], c) < criteria.named_weight]
+
+    def weight_beside(held: FittedHypothesis) -> float:
+        return _weights((ranked[0], held))[ranked[0].hypothesis.effect.name]
+
+    held = [c for c in ranked if c.hypothesis.form.frees and weight_beside(c) < criteria.named_weight]
     if not held or ranked[0].hypothesis.form.frees:
         return tuple(ranked)
     return (held[0], *(c for c in ranked if c is not held[0]))
-
-
-def _share_beside(leader: FittedHypothesis, other: FittedHypothesis) -> float:
-    """Weight of a hypothesis, of the two together."""
-    return float(1.0 / (1.0 + np.exp(other.evidence - leader.evidence)))
 
 
 def worth_comparing(

@@ -12,7 +12,7 @@ from itertools import permutations, product
 import numpy as np
 
 from daq.utilities.constants import GRAVITY
-from groundstation.flight.arrays import Array, integral, windows, without_line
+from groundstation.flight.arrays import Array, integral, slope_and_share, windows, without_line
 from groundstation.flight.findings import Finding, FindingKind
 
 Axes = tuple[str, ...]
@@ -117,11 +117,9 @@ class AirspeedKinematics:
         change[:, :3] = mistake.turn("air")
         change[:, 9:] = np.einsum("jki,jl,km->ilm", CROSS, mistake.turn("rates"), mistake.turn("air")).reshape(3, 9)
         cause[:, 3:6], cause[:, 6:9] = mistake.turn("force"), mistake.turn("down")
-        pairs = (cause, change), (cause, cause), (change, change)
-        xy, xx, yy = (float(np.sum((a @ self.products) * b)) for a, b in pairs)
-        if xx <= 0.0 or yy <= 0.0:
-            return 0.0
-        return xy * xy / (xx * yy) if CREDIBLE_SLOPE[0] < xy / xx < CREDIBLE_SLOPE[1] else 0.0
+        pairs = (cause, cause), (cause, change), (change, change)
+        slope, share = slope_and_share(*(float(np.sum((a @ self.products) * b)) for a, b in pairs))
+        return share if CREDIBLE_SLOPE[0] < slope < CREDIBLE_SLOPE[1] else 0.0
 
 
 def wrong_axes(time: Array, columns: Columns) -> Iterator[Finding]:
