@@ -79,15 +79,19 @@ def names_in(expression: str) -> frozenset[str]:
 
 
 @lru_cache(maxsize=4096)
-def products_in(expression: str) -> tuple[frozenset[str], ...]:
-    """The names of every product of an expression that has no sum inside."""
+def products_in(expression: str, constants: frozenset[str] = frozenset()) -> tuple[frozenset[str], ...]:
+    """The names of every product of an expression that has no sum inside, but for sums of `constants` alone."""
     products = []
     for node in ast.walk(parse(expression)):
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
-            inner = list(ast.walk(node))
-            if not any(isinstance(n, ast.BinOp) and isinstance(n.op, ast.Add | ast.Sub) for n in inner):
-                products.append(frozenset(n.id for n in inner if isinstance(n, ast.Name)))
+            sums = (n for n in ast.walk(node) if isinstance(n, ast.BinOp) and isinstance(n.op, ast.Add | ast.Sub))
+            if all(_names(n) <= constants for n in sums):
+                products.append(_names(node))
     return tuple(products)
+
+
+def _names(node: ast.AST) -> frozenset[str]:
+    return frozenset(n.id for n in ast.walk(node) if isinstance(n, ast.Name))
 
 
 def addends_in(expression: str) -> tuple[str, ...]:

@@ -31,7 +31,8 @@ REGRESSORS = {
 """Ending of a derivative's name -> its regressor, and the variable in that."""
 SHARE = "share_CD"
 RATE_BY_LIFT = "alpha_dot_solved"
-"""The rate of alpha as lift by that rate reads it: an effect added to the lift does not move it."""
+"""The rate of alpha as lift by that rate reads it: an effect added to the lift does not move it. By its ending the search for
+shapes knows that this line, which repeats the derivatives of lift, is no coefficient."""
 SHARE_WORDS = "induced drag by the lift of elevator and pitch rate, not in the simulation: share of a parabolic polar"
 DESCRIPTION = "Base: the simulation {}"
 

@@ -73,7 +73,7 @@ def variables_of(model: Model, lines: Sequence[str]) -> tuple[str, ...]:
     fixed_names = {*model.parameter_names, *model.constants, *lines, *(f"{line}_sim" for line in lines)}
     inputs = (s.name for s in model.inputs if not s.computed)
     signals = {*model.state_names, *inputs, *model.definitions}
-    factors = [n for line in lines for product in products_in(model.definitions[line]) for n in sorted(product)]
+    factors = [n for line in lines for product in _terms(model, line) for n in sorted(product)]
     variables = [n for n in dict.fromkeys(factors) if n in signals and n not in fixed_names]
     extras = [n for n in EXTRA_STATES if n in model.state_names] + [n for n in EXTRA_INPUTS if n in model.input_names]
     return tuple(dict.fromkeys([*variables, *extras]))
@@ -105,12 +105,17 @@ def drives(model: Model, line: str, *variables: str) -> bool:
     return line in names_reached(model, variables)
 
 
+def _terms(model: Model, line: str) -> tuple[frozenset[str], ...]:
+    """The names of every product in a line; a derivative may be a difference, as from that of a simulation."""
+    return products_in(model.definitions[line], frozenset((*model.parameter_names, *model.constants)))
+
+
 def _place(model: Model, line: str, variable: str, by: str = "") -> Place:
     """Constant and line of a one-variable increment are the base's constant and derivative, where these are free; of a product
     the constant is the derivative with respect to the second variable."""
     free = set(model.free_names)
-    terms = products_in(model.definitions[line])
-    linear_terms = [product - free for product in terms if len(product & free) == 1]
+    terms, numbers = _terms(model, line), {*model.parameter_names, *model.constants}
+    linear_terms = [product - numbers for product in terms if len(product & free) == 1]
     has_constant = bool((names_in(model.definitions[line]) - frozenset().union(*terms)) & free)
     linear_names = {n for product in linear_terms if len(product) == 1 for n in product}
     if by:

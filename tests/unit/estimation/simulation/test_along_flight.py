@@ -9,6 +9,7 @@ import pytest
 from estimation.errors import AircraftError, EstimationError
 from estimation.estimators.output_error import output_error
 from estimation.gap.effects import catalogue
+from estimation.gap.shapes.places import coefficient_lines, variables_of
 from estimation.models import InputTransform, Model, Parameter, load_model, read_model, write_model
 from estimation.session.proof_of_match import predict_flight
 from estimation.simulation import along_flight
@@ -182,6 +183,8 @@ def test_lift_by_the_rate_of_alpha_follows_the_model_not_the_measured_rate(
         monkeypatch.setattr(along_flight, "BY_ALPHA_RATE", by_rate)
         attached = attach("lift_by_rate:lifted", "longitudinal", [short], free=Free.NOTHING)
         assert ("sim_CL_alpha_dot" in attached.model.input_names) == bool(by_rate)
+        assert coefficient_lines(attached.model) == ("CL", "CD", "Cm")
+        assert set(variables_of(attached.model, ("CL", "CD", "Cm"))) == {"alpha", "q_hat", "delta_e", "V"}
         settled = motion_settled(attached)
         errors.append(np.std(predict_flight(settled.model, settled.flights[0]).predicted - exact, axis=0))
     assert (errors[0] < 0.2 * errors[1]).all()
