@@ -1,4 +1,4 @@
-"""Plausible derivatives of an aeroplane: signs, sizes, static margin, fin arm. In this project's sign conventions.
+"""Plausible derivatives of an aeroplane: signs, sizes, static margin, fin arm, yaw by aileron. In this project's sign conventions.
 
 Ranges are the widest in the tables of J. Roskam, Airplane Flight Dynamics and Automatic Flight Controls I (appendix B and C:
 ten aeroplanes from Cessna 182 to F-4 and 747), R. C. Nelson, Flight Stability and Automatic Control (appendix B), B. W.
@@ -35,6 +35,10 @@ FIN_ARM = 0.6
 the size of CY_beta. The tables above and 47 aircraft of JSBSim have 0.44 at most."""
 WING_CY_R = 0.1  # contribution of wing and body to CY_r
 
+YAW_BY_AILERON = 0.4
+"""Most yaw by aileron over roll by aileron. Of 47 aircraft of JSBSim 42 have 0.34 (a sailplane) and less, triplanes and wings
+with elevons 0.42 to 0.73; another product of inertia passes for it, so that there the flights alone do not tell."""
+
 CONTROLS = {"da": "delta_a", "dr": "delta_r", "de": "delta_e"}
 
 
@@ -48,6 +52,7 @@ def implausible_derivatives(result: Result, aspect: float = math.nan) -> Iterato
             yield f"{text}{_hint(name, e)}"
     yield from _static_margin(result)
     yield from _fin_arm(result)
+    yield from _yaw_by_aileron(result)
 
 
 def _beyond(e: Estimate, low: float, high: float) -> str:
@@ -88,3 +93,19 @@ def _fin_arm(result: Result) -> Iterator[str]:
             f"CY_r = {by_rate.estimate:.3g} +- {by_rate.std_coloured:.2g} is no fin's beside CY_beta = {side.estimate:.3g}"
             f" ({most:.2g} at most): does something move the rudder behind its record, such as a yaw damper?"
         )
+
+
+def _yaw_by_aileron(result: Result) -> Iterator[str]:
+    """A wrong product of inertia turns part of every rolling moment into yaw, and flights near level show nothing else of it."""
+    roll, yaw = result.parameters.get("Cl_da"), result.parameters.get("Cn_da")
+    if roll is None or yaw is None or not (roll.identifiable and yaw.identifiable):
+        return
+    if abs(yaw.estimate) - SURE * yaw.std_coloured <= YAW_BY_AILERON * (abs(roll.estimate) + SURE * roll.std_coloured):
+        return
+    Ixx, Izz, Ixz = (result.model.constants[n] for n in ("Ixx", "Izz", "Ixz"))
+    # the product of inertia with which the same accelerations need no yawing moment
+    without = Izz * (Ixx * yaw.estimate + Ixz * roll.estimate) / (Izz * roll.estimate + Ixz * yaw.estimate)
+    yield (
+        f"Cn_da = {yaw.estimate:.3g} +- {yaw.std_coloured:.2g} is {abs(yaw.estimate / roll.estimate):.2g} of Cl_da, and few "
+        f"ailerons yaw by more than {YAW_BY_AILERON:g}: is Ixz = {Ixz:.2g} kg m2 right? With {without:.2g} they would not yaw"
+    )

@@ -96,3 +96,21 @@ def test_side_force_by_yaw_rate_is_a_fins(CY_r: float, told: bool) -> None:
     result = cast(Result, SimpleNamespace(model=LATERAL, parameters={"CY_beta": side, "CY_r": by_rate}))
     texts = list(implausible_derivatives(result))
     assert [("yaw damper" in text) for text in texts] == ([True] if CY_r > 1.0 and told else [])
+
+
+@pytest.mark.parametrize(("Cn_da", "known", "doubted"), [(0.02, True, False), (0.1, True, True), (0.1, False, False)])
+def test_ailerons_that_yaw_as_no_ailerons_do_ask_for_the_product_of_inertia(
+    Cn_da: float, known: bool, doubted: bool
+) -> None:
+    roll, yaw = Estimate("Cl_da", -0.2, 0.002, 0.003), Estimate("Cn_da", Cn_da, 0.001, 0.002, identifiable=known)
+    constants = {"Ixx": 0.5, "Izz": 1.0, "Ixz": 0.0}
+    model = SimpleNamespace(name=LATERAL.name, constants=constants)
+    result = cast(Result, SimpleNamespace(model=model, parameters={"Cl_da": roll, "Cn_da": yaw}))
+    texts = list(implausible_derivatives(result))
+    assert len(texts) == doubted
+    if not doubted:
+        return
+    # with the product of inertia that the sentence names, the same accelerations need no yawing moment
+    assert "is Ixz = 0 kg m2 right? With -0.25 they" in texts[0]
+    p_dot, r_dot = roll.estimate / constants["Ixx"], Cn_da / constants["Izz"]
+    assert constants["Izz"] * r_dot - -0.25 * p_dot == pytest.approx(0.0)
