@@ -1,6 +1,6 @@
-"""Effects hidden in aircraft of JSBSim, in pitch and in all axes: what the gap workflow names.
+"""Effects hidden in aircraft of JSBSim, in either plane and in all axes: what the gap workflow names.
 
-    python -m tests.studies.jsbsim_hidden [--model longitudinal|six-dof] [--kinds NAME ...] [--hidden NAME ...] [--seed N]
+    python -m tests.studies.jsbsim_hidden [--model lateral|longitudinal|six-dof] [--kinds NAME ...] [--hidden NAME ...] [--seed N]
         [--base simulation|plain] [--nulls N] [--out FILE]
 
 Three flights and one held out of each aircraft, at four speeds, engine off, 20 Hz. A force or moment is written into the
@@ -60,12 +60,14 @@ ALPHA = "aero/alpha-rad", 0.1
 @dataclass(frozen=True)
 class Hidden:
     """What is hidden. axis, factors: a coefficient in the aircraft's file, a product of properties, differences and numbers;
-    lag, delay [s]: of the elevator behind what is recorded of it; sensors: of columns at 200 Hz and the span [m]; mass: times."""
+    lag, delay [s]: of a surface (elevator, aileron, rudder) behind what is recorded of it; sensors: of columns at 200 Hz and the
+    span [m]; mass: times."""
 
     axis: str = ""
     factors: tuple[Any, ...] = ()
     lag: float = 0.0
     delay: float = 0.0
+    surface: int = 0
     sensors: Callable[[Columns, float], Columns] | None = None
     mass: float = 1.0
     name: str = ""
@@ -111,7 +113,19 @@ HIDDEN: Mapping[str, Hidden] = {
     "Cm_beta2": Hidden("PITCH", ("aero/beta-rad", "aero/beta-rad", 1.0)),
     "Cn_da": Hidden("YAW", ("fcs/left-aileron-pos-rad", 0.02)),
     "beta_lag": Hidden(sensors=_late("beta", 0.08)),
+    "Cn_beta3": Hidden("YAW", ("aero/beta-rad", "aero/beta-rad", "aero/beta-rad", 2.0)),
+    "Cl_alpha_beta": Hidden("ROLL", (ALPHA, "aero/beta-rad", 0.75)),
+    "aileron_lag": Hidden(lag=0.06, surface=1),
+    "rudder_delay": Hidden(delay=0.06, surface=2),
+    "beta_scale": Hidden(sensors=_scaled("beta", 1.15)),
 }
+PITCHING_ONLY = frozenset(
+    ("Cm_alphadot", "Cm_alpha2", "CL_alpha2", "elevator_lag", "elevator_delay", "alpha_lag", "alpha_scale", "Cm_beta2")
+)
+LATERAL_ONLY = frozenset(
+    ("Cn_da", "beta_lag", "Cn_beta3", "Cl_alpha_beta", "aileron_lag", "rudder_delay", "beta_scale")
+)
+"""What shows in one plane alone."""
 
 
 def change_file(file: Path, hidden: Hidden) -> None:
@@ -157,8 +171,10 @@ def flown(
         rows.append(_seen(fdm, k, surfaces))
         surfaces = surfaces + (trim[3:] + added[:, k] + hold - surfaces) / (SERVO * RATE)
         past = [*past[1:], surfaces]
-        acting[0] += (past[0][0] - acting[0]) * (1.0 - np.exp(-1.0 / (RATE * hidden.lag)) if hidden.lag else 1.0)
-        put_surfaces(fdm, acting[0], *surfaces[1:])
+        behind = hidden.surface
+        share = 1.0 - np.exp(-1.0 / (RATE * hidden.lag)) if hidden.lag else 1.0
+        acting[behind] += (past[0][behind] - acting[behind]) * share
+        put_surfaces(fdm, *(acting[i] if i == behind else surfaces[i] for i in range(3)))
         fdm.run()
     columns = dict(zip(SEEN, np.array(rows).T, strict=True))
     shape = properties(fdm)
@@ -188,7 +204,7 @@ def flights_of(kind: Kind, hidden: Hidden, seed: int, all_axes: bool) -> tuple[l
 
 def ask(kind: Kind, label: str, model: str, base: str, seed: int, nulls: int) -> dict[str, Any]:
     """One set and its answer."""
-    four, craft = flights_of(kind, HIDDEN[label], seed, model == "six-dof")
+    four, craft = flights_of(kind, HIDDEN[label], seed, model != "longitudinal")
     row: dict[str, Any] = {"kind": kind.name, "hidden": label, "model": model, "base": base, "seed": seed}
     begun = time.process_time()
     try:
@@ -228,7 +244,7 @@ def _named(step: Mapping[str, Any]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--model", default="longitudinal", choices=("longitudinal", "six-dof"))
+    parser.add_argument("--model", default="longitudinal", choices=("lateral", "longitudinal", "six-dof"))
     parser.add_argument("--base", default="simulation", choices=("simulation", "plain"))
     parser.add_argument("--kinds", nargs="*", default=[k.name for k in KINDS])
     parser.add_argument("--hidden", nargs="*", default=list(HIDDEN))
@@ -239,7 +255,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given.out.parent.mkdir(parents=True, exist_ok=True)
     for kind in (k for k in KINDS if k.name in given.kinds):
         for number, label in enumerate(HIDDEN):
-            if label in given.hidden:
+            elsewhere = {"lateral": PITCHING_ONLY, "longitudinal": LATERAL_ONLY | {"Cm_beta2"}}.get(given.model, ())
+            if label in given.hidden and label not in elsewhere:
                 row = ask(kind, label, given.model, given.base, 1000 * given.seed + number, given.nulls)
                 with given.out.open("a", encoding="utf-8") as handle:
                     handle.write(json.dumps(row) + "\n")
