@@ -51,7 +51,7 @@ from estimation.prepare.flight_data import FlightData
 PASSES = 3  # of noise and parameters in turn; a third changes both by less than their scatter on the nulls
 SPARE_PASSES = 3  # more of them where the fit has not converged
 ROUGH = 0.5  # of the log-likelihood: accuracy of a fit whose noise is not yet known
-STEP_TURNS = 2  # of stationary noise and freedom of the surfaces in turn
+STEP_TURNS = 2  # of stationary noise and freedom of the surfaces in turn, the first time; one where a fit goes on
 FOLDS = 3.0  # by which power of e the motion may grow in a stretch: 20 times the noise of its beginning
 SHORTEST = 4.0  # s, of a stretch
 CALMER = 0.5  # times the growth: so much slower another fit has to grow to be preferred
@@ -189,9 +189,10 @@ def estimated_noise(
     def estimate(unexplained: Sequence[Array], start: NoiseModel | None) -> NoiseModel:
         return estimate_noise(unexplained, shapes, white**2, floor, without, known, start)
 
-    noise = earlier if earlier is not None and earlier.freedom else estimate(residuals, None)
+    goes_on = earlier is not None and bool(earlier.freedom)
+    noise = earlier if earlier is not None and goes_on else estimate(residuals, None)
     freedom = noise.freedom
-    for _ in range(STEP_TURNS):
+    for _ in range(1 if goes_on else STEP_TURNS):
         displacements = [
             displaced(whitener(noise, s), e, freedom, np.nan_to_num(r))
             for s, e, r in zip(shapes, steps, residuals, strict=True)
@@ -269,7 +270,7 @@ def fit_baseline(
     if calmer is None:
         return baseline
     try:
-        return fit_baseline(model, clean, prepared, scatter, calmer, noise)
+        return fit_baseline(model, clean, prepared, scatter, calmer, noise, noise_is_current=True)
     except GapError:  # the calmer fit was as good only with the noise of the first
         return baseline
 

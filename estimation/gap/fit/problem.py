@@ -279,6 +279,20 @@ class LikelihoodProblem:
         dy[~np.isfinite(residual)] = 0.0
         return residual, dy
 
+    def by_dormant(self, index: int, fit: ModelFit, names: Sequence[str]) -> Array:
+        """(N, ny, names) derivatives of the outputs of one record by dormant parameters about a fit; zero where not measured.
+
+        Not finite where a derivative, or the motion itself, runs away."""
+        simulator = Simulator.build(self.model, tuple(names), substeps=self.substeps, hold="linear")
+        local, segment = fit.locals[index], self.driven(self.grids[index], fit.values)
+        shared = {**self.model.starts(), **fit.values, **local.parameters}
+        motion = simulator.run_by_middles(segment, shared, local.x0, sensitivities=True)
+        if motion.dy is None or not motion.finite:
+            return np.full((*self.coarse[index].z.shape, len(names)), np.inf)
+        by_names = motion.dy[:, :, : len(names)].copy()
+        by_names[~np.isfinite(self.coarse[index].z)] = 0.0
+        return by_names
+
     def disturbed(self, index: int, values: Mapping[str, float], local: Local, du: Array) -> Array | None:
         """(N, ny, k) changes of the outputs of one record by k small changes (N, nu, k) of its inputs, linear between samples.
 

@@ -20,7 +20,7 @@ from estimation.gap.search.select import Choice, individual_inflation
 from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
 from estimation.gap.significance.measure import held_out_gaps, held_out_likelihood
-from estimation.gap.significance.measured_again import NOT_ITS_OWN, MeasuredAgain
+from estimation.gap.significance.measured_again import NOT_ITS_OWN
 from estimation.gap.significance.omnibus import Remainder
 
 
@@ -29,7 +29,7 @@ def accept(
 ) -> tuple[AcceptedEffect | None, list[Rejected]]:
     """The first candidate that is significant and `confirmed`, or None; and the candidates refused before it, with reasons.
 
-    A score counts less where the candidate gains also on flights without it, whose controls are measured again (`MeasuredAgain`).
+    A score counts less where the candidate gains also on flights without it, whose controls are measured again (`Remainder.again`).
     Behind one that the held-out flights do not confirm only as good an explanation is asked, not what is left to a lesser one.
     rest: of the residuals of `round_`. shapes: gives the gain of the best nameless function of one variable; called only where a
     candidate is significant.
@@ -38,11 +38,10 @@ def accept(
     refused_keys: set[tuple[str, str]] = set()
     unconfirmed: FittedHypothesis | None = None  # the first of which the held-out flights show nothing
     shape = shapes() if any(c.score >= round_.threshold for c in choice.candidates) else 0.0
-    remeasured = MeasuredAgain(round_.baseline, setting.options.seed)
     for candidate in choice.candidates:
         if candidate.score < round_.threshold:
             break
-        score = candidate.score * math.sqrt(remeasured.share(candidate.gain, candidate.fit))
+        score = candidate.score * math.sqrt(rest.again.share(candidate.gain, candidate.fit))
         child = None
         if score < round_.threshold:
             remainder = f"{score:.1f} of {round_.threshold:.1f} is left"

@@ -23,6 +23,7 @@ from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent, is_door, output_changes
 
 LEADING = 8  # signals for the answer
+FIRST_ASKED = 16  # terms asked beyond the noise of controls; the others only where eight of all do not stay above them
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
 TENTH = 0.1  # of an output's scatter: size of an addition to it, which does not change its score
 FEWEST_SETS = 4  # simulated, for the scatter of a score
@@ -95,12 +96,19 @@ class Remainder:
         times, time_null = restless_times(problem, white, nulls)
         activity, activity_null = scatter_with_activity(problem, model_fit, white, nulls)
         largest = np.max([term_null, time_null, activity_null], axis=0)
-        omnibus = summed_up([*terms, *times, *activity], largest, criteria)
-        doubtful = [s for s in terms if s.score > omnibus.threshold]
-        if not doubtful:
-            return omnibus
-        terms = [*(s for s in terms if s not in doubtful), *beyond_control_noise(self.round_, doubtful)]
-        return summed_up([*terms, *times, *activity], largest, criteria)
+        limit = unknown_above(largest, criteria)
+        doubtful = sorted((s for s in terms if s.score > limit), key=lambda s: -s.score)
+        signals = [*(s for s in terms if s.score <= limit), *times, *activity]
+        for some in (doubtful[:FIRST_ASKED], doubtful[FIRST_ASKED:]):
+            lowest = sorted((s.score for s in signals), reverse=True)[LEADING - 1 : LEADING]
+            if some and not (lowest and lowest[0] >= some[0].score):  # scores only fall where controls are measured again
+                signals += beyond_control_noise(self.again, some)
+        return summed_up(signals, largest, criteria)
+
+    @cached_property
+    def again(self) -> MeasuredAgain:
+        """The flights of the round with their controls measured again."""
+        return MeasuredAgain(self.round_.baseline, MEASURED_AGAIN_SEED)
 
 
 def examine(round_: Round) -> Omnibus:
@@ -195,7 +203,7 @@ def _scale_of_additions(problem: LikelihoodProblem, index: int) -> dict[str, flo
     return scale
 
 
-def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> list[OmnibusSignal]:
+def beyond_control_noise(again: MeasuredAgain, signals: Sequence[OmnibusSignal]) -> list[OmnibusSignal]:
     """Terms with the part of their score that exceeds the noise of recorded controls.
 
     That noise is in the motion that a term is made of and in the residual, which correlate with nothing hidden. Nulls do not show
@@ -203,7 +211,7 @@ def beyond_control_noise(round_: Round, signals: Sequence[OmnibusSignal]) -> lis
     again do: their mean score is subtracted, and their scatter counts where it exceeds that of the nulls. Unchanged where such
     flights cannot be flown.
     """
-    scores = _scores(MeasuredAgain(round_.baseline, MEASURED_AGAIN_SEED), signals)
+    scores = _scores(again, signals)
     if len(scores) < FEWEST_SETS:
         return list(signals)
     mean, wider = scores.mean(axis=0), np.maximum(scores.std(axis=0), 1.0)

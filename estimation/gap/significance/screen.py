@@ -18,12 +18,12 @@ from estimation.engine.kernel import Array
 from estimation.estimators.normal_equations import eliminated, solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, EffectParameter, Form
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, prior_terms
+from estimation.gap.fit.problem import LARGEST, LikelihoodProblem, ModelFit, carried_local, prior_terms
 from estimation.gap.records.candidate_model import awakened
-from estimation.gap.significance.tangent import Tangent
-from estimation.models.base import Model
+from estimation.gap.significance.tangent import AT_ONCE, Tangent
+from estimation.models.base import Model, ParameterRole
 
-SMALL = 0.05  # usual sizes: secant steps to both sides, within which every smooth effect is linear
+SMALL = 0.05  # usual sizes: secant steps to both sides, of effects with states or transforms
 LARGE = 0.3  # usual sizes: step to one side, large enough for a play or a delay to act
 SEEN = 1e-6  # of a column's squared length: less beside the base is rounding
 ROUNDING = 1e-12  # of a column's squared length: what elimination leaves of one that the base absorbs
@@ -53,6 +53,31 @@ class HypothesisColumn:
 
     hypothesis: int
     parameter: EffectParameter
+
+
+def derivatives(
+    problem: LikelihoodProblem, fit: ModelFit, hypotheses: Sequence[Hypothesis]
+) -> dict[str, list[Array] | None]:
+    """Parameter -> per record (N, ny) change of the outputs per unit, of all parameters in which the equations are smooth: those
+    that lie dormant in them and may have either sign. None where the motion runs away."""
+    dormant = {p.name for p in problem.model.parameters if p.role is ParameterRole.DORMANT}
+    smooth = dict.fromkeys(
+        p.name
+        for h in hypotheses
+        for p in h.form.parameters
+        if not h.form.nonlinear
+        and p.name in dormant
+        and not one_sided(p, p.null_value(problem.model), problem.criteria)
+    )
+    found: dict[str, list[Array] | None] = {}
+    for first in range(0, len(smooth), AT_ONCE):
+        names = list(smooth)[first : first + AT_ONCE]
+        by_record = [problem.by_dormant(i, fit, names) for i in range(len(problem.records))]
+        for k, name in enumerate(names):
+            changes = [np.ascontiguousarray(by_names[:, :, k]) for by_names in by_record]
+            finite = all(np.abs(c).max(initial=0.0) < LARGEST for c in changes)
+            found[name] = changes if finite else None
+    return found
 
 
 def sensitivity(
@@ -237,9 +262,11 @@ class Signatures:
         changes: list[list[Array]] = []
         included: list[Hypothesis] = []
         runaway: list[Hypothesis] = []
+        smooth = derivatives(problem, fit, hypotheses)
         for hypothesis in hypotheses:
             sensitivities = [
-                (p, sensitivity(problem, fit, fit.residuals, hypothesis, p)) for p in hypothesis.form.parameters
+                (p, smooth[p.name] if p.name in smooth else sensitivity(problem, fit, fit.residuals, hypothesis, p))
+                for p in hypothesis.form.parameters
             ]
             if any(c is None for _, c in sensitivities):
                 runaway.append(hypothesis)
