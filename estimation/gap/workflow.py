@@ -52,6 +52,7 @@ from estimation.gap.search.accept import is_strong
 from estimation.gap.search.bases import (
     answers_an_effect,
     derivatives_off,
+    explained_by_one,
     far_off,
     many,
     moved_in_words,
@@ -321,7 +322,8 @@ def _find(run: _Run, model: Model) -> _Found:
         del baseline  # whose whiteners are large
         setting, baseline = run.set_up(model, setting.loop)
     moved, criteria = "", run.options.criteria
-    if off := derivatives_off(setting, baseline):
+    off = derivatives_off(setting, baseline)
+    if off and not explained_by_one(setting, baseline):
         # the one that stands out is for the search, which has to confirm it
         outlier = outstanding(setting, baseline, off) if setting.commanded else None
         others = tuple(n for n in off if n != outlier)

@@ -28,7 +28,7 @@ from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.noise import NoiseModel
 from estimation.gap.fit.problem import ModelFit
 from estimation.gap.search.confirm import fit_hypothesis
-from estimation.gap.search.select import NOISE_CANDIDATES, Choice
+from estimation.gap.search.select import NOISE_CANDIDATES, Choice, by_derivatives
 from estimation.gap.search.state import Setting
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess
@@ -125,6 +125,26 @@ def largest(screen: Screen, criteria: Criteria) -> str | None:
     gains = [projected.gain(screen.span(h)) for h in range(len(screen.hypotheses))]
     best = int(np.argmax(gains)) if gains else -1
     return screen.hypotheses[best].form.frees[0] if best >= 0 and gains[best] > criteria.certain**2 else None
+
+
+def explained_by_one(setting: Setting, baseline: Baseline) -> bool:
+    """Whether one of the leading hypotheses explains why derivatives are off: with it in the base they are not off any more.
+
+    An airspeed that reads 5 % high makes every coefficient of a simulation look 9 % too large and every rate derivative 5 %.
+    """
+    problem, model_fit = baseline.problem, baseline.fit
+    hypotheses = hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
+    screen = build_screen(Tangent(problem, model_fit), [h for h in hypotheses if not h.form.frees])
+    for h in np.argsort(-linear_gains(screen, problem))[:LEADING]:
+        hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, int(h))
+        trial, trial_fit = fit_hypothesis(problem, model_fit, hypothesis, guess)
+        if trial_fit.diverged or by_derivatives(hypothesis):
+            continue
+        values = {p.name: trial_fit.values[p.name] for p in hypothesis.form.parameters}
+        clean = hypothesis.form.added_to(baseline.clean, values)
+        if not derivatives_off(setting, replace(baseline, problem=trial, fit=trial_fit, clean=clean)):
+            return True
+    return False
 
 
 def with_free_derivatives(model: Model, names: Sequence[str]) -> Model:
