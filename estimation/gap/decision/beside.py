@@ -7,7 +7,9 @@ the catalogue.
 
 The catalogue has no lag and no swing, and names can imitate one so well that no nameless term, a function of the motion at that
 instant, is significant any more. So the model with names is also screened for a lag or a swing. Where one is significant, it is
-added to the first model instead, and every name has to be significant beside it.
+added to the first model instead, and every name has to be significant beside it. Several names may leave nothing at all of a lag
+(yaw that follows roll rate 0.4 s late: `Cn_betadot` and `Ixz_error`); then they have to gain most of what it gains by itself, as
+a name has to beside a nameless term.
 """
 
 import math
@@ -23,7 +25,7 @@ from estimation.gap.decision.unnamed import search_shape, standing_round
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.fit.baseline import Baseline, fit_baseline
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
-from estimation.gap.search.accept import own_inflation
+from estimation.gap.search.accept import explains, own_inflation
 from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
@@ -216,11 +218,31 @@ def late_rest(setting: Setting, search: SearchState, findings: Sequence[Accepted
         candidates = (find_memory(motion, about, places_of(setting.base)), find_swing(motion, about))
         significant = [f for f in candidates if f is not None and stands_out(f, setting.options.criteria)]
         if not significant:
-            return None
+            return _instead_of_several(setting, search, findings) if len(findings) > 1 else None
         follower = max(significant, key=lambda f: f.gain)
         return _needed_beside(setting, search.rounds[0].baseline, follower, findings)
     except GapError:
         return None
+
+
+def _instead_of_several(setting: Setting, search: SearchState, findings: Sequence[AcceptedEffect]) -> LateRest | None:
+    """The lag that gains clearly more about the first model than all names together; None where there is none, or where all names
+    are needed beside it."""
+    first = search.rounds[0]
+    base = first.baseline
+    memory = find_memory(ModelMotion.of(base.problem, base.fit), first, places_of(setting.base))
+    if memory is None:
+        return None
+    _, with_memory = _fitted(base, memory)
+    problem, with_names = base.problem, base.fit
+    for finding in findings:
+        estimates = {n: v for n, (v, _) in finding.candidate.estimates.items()}
+        problem, with_names = fit_hypothesis(problem, with_names, finding.candidate.hypothesis, estimates)
+    gains = (2.0 * (base.fit.cost - f.cost) for f in (with_names, with_memory))
+    if with_memory.diverged or with_names.diverged or explains(*gains, setting.options.criteria):
+        return None
+    late = _needed_beside(setting, base, memory, findings)
+    return late if late is not None and late.needed < len(findings) else None
 
 
 def _needed_beside(

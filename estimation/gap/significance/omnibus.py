@@ -101,7 +101,9 @@ class Remainder:
         signals = [*(s for s in terms if s.score <= limit), *times, *activity]
         for some in (doubtful[:FIRST_ASKED], doubtful[FIRST_ASKED:]):
             lowest = sorted((s.score for s in signals), reverse=True)[LEADING - 1 : LEADING]
-            if some and not (lowest and lowest[0] >= some[0].score):  # scores only fall where controls are measured again
+            if some and not (
+                lowest and lowest[0] >= some[0].score
+            ):  # scores only fall where controls are measured again
                 signals += beyond_control_noise(self.again, some)
         return summed_up(signals, largest, criteria)
 

@@ -75,7 +75,7 @@ def strongest(round_: Round) -> OmnibusSignal:
 def test_a_nameless_term_that_is_there_stands_beyond_the_noise_of_the_controls() -> None:
     round_ = screened(-6.0, 0.07 * DEG)
     before = strongest(round_)
-    (after,) = beyond_control_noise(round_, [before])
+    (after,) = beyond_control_noise(MeasuredAgain(round_.baseline, 1), [before])
     assert after.score > 0.5 * before.score > 5.0
 
 
@@ -83,7 +83,7 @@ def test_what_the_noise_of_a_control_makes_is_no_nameless_term() -> None:
     """0.4 deg of noise on an aileron, as measured by its steps: rolling less than it says."""
     round_ = screened(0.0, 0.4 * DEG)
     before = strongest(round_)
-    (after,) = beyond_control_noise(round_, [before])
+    (after,) = beyond_control_noise(MeasuredAgain(round_.baseline, 1), [before])
     assert after.score < 0.8 * before.score
     again = MeasuredAgain(round_.baseline, 1)
     for (problem, found), remade in zip(again.problems(), again.sets, strict=True):

@@ -20,6 +20,7 @@ from estimation.gap.search.accept import (
 from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.select import Choice
 from estimation.gap.search.state import Options
+from estimation.gap.significance.measured_again import MeasuredAgain
 from tests.unit.estimation.gap.candidates_by_hand import REST, ROUND, candidate, remainder, stub
 
 SETTING: Any = stub(options=Options())
@@ -73,7 +74,7 @@ def test_timing_is_freed_of_its_prior(moved: float, followed: bool) -> None:
 def own_gains(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     """Share of the gain of each hypothesis that the noise of the controls does not give it: all of it where nothing is said."""
     shares: dict[str, float] = {}
-    monkeypatch.setattr(accepting.MeasuredAgain, "share", lambda self, gain, fit: shares.get(str(gain), 1.0))
+    monkeypatch.setattr(MeasuredAgain, "share", lambda self, gain, fit: shares.get(str(gain), 1.0))
     return shares
 
 
