@@ -1,4 +1,4 @@
-"""Plausible derivatives of an aeroplane: signs, sizes, static margin, fin arm, yaw by aileron. In this project's sign conventions.
+"""Plausible derivatives of an aeroplane: signs, sizes, static margin, fin arm, yaw by aileron. Signs as in this project.
 
 Ranges are the widest in the tables of J. Roskam, Airplane Flight Dynamics and Automatic Flight Controls I (appendix B and C:
 ten aeroplanes from Cessna 182 to F-4 and 747), R. C. Nelson, Flight Stability and Automatic Control (appendix B), B. W.

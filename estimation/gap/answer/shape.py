@@ -107,12 +107,12 @@ class LaggedTerm:
 
     @property
     def words(self) -> str:
-        return f"{self.line} follows {self.variable} some {self.time:g} s late"
+        return f"{self.line} follows {self.variable} some {self.time:.2g} s late"
 
     def to_json(self) -> dict[str, Any]:
         return {
             "kind": "memory", "nameless": True, "output": self.line, "variables": [self.variable],
-            "time_constant": self.time, **rounded_fields(self, score=2, threshold=2),
+            "time_constant": round(self.time, 3), **rounded_fields(self, score=2, threshold=2),
         }  # fmt: skip
 
 

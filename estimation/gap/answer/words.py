@@ -77,7 +77,7 @@ def describe_unknown(step: EffectStep) -> str:
     if isinstance(shape, LaggedTerm):
         text += (
             f" No function of the motion closes the gap either; a part of {shape.line} that follows {shape.variable} some "
-            f"{shape.time:g} s late gains (score {shape.score:.1f} against {shape.threshold:.1f})."
+            f"{shape.time:.2g} s late gains (score {shape.score:.1f} against {shape.threshold:.1f})."
         )
     if isinstance(shape, SwingingTerm):
         text += f" {describe_swing(shape)}"

@@ -38,10 +38,11 @@ from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.screen import Hypothesis
 from estimation.models.base import Signal
 
-SIZE, FOLLOWER = "nameless_late", "nameless_follower"
+SIZE, FOLLOWER, TIME = "nameless_late", "nameless_follower", "nameless_time"
 SWING, FREQUENCY, DAMPING = "nameless_swing", "nameless_frequency", "nameless_damping"
 LEAST_DAMPING, MOST_DAMPING = 0.005, 1.0
-OCTAVE = 2.0  # range of the frequency to either side of its first value
+OCTAVE = 2.0  # range of a frequency to either side of its first value
+SPAN = 3.0  # range of a time constant to either side of its first value, of a grid in steps of two to two and a half
 NEAR_LIMIT = 1.01  # times a limit: the fit was stopped by it
 SIZE_RANGE = 1e3  # usual sizes to either side: no limit in practice
 
@@ -268,8 +269,8 @@ def _needed_beside(
 
 
 def settled_follower(follower: Follower | None, baseline: Baseline, seed: int) -> Follower | None:
-    """A lag unchanged; a swing with frequency and damping as fitted with a model, and None where the fit does not ring. None also
-    where it gains nearly as much with only the controls measured again. Unchanged where the fit runs away."""
+    """A lag or a swing as fitted with a model, and None where a swing does not ring. None also where it gains nearly as much with
+    only the controls measured again. Unchanged where the fit runs away."""
     if follower is None:
         return None
     _, fitted = _fitted(baseline, follower)
@@ -309,10 +310,12 @@ def beside_memory(decision: Decision, named: Sequence[str], late: LateRest) -> D
 
 
 def as_fitted(follower: Follower, model_fit: ModelFit, criteria: Criteria) -> Follower | None:
-    """A lag unchanged, a swing with the fitted values; None where that does not ring, or where a limit stopped the fit: an
-    undamped tone needs no acceleration to drive it, and a frequency far from the first one belongs to another swing."""
-    if not isinstance(follower, SwingingTerm) or model_fit.diverged:
+    """A lag or a swing with the fitted values; None of a swing that does not ring, or where a limit stopped its fit: an undamped
+    tone needs no acceleration to drive it, and a frequency far from the first one belongs to another swing."""
+    if model_fit.diverged:
         return follower
+    if isinstance(follower, LaggedTerm):
+        return replace(follower, time=float(model_fit.values[TIME]))
     values, std = model_fit.values, model_fit.std()
     fitted = replace(
         follower,
@@ -335,17 +338,21 @@ def hypothesis_of(follower: Follower, motion: ModelMotion) -> tuple[Hypothesis, 
 
 
 def lag_of(memory: LaggedTerm, motion: ModelMotion) -> tuple[Form, dict[str, float]]:
-    """A term proportional to a first-order lag of a variable minus that variable, and its start value."""
-    line, variable = memory.line, memory.variable
+    """A term proportional to a first-order lag of a variable minus that variable, size and time constant unknown, and their start
+    values."""
+    line, variable, time = memory.line, memory.variable, memory.time
     form = Form(
         SIZE,
-        (_size(SIZE, motion.scale[line] / motion.reach(variable)),),
+        (
+            _size(SIZE, motion.scale[line] / motion.reach(variable)),
+            EffectParameter(TIME, "s", 0.3 * time, time / SPAN, SPAN * time, time),
+        ),
         terms={line: (f"{SIZE}*({FOLLOWER} - {variable})",)},
         states=(Signal(FOLLOWER, start=variable),),
-        lines=(f"{FOLLOWER}_dot = ({variable} - {FOLLOWER})/{memory.time!r}",),
+        lines=(f"{FOLLOWER}_dot = ({variable} - {FOLLOWER})/{TIME}",),
         requires=(line, variable),
     )
-    return form, {SIZE: 0.0}
+    return form, {SIZE: 0.0, TIME: time}
 
 
 def swing_of(swing: SwingingTerm, motion: ModelMotion) -> tuple[Form, dict[str, float]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.errors import GapError
 from estimation.gap.answer.result import EffectStep, Gap, GapResult, GapVerdict, Histories, Rejected
-from estimation.gap.answer.shape import Follower, Happened, HeldInstrument, NotPredicted
+from estimation.gap.answer.shape import Follower, Happened, HeldInstrument, LaggedTerm, NotPredicted
 from estimation.gap.answer.words import conclude, describe_not_predicted, describe_step, rest_of_inputs
 from estimation.gap.decision import unnamed
 from estimation.gap.decision.beside import (
@@ -18,6 +18,7 @@ from estimation.gap.decision.beside import (
     late_rest,
     names_beside,
     settled_follower,
+    stands_out,
     without_doubted,
 )
 from estimation.gap.decision.decide import Decision, Named, VerdictFacts, as_unknown, decide, only_steered, with_names
@@ -142,8 +143,9 @@ def _search_unnamed(state: _Conclusion) -> None:
         state.shapes = unnamed.search_shape(setting, search, round_, state.decision)
     if state.shapes.shape is not None:
         return
-    state.event = unnamed.events_in_time(setting, round_)  # also with names, which are no events in time
-    if state.event is not None:
+    event = unnamed.events_in_time(setting, round_)  # also with names, which are no events in time
+    if event is not None and not _outweighs(state.shapes.follower, event):
+        state.event = event
         return
     late = late_rest(setting, search, state.findings)
     if late is None:
@@ -159,6 +161,13 @@ def _search_unnamed(state: _Conclusion) -> None:
     state.shapes = replace(state.shapes, follower=follower)
     if follower:
         state.decision = as_unknown(state.decision)
+
+
+def _outweighs(follower: Follower | None, event: Happened) -> bool:
+    """Whether a lag or swing stands clearer out of the nulls than an event in time: what a strong one leaves at some instant of
+    the first model looks like an event."""
+    strongest = max(e.score / e.threshold for e in event.events)
+    return follower is not None and follower.score / follower.threshold > strongest
 
 
 def _add_names(state: _Conclusion, beside: ShapeContinuation) -> None:
@@ -205,8 +214,10 @@ def _answer(state: _Conclusion, check: KinematicCheck, rejected: tuple[Rejected,
     effect_steps = [with_final_estimates(s, f, final) for s, f in zip(state.named, state.findings, strict=False)]
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
     odd = odd_flights(repeats)
-    # no swing explains flights that all differ
-    late = state.shapes.follower if len(odd) < max(len(repeats), 1) else None
+    late = state.shapes.follower
+    # flights that all differ look like one that swings, or lags a little; a clear lag that the model lacks makes them differ
+    if late is not None and len(odd) >= max(len(repeats), 1):
+        late = late if isinstance(late, LaggedTerm) and stands_out(late, setting.options.criteria) else None
     steps = steps_in_words(decision, effect_steps, rest, check, unchanged_gap, nameless, late)
     stages = views(first.baseline, final, prepared)
     before_model, after_model = models(setting.base, first.baseline, state.findings, shape)

@@ -29,7 +29,7 @@ def accept(
 ) -> tuple[AcceptedEffect | None, list[Rejected]]:
     """The first candidate that is significant and `confirmed`, or None; and the candidates refused before it, with reasons.
 
-    A score counts less where the candidate gains also on flights without it, whose controls are measured again (`Remainder.again`).
+    A score counts less where the candidate gains also on flights without it with controls measured again (`Remainder.again`).
     Behind one that the held-out flights do not confirm only as good an explanation is asked, not what is left to a lesser one.
     rest: of the residuals of `round_`. shapes: gives the gain of the best nameless function of one variable; called only where a
     candidate is significant.

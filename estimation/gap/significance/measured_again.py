@@ -30,7 +30,6 @@ from estimation.signals.denoise import denoise_many, wiener
 from estimation.signals.rounding import near_edges, without_stairs
 
 NOT_ITS_OWN = "gains nearly as much without it, where controls are measured again"  # why a candidate is rejected
-RAN_AWAY = 3.0  # energies of the flights: with more the base did not follow its own flight, whose motion grows
 NOTHING = 1e-12  # smallest score
 REPEATS = 16  # simulated sets: their mean gain is known to a quarter of its scatter, some 4 of a gain of 40
 
@@ -54,8 +53,8 @@ class MeasuredAgain:
 
     @cached_property
     def sets(self) -> tuple[tuple[SimulatedRecord, ...], ...]:
-        """The records of every repeat, without repeats whose motion runs away or leaves the base by many times the noise: gains
-        on such flights do not come from controls."""
+        """The records of every repeat, without repeats whose motion runs away or leaves the base by more than the noise, as nulls
+        may not either: gains on such flights do not come from controls."""
         indices = range(len(self.baseline.problem.records))
         streams = (Stream.MEASURED_AGAIN.generator(self.seed, number) for number in range(REPEATS))
         flown = [[self._flown(index, rng) for index in indices] for rng in streams]
@@ -71,9 +70,9 @@ class MeasuredAgain:
     def _near_the_base(
         self, sets: Sequence[Sequence[SimulatedRecord | None]]
     ) -> tuple[tuple[SimulatedRecord, ...], ...]:
-        """The sets in which no motion runs away or leaves the base by many times the noise."""
+        """The sets in which no motion runs away or leaves the base by more than the noise."""
         pairs = zip(self.baseline.problem.whiteners, self.baseline.fit.residuals, strict=True)
-        limit = RAN_AWAY * sum(w.energy(residual) for w, residual in pairs)
+        limit = self.baseline.criteria.null_energy * sum(w.energy(residual) for w, residual in pairs)
         finite = (tuple(r for r in records if r is not None) for records in sets if None not in records)
         return tuple(f for f in finite if sum(r.energy for r in f) < limit)
 

@@ -12,6 +12,7 @@ from estimation.gap.answer.shape import LaggedTerm
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.beside import (
     SIZE,
+    TIME,
     LateRest,
     beside_memory,
     hypothesis_of,
@@ -51,10 +52,12 @@ def test_a_name_is_needed_beside_a_memory_where_it_would_have_been_named() -> No
 def test_a_lag_adds_how_far_its_follower_is_behind() -> None:
     hypothesis, start = hypothesis_of(MEMORY, _flown(2e-3, 0.1))
     lag = hypothesis.form
-    assert start == {SIZE: 0.0}
+    assert start == {SIZE: 0.0, TIME: 0.5}
     assert lag.terms == {"Cn": (f"{SIZE}*(nameless_follower - p_hat)",)}
-    assert lag.lines == ("nameless_follower_dot = (p_hat - nameless_follower)/0.5",)
+    assert lag.lines == ("nameless_follower_dot = (p_hat - nameless_follower)/nameless_time",)
     assert lag.parameters[0].typical == pytest.approx(0.02)
+    assert lag.parameters[1].lower < 0.25
+    assert lag.parameters[1].upper > 1.0
     assert lag.obstacle(load_model("lateral", "cdfp")) is None
 
 
@@ -85,6 +88,6 @@ def test_two_names_that_imitate_a_memory_are_withdrawn(seed: int) -> None:
     shape = result.steps[0].shape
     assert isinstance(shape, LaggedTerm)
     assert (shape.line, shape.variable) == ("Cn", "p_hat")
-    assert 0.2 <= shape.time <= 1.0
+    assert 0.25 <= shape.time <= 0.65
     assert any("not needed where Cn follows p_hat" in r.why for r in result.rejected)
     assert np.isfinite(result.steps[0].score)
