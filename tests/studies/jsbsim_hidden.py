@@ -126,6 +126,7 @@ LATERAL_ONLY = frozenset(
     ("Cn_da", "beta_lag", "Cn_beta3", "Cl_alpha_beta", "aileron_lag", "rudder_delay", "beta_scale")
 )
 """What shows in one plane alone."""
+LATERAL_NAMES = {"V_scale": "airspeed_scale", "imu_x": "imu_lever_arm"}
 
 
 def change_file(file: Path, hidden: Hidden) -> None:
@@ -219,6 +220,7 @@ def ask(kind: Kind, label: str, model: str, base: str, seed: int, nulls: int) ->
 def judged(row: Mapping[str, Any]) -> str:
     """right (first and alone), right+ (first, others beside it), class, wrong, unknown or missed; of nothing: right or false."""
     hidden = HIDDEN[row["hidden"]].name or row["hidden"]
+    hidden = LATERAL_NAMES.get(hidden, hidden) if row["model"] == "lateral" else hidden
     names = [s["effect"] for s in row["steps"]]
     if hidden == "nothing":
         return "right" if not names and row["verdict"] in ("no_gap", "cannot_tell") else "false"

@@ -239,8 +239,8 @@ def _instead_of_several(setting: Setting, search: SearchState, findings: Sequenc
     for finding in findings:
         estimates = {n: v for n, (v, _) in finding.candidate.estimates.items()}
         problem, with_names = fit_hypothesis(problem, with_names, finding.candidate.hypothesis, estimates)
-    gains = (2.0 * (base.fit.cost - f.cost) for f in (with_names, with_memory))
-    if with_memory.diverged or with_names.diverged or explains(*gains, setting.options.criteria):
+    gain, memory_gain = (2.0 * (base.fit.cost - f.cost) for f in (with_names, with_memory))
+    if with_memory.diverged or with_names.diverged or explains(gain, memory_gain, setting.options.criteria):
         return None
     late = _needed_beside(setting, base, memory, findings)
     return late if late is not None and late.needed < len(findings) else None
