@@ -161,6 +161,8 @@ def _search_unnamed(state: _Conclusion) -> None:
     state.shapes = replace(state.shapes, follower=follower)
     if follower:
         state.decision = as_unknown(state.decision)
+    else:
+        state.event = event
 
 
 def _outweighs(follower: Follower | None, event: Happened) -> bool:

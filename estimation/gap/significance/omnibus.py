@@ -64,6 +64,11 @@ class Omnibus:
         """Whether the strongest signal is an unknown effect, by itself."""
         return self.score > self.threshold
 
+    @property
+    def last(self) -> float:
+        """Score above which another signal would be among the leading ones."""
+        return self.leading[-1].score if len(self.leading) == LEADING else -np.inf
+
 
 @dataclass(frozen=True)
 class Remainder:
@@ -100,10 +105,8 @@ class Remainder:
         doubtful = sorted((s for s in terms if s.score > limit), key=lambda s: -s.score)
         signals = [*(s for s in terms if s.score <= limit), *times, *activity]
         for some in (doubtful[:FIRST_ASKED], doubtful[FIRST_ASKED:]):
-            lowest = sorted((s.score for s in signals), reverse=True)[LEADING - 1 : LEADING]
-            if some and not (
-                lowest and lowest[0] >= some[0].score
-            ):  # scores only fall where controls are measured again
+            # the noise of controls only takes from a score: what is behind the leading ones before stays there
+            if some and some[0].score > summed_up(signals, largest, criteria).last:
                 signals += beyond_control_noise(self.again, some)
         return summed_up(signals, largest, criteria)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import GapVerdict
-from estimation.gap.answer.shape import LaggedTerm
+from estimation.gap.answer.shape import EventReport, Happened, LaggedTerm
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.beside import (
     SIZE,
@@ -19,6 +19,7 @@ from estimation.gap.decision.beside import (
     significant_beside,
     stands_out,
 )
+from estimation.gap.decision.conclusion import _outweighs
 from estimation.gap.decision.decide import Decision
 from estimation.gap.effects import catalogue
 from estimation.gap.search.state import Options
@@ -39,6 +40,13 @@ def test_a_memory_beside_names_stands_out_at_twice_its_threshold() -> None:
     assert not stands_out(replace(MEMORY, score=0.99 * limit), AS_SET)
     assert stands_out(replace(MEMORY, score=1.01 * limit), AS_SET)
     assert AS_SET.restless_margin == 2.0
+
+
+def test_what_a_strong_lag_leaves_at_one_instant_is_no_event() -> None:
+    burst = Happened([EventReport("burst", "", "f2", 12.0, 13.0, ((0.1, 0.01),), "rad/s2", 8.0, 6.0)])
+    assert _outweighs(MEMORY, burst)
+    assert not _outweighs(replace(MEMORY, score=1.3 * MEMORY.threshold), burst)
+    assert not _outweighs(None, burst)
 
 
 def test_a_name_is_needed_beside_a_memory_where_it_would_have_been_named() -> None:
