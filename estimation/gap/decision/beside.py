@@ -220,8 +220,8 @@ def late_rest(setting: Setting, search: SearchState, findings: Sequence[Accepted
         significant = [f for f in candidates if f is not None and stands_out(f, setting.options.criteria)]
         if not significant:
             return _instead_of_several(setting, search, findings) if len(findings) > 1 else None
-        follower = max(significant, key=lambda f: f.gain)
-        return _needed_beside(setting, search.rounds[0].baseline, follower, findings)
+        follower, first = max(significant, key=lambda f: f.gain), search.rounds[0].baseline
+        return _needed_beside(setting, first, follower, _fitted(first, follower), findings)
     except GapError:
         return None
 
@@ -234,24 +234,28 @@ def _instead_of_several(setting: Setting, search: SearchState, findings: Sequenc
     memory = find_memory(ModelMotion.of(base.problem, base.fit), first, places_of(setting.base))
     if memory is None:
         return None
-    _, with_memory = _fitted(base, memory)
+    fitted = _, with_memory = _fitted(base, memory)
     problem, with_names = base.problem, base.fit
     for finding in findings:
-        estimates = {n: v for n, (v, _) in finding.candidate.estimates.items()}
-        problem, with_names = fit_hypothesis(problem, with_names, finding.candidate.hypothesis, estimates)
+        candidate = finding.candidate
+        problem, with_names = fit_hypothesis(problem, with_names, candidate.hypothesis, candidate.values)
     gain, memory_gain = (2.0 * (base.fit.cost - f.cost) for f in (with_names, with_memory))
     if with_memory.diverged or with_names.diverged or explains(gain, memory_gain, setting.options.criteria):
         return None
-    late = _needed_beside(setting, base, memory, findings)
+    late = _needed_beside(setting, base, memory, fitted, findings)
     return late if late is not None and late.needed < len(findings) else None
 
 
 def _needed_beside(
-    setting: Setting, first: Baseline, follower: Follower, findings: Sequence[AcceptedEffect]
+    setting: Setting,
+    first: Baseline,
+    follower: Follower,
+    with_follower: tuple[LikelihoodProblem, ModelFit],
+    findings: Sequence[AcceptedEffect],
 ) -> LateRest | None:
-    """A lag or swing fitted with the first model, and the names needed beside it (all where that runs away); None where it is not
-    significant there."""
-    problem, current = _fitted(first, follower)
+    """A lag or swing as fitted with the first model (`with_follower`), and the names needed beside it (all where that runs away);
+    None where it is not significant there."""
+    problem, current = with_follower
     fitted = as_fitted(follower, current, setting.options.criteria)
     if fitted is None:
         return None
@@ -260,8 +264,8 @@ def _needed_beside(
     if not _is_significant(follower, first, current, setting.options.seed):
         return None
     for count, finding in enumerate(findings):
-        estimates = {n: v for n, (v, _) in finding.candidate.estimates.items()}
-        problem, extended = fit_hypothesis(problem, current, finding.candidate.hypothesis, estimates)
+        candidate = finding.candidate
+        problem, extended = fit_hypothesis(problem, current, candidate.hypothesis, candidate.values)
         if extended.diverged or not significant_beside(2.0 * (current.cost - extended.cost), finding):
             return LateRest(fitted, count)
         current = extended

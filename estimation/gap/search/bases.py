@@ -14,14 +14,14 @@ the noise model had a hundred times the true process noise and the score was div
 estimated noise falls. The likelihood shows it, because the determinant of the noise covariance is a part of it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from estimation.errors import GapError
 from estimation.gap.criteria import Criteria
-from estimation.gap.effects.base import Group
+from estimation.gap.effects.base import Form, Group
 from estimation.gap.fit.baseline import Baseline, fit_from
 from estimation.gap.fit.closed_loop import ClosedLoop
 from estimation.gap.fit.fitting import fit
@@ -31,14 +31,21 @@ from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.search.select import NOISE_CANDIDATES, Choice, by_derivatives
 from estimation.gap.search.state import Setting
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess
+from estimation.gap.significance.screen import (
+    Hypothesis,
+    Screen,
+    build_screen,
+    hypotheses_for,
+    linear_gains,
+    linear_guess,
+)
 from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model, Parameter, ParameterRole
 from estimation.models.expressions import names_in
 from groundstation.flight import Flight
 
 WORTH = 0.5  # of the gain that decides, with the noise of the base: chance reaches a third, an effect hidden in it more
-LEADING = 3  # hypotheses of the largest gain by linear theory, of which one may be what a pilot answers
+LEADING = 3  # hypotheses of the largest gain by linear theory, of which one may be what a pilot answers or what bends derivatives
 FACTOR = "k_"  # prefix of the factor on a simulation's coefficient; with all its derivatives free it is redundant
 SIMULATED = "_sim"  # suffix of the value that the simulation itself gives a coefficient
 OFF = 0.1  # prior width of a derivative for which the model has no parameter, as a share of the simulation's value
@@ -132,24 +139,38 @@ def explained_by_one(setting: Setting, baseline: Baseline) -> bool:
 
     An airspeed that reads 5 % high makes every coefficient of a simulation look 9 % too large and every rate derivative 5 %.
     """
-    problem, model_fit = baseline.problem, baseline.fit
-    hypotheses = hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
-    screen = build_screen(Tangent(problem, model_fit), [h for h in hypotheses if not h.form.frees])
-    for h in np.argsort(-linear_gains(screen, problem))[:LEADING]:
-        hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, int(h))
-        if by_derivatives(hypothesis):
+    for hypothesis, guess in _leading(setting, baseline, lambda form: not form.frees):
+        child = None if by_derivatives(hypothesis) else _with(baseline, hypothesis, guess)
+        if child is None:
             continue
-        trial, trial_fit = fit_hypothesis(problem, model_fit, hypothesis, guess)
-        if trial_fit.diverged:
-            continue
-        values = {p.name: trial_fit.values[p.name] for p in hypothesis.form.parameters}
-        clean = hypothesis.form.added_to(baseline.clean, values)
         try:
-            if not derivatives_off(setting, replace(baseline, problem=trial, fit=trial_fit, clean=clean)):
+            if not derivatives_off(setting, child):
                 return True
         except GapError:  # about a fit that is barely stable nothing is known
             continue
     return False
+
+
+def _leading(
+    setting: Setting, baseline: Baseline, asked: Callable[[Form], bool]
+) -> Iterator[tuple[Hypothesis, dict[str, float]]]:
+    """The hypotheses of the largest gain about a fitted base, of the forms `asked`, with their sizes, by linear theory. Raises
+    GapError where the motion cannot be linearised."""
+    problem = baseline.problem
+    hypotheses = hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
+    screen = build_screen(Tangent(problem, baseline.fit), [h for h in hypotheses if asked(h.form)])
+    for h in np.argsort(-linear_gains(screen, problem))[:LEADING]:
+        yield screen.hypotheses[h], linear_guess(screen, problem, int(h))
+
+
+def _with(baseline: Baseline, hypothesis: Hypothesis, guess: Mapping[str, float]) -> Baseline | None:
+    """A fitted base with a hypothesis in it, its noise unchanged; None where the motion runs away."""
+    trial, trial_fit = fit_hypothesis(baseline.problem, baseline.fit, hypothesis, guess)
+    if trial_fit.diverged:
+        return None
+    values = {p.name: trial_fit.values[p.name] for p in hypothesis.form.parameters}
+    clean = hypothesis.form.added_to(baseline.clean, values)
+    return replace(baseline, problem=trial, fit=trial_fit, clean=clean)
 
 
 def with_free_derivatives(model: Model, names: Sequence[str]) -> Model:
@@ -199,21 +220,12 @@ def answers_an_effect(setting: Setting, baseline: Baseline, loop: ClosedLoop, fl
 
     Late or loose controls are not asked: what one that answers gusts does beside its record looks like a dead zone of it.
     """
-    problem, model_fit = baseline.problem, baseline.fit
-    hypotheses = hypotheses_for(baseline.clean, setting.effects, setting.prepared.available)
     try:
-        screen = build_screen(Tangent(problem, model_fit), [h for h in hypotheses if not h.form.transforms])
+        leading = list(_leading(setting, baseline, lambda form: not form.transforms))
     except GapError:  # about a fit that is barely stable nothing is known
         return False
-    for h in np.argsort(-linear_gains(screen, problem))[:LEADING]:
-        hypothesis, guess = screen.hypotheses[h], linear_guess(screen, problem, int(h))
-        trial, trial_fit = fit_hypothesis(problem, model_fit, hypothesis, guess)
-        if trial_fit.diverged:
-            continue
-        child = replace(baseline, problem=trial, fit=trial_fit)
-        if not ClosedLoop.of(child, flights, loop.gains).felt(child):
-            return True
-    return False
+    children = (_with(baseline, hypothesis, guess) for hypothesis, guess in leading)
+    return any(c is not None and not ClosedLoop.of(c, flights, loop.gains).felt(c) for c in children)
 
 
 # ---- noise that contains an effect

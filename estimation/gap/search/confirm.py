@@ -61,6 +61,11 @@ class FittedHypothesis:
     why_not: str = ""
     noise: NoiseModel | None = None
 
+    @property
+    def values(self) -> dict[str, float]:
+        """Unknown -> its estimate."""
+        return {n: value for n, (value, _) in self.estimates.items()}
+
 
 def fit_hypothesis(
     problem: LikelihoodProblem,

@@ -106,8 +106,7 @@ class Setting:
 
     def child(self, parent: Baseline, candidate: FittedHypothesis) -> Baseline:
         """The parent with a candidate's form added, fitted with its noise estimated anew."""
-        values = {n: v for n, (v, _) in candidate.estimates.items()}
-        clean = candidate.hypothesis.form.added_to(parent.clean, values)
+        clean = candidate.hypothesis.form.added_to(parent.clean, candidate.values)
         noise, is_known = candidate.noise or parent.noise, candidate.noise is not None
         return fit_baseline(candidate.fit.model, clean, self.prepared, self.scatter, candidate.fit, noise, is_known)
 
@@ -140,7 +139,6 @@ def afresh_with(setting: Setting, findings: Sequence[AcceptedEffect], child: Bas
     """
     model, clean = setting.working, setting.clean
     for f in findings:
-        values = {n: v for n, (v, _) in f.candidate.estimates.items()}
-        form = f.candidate.hypothesis.form
+        form, values = f.candidate.hypothesis.form, f.candidate.values
         model, clean = awakened(model, form, values), form.added_to(clean, values)
     return fit_afresh(child, model, clean)

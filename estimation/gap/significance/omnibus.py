@@ -105,7 +105,7 @@ class Remainder:
         doubtful = sorted((s for s in terms if s.score > limit), key=lambda s: -s.score)
         signals = [*(s for s in terms if s.score <= limit), *times, *activity]
         for some in (doubtful[:FIRST_ASKED], doubtful[FIRST_ASKED:]):
-            # the noise of controls only takes from a score: what is behind the leading ones before stays there
+            # a score only falls: what is behind all leading signals before it is asked is behind them afterwards
             if some and some[0].score > summed_up(signals, largest, criteria).last:
                 signals += beyond_control_noise(self.again, some)
         return summed_up(signals, largest, criteria)
