@@ -16,7 +16,7 @@ from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline, deeper_fit, fit_baseline
 from estimation.gap.records.flight_records import sample_interval
-from estimation.gap.search.accept import accept, confirmed, own_inflation
+from estimation.gap.search.accept import accept, confirmed, explains, own_inflation
 from estimation.gap.search.bases import sharper_base
 from estimation.gap.search.confirm import FittedHypothesis, assess, fit_hypothesis
 from estimation.gap.search.select import (
@@ -99,7 +99,8 @@ def _rival(
         inflation = np.where(tied, np.maximum(inflation, old_inflation), inflation)
     gains = linear_gains(screen, problem)
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
-    candidates, cost_limit = [], within_reach(without.fit.cost, gain / old_inflation + criteria.certain**2)
+    needed = max(gain / old_inflation + criteria.certain**2, criteria.named_share * gain)
+    candidates, cost_limit = [], within_reach(without.fit.cost, needed)
     for h in questioners(gains / inflation, criteria):
         hypothesis = screen.hypotheses[h]
         if hypothesis.key != old_key and not by_derivatives(hypothesis):
@@ -109,7 +110,7 @@ def _rival(
             candidates.append(material(rival, interval, noise, criteria))
     small_step = _latest_known(screen, *(inflation_by_hypothesis(round_) for round_ in rounds))
     round_without = replace(last, baseline=without, screen=screen, gains=gains, inflation=small_step)
-    for rival in better_rivals(candidates, gain / old_inflation, last.threshold, criteria):
+    for rival in better_rivals(candidates, gain, old_inflation, last.threshold, criteria):
         if deeper_fit(without, rival.fit) is not None:  # the gain comes from a better minimum of the base
             continue
         child, _ = confirmed(setting, round_without, rival, nameless=0.0, nulls_of=last)
@@ -129,14 +130,19 @@ def questioners(gains: Array, criteria: Criteria) -> list[int]:
 
 
 def better_rivals(
-    candidates: Sequence[FittedHypothesis], gain: float, threshold: float, criteria: Criteria
+    candidates: Sequence[FittedHypothesis], gain: float, inflation: float, threshold: float, criteria: Criteria
 ) -> list[FittedHypothesis]:
     """The significant candidates that gain clearly more than an accepted effect's `gain`, the best first.
 
-    All gains are over inflation: a hypothesis of inflation 100 would by chance gain more than any other.
+    Gains are compared over inflation: a hypothesis of inflation 100 would by chance gain more than any other. But a rival that
+    leaves much of the plain gain would leave that to be named next, by the very effect that it replaces.
     """
     significant = [(c.gain / own_inflation(c), c) for c in candidates if not c.why_not and c.score >= threshold]
-    ahead = [(gained, c) for gained, c in significant if gained > gain + criteria.certain**2]
+    ahead = [
+        (gained, c)
+        for gained, c in significant
+        if gained > gain / inflation + criteria.certain**2 and explains(c.gain, gain, criteria)
+    ]
     return [c for _, c in sorted(ahead, key=lambda pair: -pair[0])]
 
 

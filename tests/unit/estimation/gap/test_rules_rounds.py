@@ -52,18 +52,26 @@ def rival(name: str, gain: float, scatter: float = 1.0, why_not: str = "") -> Fi
 
 def test_a_rival_must_beat_an_accepted_effect_clearly() -> None:
     better, best, bad = rival("a", 109.5), rival("b", 110.0), rival("c", 999.0, why_not="no")
-    assert better_rivals([better, best, bad], 100.0, 4.0, AS_SET) == [best, better]
-    assert better_rivals([rival("x", 108.5)], 100.0, 4.0, AS_SET) == []
-    assert better_rivals([], 100.0, 4.0, AS_SET) == []
+    assert better_rivals([better, best, bad], 100.0, 1.0, 4.0, AS_SET) == [best, better]
+    assert better_rivals([rival("x", 108.5)], 100.0, 1.0, 4.0, AS_SET) == []
+    assert better_rivals([], 100.0, 1.0, 4.0, AS_SET) == []
+
+
+def test_a_rival_does_not_replace_an_effect_that_gains_far_more_and_scatters_far_more() -> None:
+    """Roll due to sideslip gained 164 000 beside what alpha changes of it, an airspeed 74 000; the first scattered 15 times as
+    theory says, the second 1.3 times, and the second took the place (a PA-28 of JSBSim)."""
+    assert better_rivals([rival("airspeed", 74.0, 1.3)], 164.0, 15.0, 4.0, AS_SET) == []
+    as_good = rival("other", 124.0, 1.3)
+    assert better_rivals([as_good], 164.0, 15.0, 4.0, AS_SET) == [as_good]
 
 
 def test_a_rival_counts_as_much_as_its_nulls_scatter_and_has_to_be_significant() -> None:
     """An offset of the centre of gravity gained 1055 on flights of a light aircraft, and 100 times less by its nulls."""
-    assert better_rivals([rival("lateral_cg", 1055.0, 100.0)], 0.0, 4.0, AS_SET) == []  # 3.2 of 4
+    assert better_rivals([rival("lateral_cg", 1055.0, 100.0)], 0.0, 1.0, 4.0, AS_SET) == []  # 3.2 of 4
     loud, fair = rival("a", 400.0, 3.8), rival("b", 200.0, 1.5)
-    assert better_rivals([loud, fair], 100.0, 4.0, AS_SET) == [fair]
-    assert better_rivals([loud], 100.0, 4.0, AS_SET) == []
-    assert better_rivals([rival("c", 15.0)], 0.0, 4.0, AS_SET) == []
+    assert better_rivals([loud, fair], 100.0, 1.0, 4.0, AS_SET) == [fair]
+    assert better_rivals([loud], 100.0, 1.0, 4.0, AS_SET) == []
+    assert better_rivals([rival("c", 15.0)], 0.0, 1.0, 4.0, AS_SET) == []
 
 
 def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,8 +95,8 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
         )
         return (None, "does not repeat") if candidate.hypothesis.label == "new" else ("child", "")
 
-    def better(found: Any, gain: float, threshold: float, criteria: Any) -> list[FittedHypothesis]:
-        given.update(found=found, gain=gain, threshold=threshold)
+    def better(found: Any, gain: float, inflation: float, threshold: float, criteria: Any) -> list[FittedHypothesis]:
+        given.update(found=found, gain=gain, scatter=inflation, threshold=threshold)
         return [elsewhere, rival("new", 999.0), rival("other", 998.0)]
 
     elsewhere = replace(rival("valley", 1100.0), fit=stub())  # the model without it fits as well from there
@@ -117,8 +125,8 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     assert found is not None
     assert given.pop("nulls") is last, "the screen without the earlier effect has none"
     assert (found[0].hypothesis.label, found[1]) == ("other", "child")
-    assert given.pop("gain") == pytest.approx(25.0)
-    assert given.pop("beyond") == pytest.approx(1000.0 - 0.25 * (25.0 + 9.0)), "what a rival has to gain"
+    assert (given.pop("gain"), given.pop("scatter")) == pytest.approx((100.0, 4.0))
+    assert given.pop("beyond") == pytest.approx(1000.0 - 0.25 * 75.0), "what a rival has to gain"
     assert given == {
         "found": [(n, v, 0.05, {"delta_a": 0.002}) for n, v in (("new", 1.0), ("loud", 100.0), ("other", 4.0))],
         "threshold": 4.5,
