@@ -298,7 +298,7 @@ def _is_significant(follower: Follower, baseline: Baseline, model_fit: ModelFit,
 
 def stands_out(follower: Follower, criteria: Criteria) -> bool:
     """Whether a lag or swing beside names is more than ordinary scatter."""
-    return follower.score > criteria.restless_margin * follower.threshold
+    return follower.score > criteria.far_above * follower.threshold
 
 
 def significant_beside(gain: float, finding: AcceptedEffect) -> bool:

@@ -79,7 +79,7 @@ def decide(facts: VerdictFacts, criteria: Criteria, commanded: bool = False) -> 
         count = first_unseen
     closed = count > 0 and closed_by(facts.named[:count]) >= criteria.closed_share
     doubted = commanded and (rest or bool(withdrawn))
-    blind = facts.blind > criteria.blind_share * max(facts.asked, 1) or doubted
+    blind = facts.blind > criteria.negligible * max(facts.asked, 1) or doubted
     answers = (rest and not commanded, count > 0, closed, blind)
     verdict = next(row[-1] for row in TABLE if all(w is ANY or w == f for w, f in zip(row[:-1], answers, strict=True)))
     return Decision(verdict, count, withdrawn, doubted)
@@ -108,7 +108,7 @@ def rest_matters(facts: VerdictFacts, criteria: Criteria) -> bool:
     In the instrument that a name blames it is never scatter: something else is wrong with that instrument.
     """
     elsewhere = all(facts.rest_place not in n.instruments for n in facts.named)
-    small = facts.rest < criteria.strong * facts.rest_threshold
+    small = facts.rest < criteria.clearly_above * facts.rest_threshold
     restless = bool(facts.named) and facts.covered and small and elsewhere
     return facts.rest > facts.rest_threshold and not restless
 
@@ -124,13 +124,13 @@ def standing(facts: VerdictFacts, criteria: Criteria) -> tuple[int, tuple[tuple[
     if names and not facts.covered:
         last = names[-1]
         closed = max(last.gap.closed, last.held.closed if last.held is not None else 0.0)
-        if closed < criteria.closed_share and not outweighs(last.score, facts.rest, criteria.named_weight):
+        if closed < criteria.closed_share and not outweighs(last.score, facts.rest, criteria.named_share):
             withdrawn.append((last.effect, f"closes only {last.gap.closed:.0%} of the gap"))
             names.pop()
     place = facts.rest_place
     reason = f"the nameless rest in {place} is too large beside it: the instrument does something else than this"
     for k, name in enumerate(names):
-        if place in name.instruments and not outweighs(name.score, facts.rest, criteria.own_weight):
+        if place in name.instruments and not outweighs(name.score, facts.rest, criteria.nearly_all):
             return k, (*withdrawn, *((n.effect, reason) for n in names[k:]))
     return len(names), tuple(withdrawn)
 

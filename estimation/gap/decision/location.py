@@ -183,15 +183,15 @@ def locate(parent: Baseline, child: Baseline, equation: str) -> Where:
 
 def channels_that_gain(gain: Array, criteria: Criteria) -> list[int]:
     """Indices of the outputs that show an effect, best first. gain: (ny,)."""
-    limit = criteria.shown_share * max(float(gain.max()), NOTHING)
+    limit = criteria.negligible * max(float(gain.max()), NOTHING)
     return [int(i) for i in np.argsort(-gain) if gain[i] > limit]
 
 
 def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, float]]:
     """(from, to [s]) of the stretches with most of the gain (N,), best first."""
-    n = min(max(round(criteria.window / float(np.median(np.diff(time)))), 2), time.size)
+    n = min(max(round(criteria.gust_memory / float(np.median(np.diff(time)))), 2), time.size)
     smooth = np.convolve(gain, np.ones(n) / n, mode="same")
-    limit = max(criteria.shown_share * float(smooth.max()), NOTHING)
+    limit = max(criteria.negligible * float(smooth.max()), NOTHING)
     spans = [(a, b - 1) for a, b in true_runs(smooth > limit) if b - a >= n // 2]
     spans.sort(key=lambda s: -float(gain[s[0] : s[1] + 1].sum()))
     return [(float(time[a]), float(time[b])) for a, b in spans]
@@ -199,7 +199,7 @@ def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, 
 
 def regime(signals: Mapping[str, Array], gain: Array, criteria: Criteria) -> str:
     """The flight condition with most of the gain (N,): the signal whose large values coincide with it best."""
-    highest, text = criteria.regime_gain, "everywhere"
+    highest, text = criteria.clearly_above, "everywhere"
     for name, values in signals.items():
         size = np.abs(values - np.median(values))
         limit = float(np.quantile(size, criteria.regime_quantile))

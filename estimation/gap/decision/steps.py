@@ -159,13 +159,13 @@ def migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
 
 # ---- the power of the flights
 def undetectable(round_: Round) -> list[Effect]:
-    """Effects of which `criteria.blind_size` usual sizes would not have passed the threshold on these flights, and those that
+    """Effects of which `criteria.far_above` usual sizes would not have passed the threshold on these flights, and those that
     could not be asked."""
     asked = {h.effect.name: h.effect for h in round_.screen.hypotheses}
     scores: dict[str, float] = {}
     for effect, parameter, score in _scores_per_unit(round_):
         scores[effect.name] = max(scores.get(effect.name, 0.0), score * parameter.typical)
-    unseen = [asked[n] for n, score in scores.items() if round_.criteria.blind_size * score < round_.threshold]
+    unseen = [asked[n] for n, score in scores.items() if round_.criteria.far_above * score < round_.threshold]
     unasked = {h.effect.name: h.effect for h in round_.screen.runaway if h.effect.name not in asked}
     return [e for e in (*unseen, *unasked.values()) if not e.tied_to]
 
@@ -207,7 +207,7 @@ def ties_of(round_: Round) -> tuple[Tie, ...]:
     hypotheses = [round_.screen.hypotheses[column.hypothesis] for column in round_.screen.columns]
     ties = []
     for (i, a), (j, b) in combinations(enumerate(hypotheses), 2):
-        if a.effect.name != b.effect.name and cosines[i, j] >= round_.criteria.tie:
+        if a.effect.name != b.effect.name and cosines[i, j] >= round_.criteria.nearly_all:
             ties.append(Tie(a.label, b.label, float(cosines[i, j])))
     return tuple(sorted(ties, key=lambda t: -t.cosine))
 

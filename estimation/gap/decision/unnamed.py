@@ -229,10 +229,10 @@ def held_instrument(
     if not repeated.size or reference <= 0.0:
         return None
     ratio = float(np.sqrt(np.mean(repeated**2))) / reference
-    if ratio <= criteria.held_ratio:
+    if ratio <= criteria.far_above:
         return None
     share = repeated.size / (repeated.size + fresh.size)
-    return HeldInstrument(channel, step / (1.0 - share), share, ratio, criteria.held_ratio)
+    return HeldInstrument(channel, step / (1.0 - share), share, ratio, criteria.far_above)
 
 
 def held_step(held: HeldInstrument, gap: Gap) -> EffectStep:
@@ -251,7 +251,7 @@ def not_predicted(baseline: Baseline, prepared: FlightRecords, floor: Floors) ->
         return None
     problem, fit = baseline.held_out
     gap = rms_over_noise(problem, fit, baseline.scatter)
-    if gap <= baseline.criteria.another_flight * floor.highest:
+    if gap <= baseline.criteria.far_above * floor.highest:
         return None
     squares = [
         (plain_residuals(problem, fit, i, baseline.scatter) / baseline.scatter) ** 2 for i in range(len(fit.residuals))
@@ -273,7 +273,7 @@ def held_out_step(unlike: NotPredicted, gap: Gap, floor: Floors) -> EffectStep:
     """The step of an unknown that only a held-out flight shows. gap: on the training flights."""
     title = "a held-out flight that the model does not predict"
     where = Where(" and ".join(unlike.channels), unlike.channels, unlike.segments, f"on {unlike.flight}")
-    limit = floor.criteria.another_flight * unlike.highest
+    limit = floor.criteria.far_above * unlike.highest
     separate_by = f"look at the instruments and the configuration of {unlike.flight}, or hold another flight out"
     held_out = Gap(unlike.gap, unlike.gap, floor.holdout_median or unlike.highest, unlike.highest)
     return nameless_step(title, where, unlike.gap, limit, gap, separate_by, held_out, unlike)

@@ -111,7 +111,7 @@ class ClosedLoop:
         Between steps such a control goes with its answers as with the rest of the motion, on every flight; one whose gains come
         from manoeuvres does not. A missing effect counts as gusts: about a model that has it, the same has to be felt again.
         """
-        records, least = baseline.problem.records, baseline.criteria.answers_felt
+        records, least = baseline.problem.records, baseline.criteria.halfway
         flights = [[r for r in records if r.flight == k] for k in sorted({r.flight for r in records})]
         found = []
         for name, gains in self.gains.items():
@@ -226,7 +226,7 @@ def _motion(problem: LikelihoodProblem, model_fit: ModelFit, base: Model, index:
 
 
 def only_following(records: Sequence[FlightRecord], model: Model, criteria: Criteria) -> tuple[str, ...]:
-    """Controls of `model` that follow the measured motion on every record, to less than `criteria.own_motion` of their noise."""
+    """Controls of `model` that follow the measured motion on every record, to less than `criteria.halfway` of their noise."""
     controls = [s.name for s in model.inputs if s.control]
     return tuple(n for n in controls if all(_follows(r, n, criteria) for r in records))
 
@@ -243,7 +243,7 @@ def _follows(record: FlightRecord, control: str, criteria: Criteria) -> bool:
     noise, motion = record.input_noise.get(control, 0.0), motion_regressors(record)
     if noise <= 0.0 or len(record) < ENOUGH * motion.shape[1]:
         return False
-    return own_motion(record.inputs[control], motion) < criteria.own_motion * noise
+    return own_motion(record.inputs[control], motion) < criteria.halfway * noise
 
 
 def own_motion(values: Array, motion: Array) -> float:

@@ -74,7 +74,7 @@ def filtered_attitudes(
             input_levels = [record.input_noise.get(rate, 0.0) for record in records]
             noise = white[outputs.index(rate)] if rate in outputs else float(np.median(input_levels))
             smooth = white[outputs.index(attitude)] <= noise * step
-            if smooth or _white_share(records, outputs, attitude) < criteria.filter_white:
+            if smooth or _white_share(records, outputs, attitude) < criteria.halfway:
                 attitudes.append(attitude)
     return tuple(attitudes)
 

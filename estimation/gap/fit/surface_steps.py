@@ -40,6 +40,9 @@ SLIGHT = 1e-2  # whitened energy of a displacement below which it is ignored: it
 RUNAWAY = 1e6  # a response that grows so far is no small motion any more
 SLOW = 0.5  # Hz, below which the error of a control is written as cosines
 MOST_STEPS = 400  # a record, of controls that never rest: memory and work grow with them; they have 300 in 30 s
+FREEST = (
+    0.5  # steps: a path between two samples is off the middle by half their difference, unless it leaves their range
+)
 MOST = 40  # cosines for each control and record: a record that has more slow ones is long compared with its modes
 
 
@@ -73,8 +76,7 @@ class SurfaceSteps:
 
     def spread(self, freedom: Mapping[str, float]) -> Array:
         """(m,) prior standard deviations of the displacements, in steps. freedom: as in `NoiseModel`."""
-        c = self.criteria
-        return np.array([freedom.get(n, c.jump_freedom if n in self.jumping else c.surface_freedom) for n in self.name])
+        return np.array([freedom.get(n, self.criteria.surface_freedom) for n in self.name])
 
 
 def find_surface_steps(
@@ -100,7 +102,7 @@ def find_surface_steps(
     places, outputs = list(moves), []
     for i, output in enumerate(model.output_names):
         jumps = _sample_jumps(dict(zip(linear.inputs, jump_by_step[i], strict=True)), moves, N)
-        if jumps.max() > criteria.visible_jump * linear.scale[i]:
+        if jumps.max() > criteria.negligible * linear.scale[i]:
             outputs.append(output)
             places += [(output, int(k), float(jumps[k])) for k in np.flatnonzero(jumps)]
     response = np.zeros((N, ny, len(places)))
@@ -185,13 +187,11 @@ def freedom_of(steps: Sequence[SurfaceSteps], displacements: Sequence[tuple[Arra
     """Control or jumping output -> rms of its displacements in steps, over all records and one step as usual. displacements:
     (mean, variance) of those of each record, from `displaced`."""
     squares: dict[str, list[float]] = {}
-    jumping = frozenset[str]().union(*(e.jumping for e in steps))
     for e, (mean, variance) in zip(steps, displacements, strict=True):
         for name, m, v in zip(e.name, mean, variance, strict=True):
             squares.setdefault(name, []).append(float(m * m + v))
-    c = steps[0].criteria
-    usual = {n: c.jump_freedom if n in jumping else c.surface_freedom for n in squares}
-    return {n: min(float(np.sqrt(np.mean([usual[n] ** 2, *s]))), c.freedom_most) for n, s in squares.items()}
+    usual = steps[0].criteria.surface_freedom
+    return {n: min(float(np.sqrt(np.mean([usual**2, *s]))), FREEST) for n, s in squares.items()}
 
 
 @dataclass(frozen=True)

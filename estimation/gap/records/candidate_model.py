@@ -66,7 +66,7 @@ def with_nuisance(
     for attitude in filtered:
         extended = _with_filter_errors(extended, attitude, sample_interval, criteria)
     beliefs = {
-        p.name: (p.reference, criteria.prior_share * p.reference_std)
+        p.name: (p.reference, criteria.certain * p.reference_std)
         for p in extended.parameters
         if p.reference is not None and p.reference_std and p.prior_mean is None
     }

@@ -145,7 +145,7 @@ def sample_notes(flights: Sequence[Flight], columns: Sequence[str], criteria: Cr
 
 def stale_channels(flights: Sequence[Flight], columns: Sequence[str], criteria: Criteria) -> tuple[str, ...]:
     """Channels that repeat their last value in many samples of some flight."""
-    return tuple(n for n in columns if any(f.measured(n) and _repeats(f[n]) > criteria.stale_share for f in flights))
+    return tuple(n for n in columns if any(f.measured(n) and _repeats(f[n]) > criteria.negligible for f in flights))
 
 
 def _repeats(values: Array) -> float:
@@ -164,7 +164,7 @@ def _samples_in_words(name: str, values: Array, criteria: Criteria) -> list[str]
     if measured.size < (1.0 - MISSING) * values.size:
         notes.append(f"{name} is missing in {1 - measured.size / values.size:.0%} of the samples")
     repeated = _repeats(measured)
-    if repeated > criteria.stale_share:
+    if repeated > criteria.negligible:
         notes.append(f"{name} repeats its last value in {repeated:.0%} of the samples: stale or coarsely rounded")
     elif np.ptp(measured) > 0.0:
         for end, word in ((measured.max(), "upper"), (measured.min(), "lower")):

@@ -233,7 +233,7 @@ def controls_outdo_gyros(model: Model, flights: Sequence[FlightData], criteria: 
     From the change of each rate per sample, regressed on motion and controls; median over the flights.
     """
     ratios = [_loudest(model, part, flight) for flight in flights for part in flight.segments]
-    return bool(ratios) and float(np.median(ratios)) > criteria.loud_control
+    return bool(ratios) and float(np.median(ratios)) > criteria.far_above
 
 
 def _loudest(model: Model, part: Segment, flight: FlightData) -> float:
@@ -359,6 +359,6 @@ def with_own_noise(records: Sequence[FlightRecord], training: int, criteria: Cri
     marked = []
     for record, row in zip(records, levels, strict=True):
         ratio = np.divide(row, reference, out=np.ones_like(row), where=reference > 0.0)
-        louder = np.where(ratio > criteria.louder_channel, ratio, 1.0) ** 2
+        louder = np.where(ratio > criteria.clearly_above, ratio, 1.0) ** 2
         marked.append(replace(record, louder=louder) if (louder > 1.0).any() else record)
     return tuple(marked)

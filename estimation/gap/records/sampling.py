@@ -167,7 +167,7 @@ def _without_drawn_lines(flight: Flight, outputs: Sequence[str], criteria: Crite
     """The flight with NaN between the ends of straight lines in the outputs."""
     for column in outputs:
         lines = _lines(flight, flight[column])
-        if lines.spacing is not None and lines.spacing > criteria.slow_control:
+        if lines.spacing is not None and lines.spacing > criteria.clearly_above:
             rate = 1.0 / (lines.spacing * flight.sample_interval)
             note = f"{column} lies on straight lines between values at {rate:.3g} Hz: compared at these only"
             flight = flight.with_columns(**{column: np.where(lines.ends, lines.values, np.nan)}).with_notes(note)
@@ -177,7 +177,7 @@ def _without_drawn_lines(flight: Flight, outputs: Sequence[str], criteria: Crite
 def _thinned(flight: Flight, controls: Sequence[str], outputs: Sequence[str], criteria: Criteria) -> Flight:
     """The flight read at the rate of its slowest control; unchanged where none is slow."""
     candidates = (find_slow_control(flight, c) for c in controls)
-    slow_controls = [s for s in candidates if s is not None and s.spacing > criteria.slow_control]
+    slow_controls = [s for s in candidates if s is not None and s.spacing > criteria.clearly_above]
     if not slow_controls:
         return flight
     slowest = max(slow_controls, key=lambda s: s.spacing)
@@ -301,7 +301,7 @@ def with_attitudes_between(flight: Flight, criteria: Criteria) -> Flight:
         if np.count_nonzero(known) < FEWEST:
             continue
         spacing = float(np.median(np.diff(np.flatnonzero(known))))
-        if spacing > criteria.slow_control:
+        if spacing > criteria.clearly_above:
             filled = _filled(flight, flight[attitude], known, rates[attitude], criteria)
         else:
             spacing = 1.0 / ((flight.native_rate(attitude) or np.inf) * flight.sample_interval)
@@ -360,7 +360,7 @@ def _filled(flight: Flight, values: Array, known: Mask, rate: Array, criteria: C
         inside = np.arange(max(knots[0] - reach, 0), min(knots[-1] + reach, time.size))
         between = np.interp(time[inside], time[knots], at_knots - summed[knots])
         filled[segment.start + inside] = summed[inside] + between
-    return filled if shares and max(shares) < criteria.filter_white else None
+    return filled if shares and max(shares) < criteria.halfway else None
 
 
 def _rounded(flight: Flight, values: Array, spacing: float, rate: Array, criteria: Criteria) -> Array | None:
@@ -369,7 +369,7 @@ def _rounded(flight: Flight, values: Array, spacing: float, rate: Array, criteri
     The integrated rates, interpolated in the same way, lose as much. Of the trial instants of the log those count that leave the
     smallest second differences. None where the attitude is no filter's.
     """
-    if spacing <= criteria.slow_control:
+    if spacing <= criteria.clearly_above:
         return None
     from scipy.interpolate import CubicSpline  # here: rarely needed, and long to import
 
@@ -389,4 +389,4 @@ def _rounded(flight: Flight, values: Array, spacing: float, rate: Array, criteri
         filled[segment] = course - drawn[int(np.argmin(roughness))] + summed
         logged = slice(None, None, round(spacing))
         shares.append(white_share(course[logged], summed[logged]))
-    return filled if shares and max(shares) < criteria.filter_white else None
+    return filled if shares and max(shares) < criteria.halfway else None

@@ -122,7 +122,7 @@ def stands_out(before: float, after: float, costs: tuple[float, float, float], c
     """Whether one derivative moved far, and freeing it gains most of what freeing all does. costs: of the fits with all held,
     with it free, with all free."""
     held_cost, single_cost, joint_cost = costs
-    wrong = abs(after - before) > criteria.wrong_number * abs(before)
+    wrong = abs(after - before) > criteria.negligible * abs(before)
     return wrong and held_cost - single_cost >= criteria.closed_share * (held_cost - joint_cost) > 0.0
 
 

@@ -116,7 +116,7 @@ def leading(
     """
     order = [int(h) for h in np.argsort(-promised)]
     first = order[0]
-    limit = max(HOPELESS * threshold**2, criteria.in_sight * float(promised[first]))
+    limit = max(HOPELESS * threshold**2, criteria.negligible * float(promised[first]))
     tied = screen.tied(first, criteria) if promised[first] >= limit else [False] * len(order)
     worth = [promised[h] >= limit or tied[h] or x.form.lagging or h in further for h, x in enumerate(screen.hypotheses)]
     return [h for h in order if worth[h]]
@@ -207,7 +207,7 @@ def held_first(ranked: Sequence[FittedHypothesis], criteria: Criteria) -> tuple[
     def weight_beside(held: FittedHypothesis) -> float:
         return _weights((ranked[0], held))[ranked[0].hypothesis.effect.name]
 
-    held = [c for c in ranked if c.hypothesis.form.frees and weight_beside(c) < criteria.named_weight]
+    held = [c for c in ranked if c.hypothesis.form.frees and weight_beside(c) < criteria.named_share]
     if not held or ranked[0].hypothesis.form.frees:
         return tuple(ranked)
     return (held[0], *(c for c in ranked if c is not held[0]))
@@ -240,7 +240,7 @@ def shared_inflation(round_: Round) -> dict[tuple[str, str], float]:
         shared[hypothesis.key] = common
         if hypothesis.form.nonlinear and h != order[0]:
             continue
-        if inflation > criteria.common_inflation * common and not any(tied[h] for tied, _ in groups):
+        if inflation > criteria.far_above * common and not any(tied[h] for tied, _ in groups):
             tied = screen.tied(h, criteria)
             if not any(tied[q] for q in with_common):
                 groups.append((tied, inflation))
@@ -291,7 +291,7 @@ def material(
         return candidate
     if reason := by_derivatives(candidate.hypothesis):
         return replace(candidate, why_not=reason)
-    if candidate.size < criteria.immaterial:
+    if candidate.size < criteria.negligible:
         return replace(candidate, why_not=f"fits {candidate.size:.0%} of its usual size: too small to matter")
     delays = [t.parameters[0] for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")]
     # samples shift all controls alike: one is known beside the others

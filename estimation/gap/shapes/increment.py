@@ -185,7 +185,7 @@ def of_records(problem: LikelihoodProblem, records: Sequence[int]) -> Likelihood
 
 def predicts_every_flight(predictions: Sequence[HoldoutPrediction], criteria: Criteria) -> bool:
     """Whether there are flights within the range of the others, and each of them is predicted better."""
-    testable = [f for f in predictions if f.inside >= criteria.form_inside]
+    testable = [f for f in predictions if f.inside >= criteria.halfway]
     return bool(testable) and all(f.gain > 0.0 for f in testable)
 
 

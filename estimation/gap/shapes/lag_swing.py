@@ -156,7 +156,7 @@ def find_swing(motion: ModelMotion, round_: Round) -> SwingingTerm | None:
 
 def rings(damping: float, criteria: Criteria) -> bool:
     """Whether a swing has little enough damping: with more it is a lag, and in the limit any small error."""
-    return damping <= criteria.swing_damping
+    return damping <= criteria.halfway
 
 
 def _needed(projected: Projected, span: Sequence[int], criteria: Criteria) -> list[int]:

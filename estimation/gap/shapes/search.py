@@ -144,7 +144,7 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
 def alone(swing: SwingingTerm, criteria: Criteria) -> bool:
     """Whether a swing is an unknown effect by itself, as a nameless term is: against the nulls, and against plain chance, because
     one among many that hardly gain on the nulls need not gain much."""
-    return swing.gain > criteria.certain**2 and swing.score > criteria.strong * swing.threshold
+    return swing.gain > criteria.certain**2 and swing.score > criteria.clearly_above * swing.threshold
 
 
 def _best(

@@ -97,7 +97,7 @@ def screen_round(
         while len(flown) < count and (null := next(source, None)) is not None:
             flown.append(null)
             tell(len(flown))
-        if len(flown) < min(count, baseline.criteria.nulls_least * nulls):
+        if len(flown) < min(count, baseline.criteria.negligible * nulls):
             raise GapError(
                 f"only {len(flown)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
             )
@@ -135,7 +135,7 @@ def like_the_flights(energy: Array, criteria: Criteria) -> NDArray[np.bool_]:
     All count where too few comparable nulls remain for a threshold, which is then too high.
     """
     comparable = energy[1:] < criteria.null_energy * energy[0]
-    sufficient = np.count_nonzero(comparable) >= max(criteria.nulls_least * comparable.size, 1.0)
+    sufficient = np.count_nonzero(comparable) >= max(criteria.negligible * comparable.size, 1.0)
     return comparable if sufficient else np.ones(comparable.size, dtype=bool)
 
 

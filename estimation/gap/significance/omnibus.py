@@ -269,7 +269,7 @@ def restless_times(problem: LikelihoodProblem, white: Sequence[Array], nulls: in
     largest = np.zeros(nulls)
     for i, series in enumerate(white):
         time = problem.coarse[i].time
-        width = max(round(problem.criteria.window / float(np.median(np.diff(time)))), FEWEST_SAMPLES)
+        width = max(round(problem.criteria.gust_memory / float(np.median(np.diff(time)))), FEWEST_SAMPLES)
         width = min(width, len(time))  # a short stretch between two gaps is one window
         energy, z = window_energy(series, width)
         largest = np.maximum(largest, z[:, :, 1:].max(axis=(0, 1)))

@@ -112,7 +112,7 @@ def sensitivity(
 
 def one_sided(parameter: EffectParameter, none: float, criteria: Criteria) -> bool:
     """Whether an unknown can only lie to one side of `none`, its value without effect."""
-    return parameter.lower >= none - criteria.immaterial * parameter.typical
+    return parameter.lower >= none - criteria.negligible * parameter.typical
 
 
 def hypotheses_for(model: Model, effects: Sequence[Effect], available: frozenset[str]) -> tuple[Hypothesis, ...]:
@@ -195,7 +195,7 @@ class Screen:
     def tied(self, hypothesis: int, criteria: Criteria) -> list[bool]:
         """Of every hypothesis, whether its signature is nearly that of one of them."""
         cosines = np.abs(self.projected().cosines())[self.span(hypothesis)]
-        return [bool(cosines[:, self.span(h)].max() > criteria.tie) for h in range(len(self.hypotheses))]
+        return [bool(cosines[:, self.span(h)].max() > criteria.nearly_all) for h in range(len(self.hypotheses))]
 
 
 @dataclass(frozen=True)
