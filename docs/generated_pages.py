@@ -4,9 +4,9 @@ They are not in git. `python docs/generated_pages.py` writes them beside this fi
 """
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from estimation.gap.criteria import AS_SET, Criteria, Criterion
 from estimation.gap.effects.base import Effect, EffectParameter
@@ -14,7 +14,7 @@ from estimation.gap.effects.catalogue import plane
 
 HERE = Path(__file__).parent
 SENSITIVITY = HERE / "criteria_sensitivity.json"
-"""Criterion -> what a study measured, in words; written by `python -m tests.studies.gap_sensitivity`."""
+"""Criterion -> what a study measured; written by `python -m tests.studies.gap_sensitivity`."""
 EFFECTS_HEAD = """# Catalogue of candidate effects
 
 Reference: every effect that `sideslip gap` can name. A model is asked for the effects of its axes, `six-dof` for all.
@@ -27,14 +27,14 @@ Physics, source and signature: `estimation/gap/effects/*.toml`. Sizes are those 
 CRITERIA_HEAD = """# Numbers that decide in the gap workflow
 
 Reference: every number of `estimation.gap.criteria.Criteria` that would change an answer; the reason for each stands there.
-`tests/unit/estimation/gap/mutation.md` names the test that notices another value. *Changed*: answers that changed of up to 5
-sets at 0.7/1.4 times the number (`python -m tests.studies.gap_sensitivity`).
+`tests/unit/estimation/gap/mutation.md` names the test that notices another value. At 0.7/1.4 times the number, nine sets (six
+kinds of flights with nothing hidden, two effects of half size, a stale vane): how many answers *changed*, and by how much the
+deciding ratios *moved* at most (evidence of the name, the nearest score over its threshold, sizes that would be seen). A 0 is a
+guard against flights that are not among the nine (`python -m tests.studies.gap_sensitivity`).
 
-| criterion | value | meaning [unit] | changed |
-|---|---|---|---|
+| criterion | value | meaning [unit] | changed | moved |
+|---|---|---|---|---|
 """
-_COUNTED = re.compile(r"0\.7: .*?, (\d+) answers other.*; 1\.4: .*?, (\d+) answers other.*")
-"""What `summed_up` of that study writes."""
 
 
 def effects_page(parts: Mapping[str, Sequence[Effect]] | None = None) -> str:
@@ -75,21 +75,25 @@ def _parameter(p: EffectParameter) -> str:
     return f"`{p.name}` {p.typical:g}{unit} [{p.lower:g}, {p.upper:g}{none}]"
 
 
-def criteria_page(criteria: Criteria = AS_SET, sensitivity: Mapping[str, str] | None = None) -> str:
-    """The criteria as Markdown. sensitivity: criterion -> words, by default what the study left."""
-    words = json.loads(SENSITIVITY.read_text(encoding="utf-8")) if sensitivity is None else sensitivity
-    rows = (
-        (f"`{c.name}`", f"{c.value:g}", _meaning(c), _COUNTED.sub(r"\1/\2", words.get(c.name, "")))
-        for c in criteria.described()
-    )
+def criteria_page(criteria: Criteria = AS_SET, sensitivity: Mapping[str, Mapping[str, Any]] | None = None) -> str:
+    """The criteria as Markdown. sensitivity: criterion -> counts, by default what the study left."""
+    known = json.loads(SENSITIVITY.read_text(encoding="utf-8")) if sensitivity is None else sensitivity
+    rows = ((f"`{c.name}`", f"{c.value:g}", _meaning(c), *_measured(known.get(c.name))) for c in criteria.described())
     return CRITERIA_HEAD + "".join(map(_line, rows))
+
+
+def _measured(counts: Mapping[str, Any] | None) -> tuple[str, str]:
+    """How many answers changed and by how much ratios moved, at the lower and the higher value."""
+    if counts is None:
+        return "", ""
+    return "/".join(map(str, counts["changed"])), "/".join(f"{share:.0%}" for share in counts["moved"])
 
 
 def _meaning(c: Criterion) -> str:
     return c.meaning if c.unit == "1" else f"{c.meaning} [{c.unit}]"
 
 
-def _line(cells: tuple[str, ...]) -> str:
+def _line(cells: Sequence[str]) -> str:
     safe = [cell.replace("|", "\\|") for cell in cells]
     return f"| {' | '.join(safe)} |\n"
 

@@ -159,7 +159,7 @@ def migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
 
 # ---- the power of the flights
 def undetectable(round_: Round) -> list[Effect]:
-    """Effects of which `criteria.far_above` usual sizes would not have passed the threshold on these flights, and those that
+    """Effects of which twice the usual size (`far_above`) would not have passed the threshold on these flights, and those that
     could not be asked."""
     asked = {h.effect.name: h.effect for h in round_.screen.hypotheses}
     scores: dict[str, float] = {}

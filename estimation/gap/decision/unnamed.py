@@ -251,7 +251,7 @@ def not_predicted(baseline: Baseline, prepared: FlightRecords, floor: Floors) ->
         return None
     problem, fit = baseline.held_out
     gap = rms_over_noise(problem, fit, baseline.scatter)
-    if gap <= baseline.criteria.far_above * floor.highest:
+    if gap <= baseline.criteria.another_flight * floor.highest:
         return None
     squares = [
         (plain_residuals(problem, fit, i, baseline.scatter) / baseline.scatter) ** 2 for i in range(len(fit.residuals))
@@ -273,7 +273,7 @@ def held_out_step(unlike: NotPredicted, gap: Gap, floor: Floors) -> EffectStep:
     """The step of an unknown that only a held-out flight shows. gap: on the training flights."""
     title = "a held-out flight that the model does not predict"
     where = Where(" and ".join(unlike.channels), unlike.channels, unlike.segments, f"on {unlike.flight}")
-    limit = floor.criteria.far_above * unlike.highest
+    limit = floor.criteria.another_flight * unlike.highest
     separate_by = f"look at the instruments and the configuration of {unlike.flight}, or hold another flight out"
     held_out = Gap(unlike.gap, unlike.gap, floor.holdout_median or unlike.highest, unlike.highest)
     return nameless_step(title, where, unlike.gap, limit, gap, separate_by, held_out, unlike)

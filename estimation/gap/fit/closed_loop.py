@@ -226,7 +226,7 @@ def _motion(problem: LikelihoodProblem, model_fit: ModelFit, base: Model, index:
 
 
 def only_following(records: Sequence[FlightRecord], model: Model, criteria: Criteria) -> tuple[str, ...]:
-    """Controls of `model` that follow the measured motion on every record, to less than `criteria.halfway` of their noise."""
+    """Controls of `model` that follow the measured motion on every record, by less than half of their noise."""
     controls = [s.name for s in model.inputs if s.control]
     return tuple(n for n in controls if all(_follows(r, n, criteria) for r in records))
 

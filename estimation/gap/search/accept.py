@@ -194,7 +194,7 @@ class HeldOut:
         if self.after < self.before:
             return self.gain > 0.0 or self.before > highest() or self.confirmed is None
         is_confirmed = self.confirmed is not None and self.confirmed >= criteria.closed_share
-        if max(self.before, self.after) > highest() * (criteria.far_above if is_confirmed else 1.0):
+        if max(self.before, self.after) > highest() * (criteria.another_flight if is_confirmed else 1.0):
             return False
         tells_nothing = strong and self.confirmed is None
         return bool(self.gain > (0.0 if tells_nothing else ndtri(criteria.null_level) ** 2))

@@ -5,6 +5,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,7 @@ from estimation.gap.criteria import AS_SET, BENCHMARK, Criteria
 from estimation.gap.search.state import Options
 from tests.studies.gap_mutation import Outcome, moved
 from tests.studies.gap_mutation import page as mutation_page
-from tests.studies.gap_sensitivity import cases, summed_up
+from tests.studies.gap_sensitivity import cases, summed_up, whole
 from tests.studies.gap_sensitivity import moved as shifted
 
 ROOMS = Path("estimation/gap")
@@ -22,10 +23,10 @@ CATALOGUE = ROOMS / "effects"  # sizes of effects are physics, not decisions
 
 def test_every_criterion_says_what_it_is_and_where_it_comes_from() -> None:
     every = list(AS_SET.described())
-    assert len(every) <= 66
+    assert len(every) <= 40
     assert all(c.meaning and c.unit and c.origin for c in every)
     with pytest.raises(FrozenInstanceError):
-        AS_SET.strong = 2.0  # type: ignore[misc]
+        AS_SET.clearly_above = 2.0  # type: ignore[misc]
 
 
 def test_the_pages_that_the_site_is_built_with_have_all_rows() -> None:
@@ -34,8 +35,9 @@ def test_the_pages_that_the_site_is_built_with_have_all_rows() -> None:
 
 
 def test_the_page_shows_what_a_study_measured() -> None:
-    assert "| 0.7: 3 right of 4 |\n" in criteria_page(AS_SET, {"strong": "0.7: 3 right of 4"})
-    assert set(json.loads(SENSITIVITY.read_text(encoding="utf-8"))) <= {c.name for c in AS_SET.described()}
+    counts = {"sets": 9, "changed": [1, 0], "lost": [1, 0], "moved": [0.124, 0.0]}
+    assert "| 1/0 | 12%/0% |\n" in criteria_page(AS_SET, {"clearly_above": counts})
+    assert json.loads(SENSITIVITY.read_text(encoding="utf-8")).keys() == {c.name for c in AS_SET.described()}
 
 
 def test_the_page_of_mutations_has_both_moves_of_every_criterion_and_a_test_for_each() -> None:
@@ -47,9 +49,9 @@ def test_the_page_of_mutations_has_both_moves_of_every_criterion_and_a_test_for_
 
 
 def test_a_criterion_that_no_test_notices_is_shown() -> None:
-    (one,) = (c for c in AS_SET.described() if c.name == "strong")
+    (one,) = (c for c in AS_SET.described() if c.name == "clearly_above")
     text = mutation_page([Outcome(one, 1.05, ""), Outcome(one, 1.95, "test_x")])
-    assert "|`strong`|1.5|1.05, 1.95|**none**, `test_x`|" in text
+    assert "|`clearly_above`|1.5|1.05, 1.95|**none**, `test_x`|" in text
     assert "1 of 2 changes turn a test red" in text
 
 
@@ -57,34 +59,33 @@ def test_whole_numbers_move_by_one_and_quantiles_by_what_is_beyond_them() -> Non
     known = {c.name: c for c in AS_SET.described()}
     assert moved(known["compared"]) == (5, 7)
     assert moved(known["null_level"]) == pytest.approx((0.9675, 0.9825))
-    assert moved(known["strong"]) == pytest.approx((1.05, 1.95))
+    assert moved(known["clearly_above"]) == pytest.approx((1.05, 1.95))
     assert [shifted(known["compared"], f) for f in (0.7, 1.4)] == [4, 9]
     assert [shifted(known["null_level"], f) for f in (0.7, 1.4)] == pytest.approx([0.9825, 0.965])
 
 
 def test_sensitivity_counts_the_same_flights_as_set_and_moved() -> None:
-    def row(flights: str, criterion: str, factor: float, right: bool, verdict: str = "no_gap") -> dict[str, object]:
+    def row(flights: str, factor: float, right: bool, near: float, *named: str, evidence: float | None = None) -> Any:
+        criterion = "" if factor == 1.0 else "clearly_above"
+        seen = {"x": 1.0 / factor, "y": 2.0 / factor}
         return {
-            "flights": flights,
-            "criterion": criterion,
-            "factor": factor,
-            "right": right,
-            "verdict": verdict,
-            "named": [],
-        }
+            "flights": flights, "criterion": criterion, "factor": factor, "right": right, "near": near,
+            "verdict": "gap_closed" if named else "no_gap", "named": list(named), "evidence": evidence, "seen": seen,
+        }  # fmt: skip
 
     rows = [
-        row("a", "", 1.0, True),
-        row("b", "", 1.0, True),
-        row("a", "strong", 0.7, False, "gap_closed"),
-        row("b", "strong", 0.7, True),
-        row("c", "strong", 0.7, True),
-        row("a", "strong", 1.4, True),
-    ]
-    assert summed_up(rows) == {
-        "strong": "0.7: 1 right of 2 sets (as set 2), 1 answers other; 1.4: 1 right of 1 sets (as set 1), 0 answers other"
-    }
-    assert [(c.criterion, c.factor) for c in cases(["a"], ["strong"])] == [("", 1.0), ("strong", 0.7), ("strong", 1.4)]
+        row("a", 1.0, True, 0.5), row("b", 1.0, True, 0.8, "z", evidence=2.0), row("c", 1.0, True, 0.8),
+        row("a", 0.7, False, 0.8, "z", evidence=1.1), row("b", 0.7, True, 0.8, "z", evidence=2.1), row("c", 0.7, False, 0.8),
+        row("a", 1.4, True, 0.5), row("b", 1.4, True, 0.8, "z", evidence=1.0),
+    ]  # fmt: skip
+    assert summed_up(rows) == {"clearly_above": {"sets": 2, "changed": [1, 0], "lost": [1, 0], "moved": [0.6, 0.5]}}
+    asked = [(c.criterion, c.factor) for c in cases(["a"], ["clearly_above"])]
+    assert asked == [("", 1.0), ("clearly_above", 0.7), ("clearly_above", 1.4)]
+
+
+def test_a_set_of_the_sensitivity_study_is_read_back_from_its_name() -> None:
+    assert whole("null:fourth: 50 Hz, gusty:12:longitudinal") == ("null", "fourth: 50 Hz, gusty", 12, "longitudinal")
+    assert whole("half:aileron_delay:401004") == ("half", "aileron_delay", 401004, "lateral")
 
 
 def sources() -> Iterator[tuple[Path, ast.Module]]:
@@ -102,7 +103,7 @@ def test_rooms_get_the_criteria_from_the_run_and_have_none_of_their_own() -> Non
     ]
     assert users == ["search/state.py"]
     assert Options().criteria == AS_SET
-    assert replace(Criteria(), strong=2.0) != AS_SET
+    assert replace(Criteria(), clearly_above=2.0) != AS_SET
     assert BENCHMARK.startswith("set by hand")
 
 

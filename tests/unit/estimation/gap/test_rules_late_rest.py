@@ -36,10 +36,10 @@ def _flown(scale: float, reach: float) -> Any:
 
 
 def test_a_memory_beside_names_stands_out_at_twice_its_threshold() -> None:
-    limit = AS_SET.restless_margin * MEMORY.threshold
+    limit = AS_SET.far_above * MEMORY.threshold
     assert not stands_out(replace(MEMORY, score=0.99 * limit), AS_SET)
     assert stands_out(replace(MEMORY, score=1.01 * limit), AS_SET)
-    assert AS_SET.restless_margin == 2.0
+    assert AS_SET.far_above == 2.0
 
 
 def test_what_a_strong_lag_leaves_at_one_instant_is_no_event() -> None:

@@ -63,8 +63,8 @@ def test_a_swing_that_gains_no_more_than_chance_is_none(gain: float, unknown: bo
     assert alone(replace(FOUND, gain=gain), AS_SET) is unknown
 
 
-@pytest.mark.parametrize(("damping", "swings"), [(0.02, True), (0.39, True), (0.41, False), (0.8, False)])
-def test_what_is_damped_by_more_than_two_fifths_does_not_swing(damping: float, swings: bool) -> None:
+@pytest.mark.parametrize(("damping", "swings"), [(0.02, True), (0.49, True), (0.51, False), (0.8, False)])
+def test_what_is_damped_by_more_than_half_of_critical_does_not_swing(damping: float, swings: bool) -> None:
     assert rings(damping, AS_SET) is swings
 
 
