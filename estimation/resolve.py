@@ -20,7 +20,14 @@ from estimation.models.load import asks_for_aircraft, check_model
 from estimation.prepare.measured_cg import with_cg_history
 from estimation.prepare.measured_mass import with_mass_history
 from estimation.prepare.stretches import flights_of_segments, select_segments, unique_names
-from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, motion_settled
+from estimation.simulation.attach import (
+    Attached,
+    Free,
+    attach,
+    estimated_about_its_motion,
+    motion_settled,
+    renewed_attachment,
+)
 from groundstation.flight import Flight, read_flight
 
 Flights = Flight | str | Path | Sequence[Flight | str | Path]
@@ -51,7 +58,7 @@ def resolve(
     each_segment: bool = False,
     simulation: str | None = None,
     free: Free = Free.FACTORS,
-    controls: Model | None = None,
+    moving: Model | None = None,
     needs_aircraft: bool = False,
     hold_initial: Names = "",
     free_initial: Names = "",
@@ -59,7 +66,7 @@ def resolve(
     """The flights under unique names, the model, and its aircraft.
 
     segments: stretches, as in `select_segments`; each_segment: every stretch becomes a flight. free: what of a simulation is
-    estimated; controls: a model of how its control surfaces move, where not as recorded. needs_aircraft: the call itself uses
+    estimated; moving: a model of how surfaces and aircraft move, where not as recorded. needs_aircraft: the call itself uses
     geometry and mass, whatever the model. hold_initial, free_initial: as in `with_initial_states`. Raises a UserError of one
     sentence for what cannot be found or does not fit; mistyped methods and models are refused before a flight is read.
     """
@@ -69,7 +76,7 @@ def resolve(
         check_model(str(model))
     selected = read_flights(flights, segments, each_segment=each_segment)
     if simulation is not None:
-        attached = _on_simulation(simulation, model, selected, aircraft, free, controls)
+        attached = _on_simulation(simulation, model, selected, aircraft, free, moving)
         loaded, airframe, selected, notes = attached.model, attached.aircraft, list(attached.flights), attached.notes
     else:
         airframe = which_aircraft(selected, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
@@ -109,13 +116,15 @@ def _on_simulation(
     flights: Sequence[Flight],
     aircraft: AnyAircraft,
     free: Free,
-    controls: Model | None,
+    moving: Model | None,
 ) -> Attached:
     """The model with its simulation evaluated along the flights: about the fitted motion where derivatives are free, about the
-    predicted motion where nothing is."""
+    predicted motion where nothing is, or where a model `moving` shows it otherwise than it is."""
     if not isinstance(model, str | Path):
         raise EstimationError("a simulation takes its model by name or as a MODEL.toml; give one of these")
-    attached = attach(spec, str(model), flights, aircraft, free, controls)
+    attached = attach(spec, str(model), flights, aircraft, free, moving)
+    if moving is not None and moving.instruments != attached.model.instruments:
+        return renewed_attachment(attached, moving)
     if free is Free.DERIVATIVES:
         return estimated_about_its_motion(attached)
     return motion_settled(attached) if free is Free.NOTHING else attached

@@ -54,7 +54,7 @@ def gap(
         print(answer.verdict, answer.effects)
     """
     from estimation.errors import GapError
-    from estimation.gap.decision.conclusion import more_beside_moved_controls
+    from estimation.gap.decision.conclusion import more_beside_what_records_show_wrong
     from estimation.gap.effects import catalogue, load_effects
     from estimation.gap.workflow import Options, run_gap
     from estimation.prepare.measured_cg import at_stated_cg
@@ -70,15 +70,15 @@ def gap(
     options = Options(seed=seed, nulls=nulls)
     report_progress = progress or (lambda what, share: None)
 
-    def search(controls: "Model | None" = None) -> "tuple[ResolvedCall, tuple[Effect, ...], GapResult]":
-        problem = resolve(every_flight, model, aircraft, simulation=simulation, free=Free.FACTORS, controls=controls)
+    def search(moving: "Model | None" = None) -> "tuple[ResolvedCall, tuple[Effect, ...], GapResult]":
+        problem = resolve(every_flight, model, aircraft, simulation=simulation, free=Free.FACTORS, moving=moving)
         effect_list = catalogue(files, problem.model)
         fitted, held_out = problem.flights[: len(training)], problem.flights[len(training) :]
         return problem, effect_list, run_gap(problem.model, fitted, held_out, effect_list, options, report_progress)
 
     try:
         problem, effect_list, result = search()
-        if simulation is not None and more_beside_moved_controls(result):
+        if simulation is not None and more_beside_what_records_show_wrong(result):
             problem, effect_list, result = search(result.model_after)
     except GapError as error:
         if not files:

@@ -275,9 +275,20 @@ def simulated_fits(
         fit = channel_fits(model.output_names, measured, predicted)
         x0 = tuple(s.x0 for s in flight.segments)
         residuals.append(measured - predicted)
+        states = np.full((flight.samples, len(model.states)), np.nan)
         flights.append(
             FlightFit(
-                flight.name, flight.samples, time, measured, predicted, measured - predicted, x0, {}, fit, flight.notes
+                flight.name,
+                flight.samples,
+                time,
+                measured,
+                predicted,
+                measured - predicted,
+                states,
+                x0,
+                {},
+                fit,
+                flight.notes,
             )
         )
     stacked = np.concatenate(residuals)

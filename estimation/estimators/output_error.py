@@ -310,10 +310,10 @@ def failed_result(problem: OutputErrorProblem, outcome: SolverOutcome[P], method
     }
     flights = []
     for f in problem.flights:
-        blank = np.full((f.samples, problem.ny), np.nan)
+        blank, still = (np.full((f.samples, n), np.nan) for n in (problem.ny, problem.nx))
         time, measured = f.histories(problem.ny)
         x0 = tuple(s.x0 for s in f.segments)
-        flights.append(FlightFit(f.name, f.samples, time, measured, blank, blank, x0, {}, {}, f.notes))
+        flights.append(FlightFit(f.name, f.samples, time, measured, blank, blank, still, x0, {}, {}, f.notes))
     return Result(
         problem.model, method, outcome.status, outcome.status.value, outcome.iterations, outcome.evaluations,
         float("inf"), np.eye(problem.ny) * np.nan, names, estimated, no_covariance, no_covariance, (), tuple(flights),
@@ -332,9 +332,9 @@ def _flight_fit(
     """One flight at the optimum. covariances: of its local parameters, Cramer-Rao and corrected."""
     flight = problem.flights[index]
     time, measured = flight.histories(problem.ny)
-    outputs = np.full_like(measured, np.nan)
+    outputs, moved = np.full_like(measured, np.nan), np.full((flight.samples, problem.nx), np.nan)
     for segment, motion in zip(flight.segments, point.motions[index], strict=True):
-        outputs[segment.rows] = motion.y
+        outputs[segment.rows], moved[segment.rows] = motion.y, motion.x
     names = tuple(problem.free[i] for i in problem.local)
     values = problem.parameters(unknowns, index)[problem.local]
     blind = np.zeros(len(names), bool)
@@ -342,7 +342,17 @@ def _flight_fit(
     states = tuple(problem.initial_state(unknowns, index, j) for j in range(len(flight.segments)))
     fit = channel_fits(problem.model.output_names, measured, outputs)
     return FlightFit(
-        flight.name, flight.samples, time, measured, outputs, measured - outputs, states, local, fit, flight.notes
+        flight.name,
+        flight.samples,
+        time,
+        measured,
+        outputs,
+        measured - outputs,
+        moved,
+        states,
+        local,
+        fit,
+        flight.notes,
     )
 
 

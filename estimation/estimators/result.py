@@ -50,7 +50,8 @@ class Estimate:
 
 @dataclass(frozen=True)
 class FlightFit:
-    """One flight within a fit. measured, outputs, residuals: (samples, ny), NaN outside the segments.
+    """One flight within a fit. measured, outputs, residuals: (samples, ny); states: (samples, nx) as the model moves, which its
+    instruments may show otherwise; NaN outside the segments, states also where the fit simulates none.
 
     initial_states: (nx,) of each segment. local: estimates of parameters (biases, trims) of this flight alone.
     """
@@ -61,6 +62,7 @@ class FlightFit:
     measured: Array
     outputs: Array
     residuals: Array
+    states: Array
     initial_states: tuple[Array, ...]
     local: Mapping[str, Estimate]
     fit: Mapping[str, ChannelFit]

@@ -189,13 +189,14 @@ def _unmeasured_notes(along_flights: AlongFlights) -> tuple[str, ...]:
 
 
 def _motion_of(model: Model, flight: Flight) -> Mapping[str, Array]:
-    """State -> predicted history (N,) with only the initial states fitted; empty where that does not converge."""
+    """State -> predicted history (N,) with only the initial states fitted, not as the model's instruments show it; empty where
+    that does not converge."""
     frozen = model.fixed(*model.parameter_names)
     result = output_error(frozen, flight, options=OutputErrorOptions(improve_start=False))
     if not result.converged:
         return {}
-    model_outputs = dict(zip(result.model.output_names, result.flights[0].outputs.T, strict=True))
-    return {n: model_outputs[n] for n in model.state_names if n in VARIABLES and n in model_outputs}
+    histories = zip(result.model.state_names, result.flights[0].states.T, strict=True)
+    return {n: history for n, history in histories if n in VARIABLES}
 
 
 def _same_motion(old: Mapping[str, Array], new: Mapping[str, Array]) -> bool:

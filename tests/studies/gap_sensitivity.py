@@ -34,9 +34,7 @@ from tests.studies.nameless_truth import FUNCTIONS
 FACTORS = (0.7, 1.4)
 SIZES = {"null": 0.0, "effect": 1.0, "half": 0.5, "unknown": 1.0, "function": 0.0}
 SETS = (
-    "null:fourth: gusty:9401",
     "null:fourth: attitude at 10 Hz, held:9402",
-    "null:JSBSim: as it is set:9403",
     "null:fourth: surfaces' noise three times:9404:longitudinal",
     "null:fourth: quantised:9405:longitudinal",
     "null:own simulator: gusty:9406:longitudinal",

@@ -61,7 +61,7 @@ ALPHA = "aero/alpha-rad", 0.1
 class Hidden:
     """What is hidden. axis, factors: a coefficient in the aircraft's file, a product of properties, differences and numbers;
     lag, delay [s]: of a surface (elevator, aileron, rudder) behind what is recorded of it; sensors: of columns at 200 Hz and the
-    span [m]; mass: times."""
+    span [m]; mass: times. parts: other names that the catalogue has for a part of it."""
 
     axis: str = ""
     factors: tuple[Any, ...] = ()
@@ -71,6 +71,7 @@ class Hidden:
     sensors: Callable[[Columns, float], Columns] | None = None
     mass: float = 1.0
     name: str = ""
+    parts: tuple[str, ...] = ()
 
 
 def _late(name: str, tau: float) -> Callable[[Columns, float], Columns]:
@@ -108,13 +109,13 @@ HIDDEN: Mapping[str, Hidden] = {
     "alpha_lag": Hidden(sensors=_late("alpha", 0.06)),
     "alpha_scale": Hidden(sensors=_scaled("alpha", 1.1)),
     "V_scale": Hidden(sensors=_scaled("V", 1.05)),
-    "imu_x": Hidden(sensors=_ahead),
+    "imu_x": Hidden(sensors=_ahead, parts=("imu_lever_arm",)),
     "mass": Hidden(mass=1.1, name="mass_error"),
     "Cm_beta2": Hidden("PITCH", ("aero/beta-rad", "aero/beta-rad", 1.0)),
     "Cn_da": Hidden("YAW", ("fcs/left-aileron-pos-rad", 0.02)),
     "beta_lag": Hidden(sensors=_late("beta", 0.08)),
     "Cn_beta3": Hidden("YAW", ("aero/beta-rad", "aero/beta-rad", "aero/beta-rad", 2.0)),
-    "Cl_alpha_beta": Hidden("ROLL", (ALPHA, "aero/beta-rad", 0.75)),
+    "Cl_alpha_beta": Hidden("ROLL", (ALPHA, "aero/beta-rad", 0.75), parts=("Cl_beta",)),
     "aileron_lag": Hidden(lag=0.06, surface=1),
     "rudder_delay": Hidden(delay=0.06, surface=2),
     "beta_scale": Hidden(sensors=_scaled("beta", 1.15)),
@@ -218,16 +219,22 @@ def ask(kind: Kind, label: str, model: str, base: str, seed: int, nulls: int) ->
 
 
 def judged(row: Mapping[str, Any]) -> str:
-    """right (first and alone), right+ (first, others beside it), class, wrong, unknown or missed; of nothing: right or false."""
+    """right (first and alone, but for its parts), right+ (first, others beside it), class (of which a part alone), wrong, unknown
+    or missed; of nothing: right or false."""
     hidden = HIDDEN[row["hidden"]].name or row["hidden"]
     hidden = LATERAL_NAMES.get(hidden, hidden) if row["model"] == "lateral" else hidden
+    parts = set(HIDDEN[row["hidden"]].parts) - {hidden}
     names = [s["effect"] for s in row["steps"]]
+    if names and set(names) <= parts:
+        return "class"
+    if hidden in names:
+        names = [n for n in names if n == hidden or n not in parts]
     if hidden == "nothing":
         return "right" if not names and row["verdict"] in ("no_gap", "cannot_tell") else "false"
     if not names or names[0] == "unknown":
         return "missed" if row["verdict"] in ("no_gap", "cannot_tell") else "unknown"
     if names[0] == hidden:
-        return "right" if len(names) == 1 and len(row["steps"][0]["set"]) <= 1 else "right+"
+        return "right" if len(names) == 1 and all(len(s["set"]) <= 1 for s in row["steps"]) else "right+"
     return "class" if same_class(names[0], hidden) or hidden in row["steps"][0]["set"] else "wrong"
 
 

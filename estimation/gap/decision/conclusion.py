@@ -371,13 +371,15 @@ def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) 
     return tuple(courses)
 
 
-def more_beside_moved_controls(result: GapResult) -> bool:
-    """Whether effects were found by which a control moves otherwise than recorded, and something else was named or is unknown.
+def more_beside_what_records_show_wrong(result: GapResult) -> bool:
+    """Whether effects were found by which a control or the aircraft moves otherwise than recorded, and something else was named
+    or is unknown.
 
-    Then the user's simulation has to be evaluated again at the true deflections. It was, with its slopes, at the recorded ones:
-    with a drag by |elevator| the slope has the wrong sign until a late elevator crosses zero, which looks like a drag that the
-    simulation lacks. An effect that stands alone explains everything.
+    Then the user's simulation has to be evaluated again at the true deflections and motion. It was, with its slopes, at the
+    recorded ones: with a drag by |elevator| the slope has the wrong sign until a late elevator crosses zero, which looks like a
+    drag that the simulation lacks. An effect that stands alone explains everything.
     """
     before, controls = set(result.model_before.transforms), {s.name for s in result.model_before.inputs if s.control}
-    moved = [t for t in result.model_after.transforms if t not in before and t.input in controls]
-    return bool(moved) and (len(result.steps) > 1 or result.verdict is GapVerdict.UNKNOWN)
+    moved = any(t not in before and t.input in controls for t in result.model_after.transforms)
+    shown_otherwise = result.model_after.instruments != result.model_before.instruments
+    return (moved or shown_otherwise) and (len(result.steps) > 1 or result.verdict is GapVerdict.UNKNOWN)

@@ -1,4 +1,4 @@
-"""When a simulation is asked again, at the control surfaces as they were found to move."""
+"""When a simulation is asked again, at the control surfaces and the motion as they were found."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import GapResult, GapVerdict
-from estimation.gap.decision.conclusion import more_beside_moved_controls
+from estimation.gap.decision.conclusion import more_beside_what_records_show_wrong
 from estimation.gap.effects import catalogue
 from estimation.models.load import load_model
 from tests.unit.estimation.gap.test_rerun_report import an_answer
@@ -24,15 +24,25 @@ def answer(*names: str, verdict: GapVerdict = GapVerdict.GAP_CLOSED) -> GapResul
     )
 
 
-@pytest.mark.parametrize("names", [("aileron_lag", "Cn_da"), ("Cn_da", "aileron_lag"), ("rudder_backlash", "Cl_beta3")])
-def test_a_late_or_loose_surface_with_something_beside_it(names: tuple[str, ...]) -> None:
-    assert more_beside_moved_controls(answer(*names))
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("aileron_lag", "Cn_da"),
+        ("Cn_da", "aileron_lag"),
+        ("rudder_backlash", "Cl_beta3"),
+        ("beta_lag", "Cn_da"),
+        ("Cn_da", "beta_scale"),
+    ],
+)
+def test_a_late_or_loose_surface_or_a_wrong_instrument_with_something_beside_it(names: tuple[str, ...]) -> None:
+    assert more_beside_what_records_show_wrong(answer(*names))
 
 
-def test_a_late_surface_that_leaves_something_without_a_name() -> None:
-    assert more_beside_moved_controls(answer("aileron_lag", verdict=GapVerdict.UNKNOWN))
+@pytest.mark.parametrize("name", ["aileron_lag", "beta_lag"])
+def test_a_late_surface_or_vane_that_leaves_something_without_a_name(name: str) -> None:
+    assert more_beside_what_records_show_wrong(answer(name, verdict=GapVerdict.UNKNOWN))
 
 
-@pytest.mark.parametrize("names", [("aileron_lag",), ("Cn_da", "Cl_beta3"), ("Cn_da", "beta_lag"), ()])
-def test_nothing_else_left_or_no_surface_moved(names: tuple[str, ...]) -> None:
-    assert not more_beside_moved_controls(answer(*names))
+@pytest.mark.parametrize("names", [("aileron_lag",), ("beta_lag",), ("Cn_da", "Cl_beta3"), ()])
+def test_nothing_else_left_or_nothing_recorded_otherwise(names: tuple[str, ...]) -> None:
+    assert not more_beside_what_records_show_wrong(answer(*names))

@@ -11,6 +11,7 @@ from estimation.estimators.output_error import output_error
 from estimation.gap.effects import catalogue
 from estimation.gap.shapes.places import coefficient_lines, variables_of
 from estimation.models import InputTransform, Model, Parameter, load_model, read_model, write_model
+from estimation.resolve import resolve
 from estimation.session.proof_of_match import predict_flight
 from estimation.simulation import along_flight
 from estimation.simulation.attach import (
@@ -289,3 +290,30 @@ def test_a_model_found_on_a_simulation_is_read_back_with_its_computed_inputs(fun
     assert read_model(tmp_path / "child.toml") == told.model
     again = attach(f"{functions}:many", str(tmp_path / "child.toml"), [read_flight(LD4)])
     np.testing.assert_array_equal(again.flights[0]["sim_Cn_0"], told.flights[0]["sim_Cn_0"])
+
+
+@pytest.mark.parametrize("name", ["beta_lag", "beta_scale"])
+def test_a_simulation_is_evaluated_where_the_aircraft_is_not_where_a_wrong_vane_shows_it(
+    name: str, short: Flight, tmp_path: Path
+) -> None:
+    """A cube of sideslip, which a late or wrong vane shows elsewhere: the model with its simulation moves as the whole does."""
+    plain = load_model("lateral", "cdfp")
+    cubic = plain.plus(terms={"Cn": "0.3*beta^3"})
+    write_model(cubic, tmp_path / "cubic.toml")
+    (form,) = next(e for e in catalogue(model=plain) if e.name == name).forms
+    wrong, outputs = {name: 0.4 if name == "beta_lag" else 0.8}, plain.output_names
+    shown = predict_flight(form.added_to(cubic, wrong), short).predicted[:, outputs.index("beta")]
+    flight = short.with_columns(beta=shown)
+    first = attach(str(tmp_path / "cubic.toml"), "lateral", [flight], free=Free.NOTHING)
+    with_vane = replace(first, model=form.added_to(first.model, wrong))
+    exact = predict_flight(form.added_to(cubic, wrong), flight).predicted
+    off = [
+        np.std(predict_flight(a.model, a.flights[0]).predicted - exact)
+        for a in (with_vane, renewed_attachment(with_vane), motion_settled(with_vane))
+    ]
+    assert off[0] > 1e-3  # rad and rad/s
+    assert off[2] < 0.1 * off[0]
+    asked = resolve([flight], "lateral", simulation=str(tmp_path / "cubic.toml"), moving=with_vane.model)
+    column = renewed_attachment(with_vane).flights[0]["sim_Cn_beta"]
+    np.testing.assert_allclose(asked.flights[0]["sim_Cn_beta"], column)
+    assert np.nanstd(column - first.flights[0]["sim_Cn_beta"]) > 0.0
