@@ -11,6 +11,7 @@ from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.criteria import Criteria
 
 OF_INPUTS = "no larger than what the unknown times of recorded commands leave"
+NOTHING_CLOSED = "closes nothing of the gap, and no flight is held out that might confirm it"
 ANY = None
 TABLE: tuple[tuple[bool | None, bool | None, bool | None, bool | None, GapVerdict], ...] = (
     # a rest matters, names stand, closed, blind -> verdict; the first row that matches
@@ -71,8 +72,11 @@ class Decision:
 def decide(facts: VerdictFacts, criteria: Criteria, commanded: bool = False) -> Decision:
     """The verdict from the facts. commanded: surfaces are recorded as commands. Their unknown times cause a nameless rest that
     is no effect, and names that close no more than a gap of nulls; without another name the flights cannot tell."""
-    rest = rest_matters(facts, criteria)
-    count, withdrawn = standing(facts, criteria) if rest else (len(facts.named), ())
+    idle = closing_nothing(facts.named)
+    facts = replace(facts, named=facts.named[: len(facts.named) - len(idle)])
+    rest = bool(idle) or rest_matters(facts, criteria)
+    count, fallen = standing(facts, criteria) if rest else (len(facts.named), ())
+    withdrawn = (*fallen, *idle)
     if commanded:
         first_unseen = next((k for k, name in enumerate(facts.named[:count]) if name.unseen), count)
         withdrawn = (*withdrawn, *((n.effect, OF_INPUTS) for n in facts.named[first_unseen:count]))
@@ -83,6 +87,17 @@ def decide(facts: VerdictFacts, criteria: Criteria, commanded: bool = False) -> 
     answers = (rest and not commanded, count > 0, closed, blind)
     verdict = next(row[-1] for row in TABLE if all(w is ANY or w == f for w, f in zip(row[:-1], answers, strict=True)))
     return Decision(verdict, count, withdrawn, doubted)
+
+
+def closing_nothing(named: Sequence[Named]) -> tuple[tuple[str, str], ...]:
+    """The last names with which a gap above those of nulls grows, where no flight is held out that might confirm them. They are
+    significant, so that something is left without a name."""
+    count = len(named)
+    while (
+        count and named[count - 1].held is None and named[count - 1].gap.grows and not named[count - 1].gap.says_nothing
+    ):
+        count -= 1
+    return tuple((n.effect, NOTHING_CLOSED) for n in named[count:])
 
 
 def only_steered(facts: VerdictFacts) -> VerdictFacts:

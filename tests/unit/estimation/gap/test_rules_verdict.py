@@ -189,6 +189,22 @@ def test_only_the_last_name_is_asked_what_it_closes() -> None:
     assert (found.kept, [effect for effect, _ in found.withdrawn]) == (1, ["b"])
 
 
+def test_last_names_with_which_the_gap_grows_do_not_stand_where_no_flight_is_held_out() -> None:
+    """A bend of lift, score 16.6, with which the gap of a T-38's flights grew from 6.74 to 6.91, above that of nulls."""
+    grown = Gap(6.744, 6.906, 6.16, highest=6.4)
+    last = replace(named("CL_alpha2", 16.6), gap=grown)
+    found = decide(replace(QUIET, named=(named(), last, last)), AS_SET)
+    assert (found.verdict, found.kept, len(found.withdrawn)) == (GapVerdict.UNKNOWN, 1, 2)
+    assert found.withdrawn[0][1].startswith("closes nothing")
+    for stands in (
+        replace(last, held=gap(0.5)),
+        replace(last, gap=replace(grown, highest=7.0)),
+        replace(last, gap=replace(grown, after=6.7)),
+    ):
+        assert decide(replace(QUIET, named=(named(), stands)), AS_SET).kept == 2
+    assert decide(replace(QUIET, named=(last, named())), AS_SET).kept == 2, "the last one is fitted with it"
+
+
 def kept(names: Sequence[tuple[str, float]], place: str, rest: float) -> tuple[int, list[str]]:
     """Names that close the gap, and blame the vane where they are called beta_..."""
     made = tuple(named(n, s, 0.9, None, *(["beta"] if n.startswith("beta_") else [])) for n, s in names)
