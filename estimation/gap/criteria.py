@@ -45,8 +45,8 @@ class Criteria:
     halfway: float = criterion(0.5, "1",
         "between two cases of which one measures 0 and the other 1, the middle: white noise in the steps of an attitude (a "
         "filter has none), a control's motion beside what follows the motion, in its noise, and in its answers to gusts, the "
-        "part of a flight within the range of the others, the damping of a swing (a lag has all), a signal's distance from its "
-        "median, in that of the farthest (its large values, where an effect may act)",
+        "part of a flight within the range of the others, the damping of a swing (a lag has all), the share "
+        "of a channel's scatter that is white noise at least, and of a gyro's that its filtered attitude lacks",
         "controls: elevators that hold an attitude 0.1 to 0.3, doublets of 0.9 deg beside that 1.1 (2026-11-25); elevators with "
         "gains from manoeuvres or in gusts 0.02 and 0.36, ailerons of a wing leveller 0.7 to 0.96 (2026-11-30); at half of "
         "critical damping the second swing has 3 % of the first")
@@ -105,8 +105,6 @@ class Criteria:
         "by hand: some times what a calibrated instrument has")
 
     # ---- the noise of the residuals
-    least_scatter: float = criterion(0.5, "scatter",
-        "smallest noise that the whitener assumes for a channel, and for the noise of a gyro that its filtered attitude lacks")
     filter_memory: float = criterion(3.0, "s",
         "correlation time of the error of an attitude filter",
         "theory: the inverse of the weight the onboard filter gives to plumb line and compass")
@@ -193,6 +191,8 @@ class Criteria:
     closed_share: float = criterion(0.7, "gap above the floor",
         "from here on the gap counts as closed; the held-out one where there is one",
         "rule of the design, promised to scripts (docs/gap.md): below it more than 0.55 of the gap is left in rms")
+    regime_quantile: float = criterion(0.7, "quantile",
+        "of the distance from a signal's median: larger values are its large ones, in which an effect may act")
     another_flight: float = criterion(3.0, "largest gap with nothing hidden",
         "a held-out flight with a larger gap is another one, which the model does not predict, and no likelihood confirms a name",
         "seven sets with nothing hidden were at 0.83 to 1.06, one with four times the gusts on that flight at 1.6, a right lag "

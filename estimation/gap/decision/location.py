@@ -202,7 +202,7 @@ def regime(signals: Mapping[str, Array], gain: Array, criteria: Criteria) -> str
     highest, text = criteria.clearly_above, "everywhere"
     for name, values in signals.items():
         size = np.abs(values - np.median(values))
-        limit = criteria.halfway * float(size.max())
+        limit = float(np.quantile(size, criteria.regime_quantile))
         large = size > limit
         if not large.any():
             continue

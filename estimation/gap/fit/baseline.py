@@ -184,7 +184,7 @@ def estimated_noise(
     white: (ny,) first standard deviations of the outputs' white noise. without: parts that these flights do not have. known:
     first strengths of some parts. earlier: a noise model to go on from.
     """
-    floor = (steps[0].criteria.least_scatter * white) ** 2
+    floor = (steps[0].criteria.halfway * white) ** 2
 
     def estimate(unexplained: Sequence[Array], start: NoiseModel | None) -> NoiseModel:
         return estimate_noise(unexplained, shapes, white**2, floor, without, known, start)
@@ -221,9 +221,9 @@ def noise_parts(
         variance = scatter[outputs.index(n)] ** 2
         strengths[NoisePart(NoiseSource.WANDERING, n)] = variance / (step * criteria.filter_memory)
         if RATE_OF[n] in outputs:
-            rate, shared = outputs.index(RATE_OF[n]), 1.0 - criteria.least_scatter**2
+            rate, shared = outputs.index(RATE_OF[n]), 1.0 - criteria.halfway**2
             strengths[NoisePart(NoiseSource.GYRO, n)] = shared * scatter[rate] ** 2
-            white[rate] *= criteria.least_scatter
+            white[rate] *= criteria.halfway
     of_filters = (NoiseSource.WANDERING, NoiseSource.GYRO)
     return white, tuple(NoisePart(s, n) for n in RATE_OF if n not in filtered for s in of_filters), strengths
 

@@ -347,14 +347,14 @@ def where(gain_at: float, share: float = 1.0) -> str:
     return regime({"p": np.radians(p)}, gain, AS_SET)
 
 
-def test_a_regime_is_the_farther_half_of_a_signal_with_more_than_its_share_of_the_gain() -> None:
-    assert where(0.5, 100.0) == "|p| > 0.5 deg/s"
-    # a share of gain g over a share of time 0.5: 1.45 and 1.55 times
-    assert where(0.5, 1.45 * 0.5 / (1 - 1.45 * 0.5)) == "everywhere"
-    assert where(0.5, 1.55 * 0.5 / (1 - 1.55 * 0.5)) == "|p| > 0.5 deg/s"
+def test_a_regime_holds_the_three_tenths_of_largest_values_and_more_than_its_share_of_the_gain() -> None:
+    assert where(0.7, 100.0) == "|p| > 0.7 deg/s"
+    # a share of gain g over a share of time 0.3: 1.45 and 1.55 times
+    assert where(0.7, 1.45 * 0.7 / (1 - 1.45 * 0.3)) == "everywhere"
+    assert where(0.7, 1.55 * 0.7 / (1 - 1.55 * 0.3)) == "|p| > 0.7 deg/s"
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.05, True), (0.4, True), (0.7, False)])
+@pytest.mark.parametrize(("share", "told"), [(0.05, True), (0.25, True), (0.4, False)])
 def test_a_signal_of_two_values_has_a_regime_where_one_of_them_is_rare(share: float, told: bool) -> None:
     """A switch that is on for so much of the time; of one that is on for long no value is larger than its large ones."""
     on = np.arange(2000) < 2000 * share
