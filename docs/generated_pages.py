@@ -27,10 +27,10 @@ Physics, source and signature: `estimation/gap/effects/*.toml`. Sizes are those 
 CRITERIA_HEAD = """# Numbers that decide in the gap workflow
 
 Reference: every number of `estimation.gap.criteria.Criteria` that would change an answer; the reason for each stands there.
-`tests/unit/estimation/gap/mutation.md` names the test that notices another value. At 0.7/1.4 times the number, seven sets (four
+`tests/unit/estimation/gap/mutation.md` names the test that notices another value. At 0.7/1.4 times the number, six sets (three
 kinds of flights with nothing hidden, two effects of half size, a stale vane): how many answers *changed*, and by how much the
 deciding ratios *moved* at most (evidence of the name, the nearest score over its threshold, sizes that would be seen). A 0 is a
-guard against flights that are not among the seven (`python -m tests.studies.gap_sensitivity`).
+guard against flights that are not among the six (`python -m tests.studies.gap_sensitivity`).
 
 | criterion | value | meaning [unit] | changed | moved |
 |---|---|---|---|---|

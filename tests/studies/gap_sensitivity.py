@@ -36,7 +36,6 @@ SIZES = {"null": 0.0, "effect": 1.0, "half": 0.5, "unknown": 1.0, "function": 0.
 SETS = (
     "null:fourth: attitude at 10 Hz, held:9402",
     "null:fourth: surfaces' noise three times:9404:longitudinal",
-    "null:fourth: quantised:9405:longitudinal",
     "null:own simulator: gusty:9406:longitudinal",
     "half:aileron_delay:401004",
     "half:alpha_lag:401009:longitudinal",

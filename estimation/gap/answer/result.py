@@ -49,6 +49,11 @@ class Gap:
         return self.after >= self.before
 
     @property
+    def grows_beyond_nulls(self) -> bool:
+        """Whether the gap is no smaller with the effect, and larger than flights with nothing hidden have."""
+        return self.grows and self.after > self.highest
+
+    @property
     def within_floor(self) -> bool:
         """Whether the gap was no larger than flights with nothing hidden usually have: nothing to close."""
         return self.before <= self.floor

@@ -90,12 +90,10 @@ def decide(facts: VerdictFacts, criteria: Criteria, commanded: bool = False) -> 
 
 
 def closing_nothing(named: Sequence[Named]) -> tuple[tuple[str, str], ...]:
-    """The last names with which a gap above those of nulls grows, where no flight is held out that might confirm them. They are
-    significant, so that something is left without a name."""
+    """The last names with which the gap grows beyond those of nulls, where no flight is held out that might confirm them. They
+    are significant, so that something is left without a name."""
     count = len(named)
-    while (
-        count and named[count - 1].held is None and named[count - 1].gap.grows and not named[count - 1].gap.says_nothing
-    ):
+    while count and named[count - 1].held is None and named[count - 1].gap.grows_beyond_nulls:
         count -= 1
     return tuple((n.effect, NOTHING_CLOSED) for n in named[count:])
 
