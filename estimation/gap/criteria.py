@@ -10,8 +10,6 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 BENCHMARK = "set by hand with the first benchmark (2026-11-21), no study on record; see sensitivity"
-CHAIN = "set by hand with the flights through the simulated bus (2026-11-21), no study on record; see sensitivity"
-FOREIGN = "came in with the flights of another simulator (2026-11-21), set by hand; see sensitivity"
 
 
 @dataclass(frozen=True, slots=True)

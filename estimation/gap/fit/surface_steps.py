@@ -40,9 +40,7 @@ SLIGHT = 1e-2  # whitened energy of a displacement below which it is ignored: it
 RUNAWAY = 1e6  # a response that grows so far is no small motion any more
 SLOW = 0.5  # Hz, below which the error of a control is written as cosines
 MOST_STEPS = 400  # a record, of controls that never rest: memory and work grow with them; they have 300 in 30 s
-FREEST = (
-    0.5  # steps: a path between two samples is off the middle by half their difference, unless it leaves their range
-)
+FREEST = 0.5  # steps: a path between two samples that stays between them is off their middle by half a step at most
 MOST = 40  # cosines for each control and record: a record that has more slow ones is long compared with its modes
 
 
