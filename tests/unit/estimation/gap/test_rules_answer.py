@@ -340,6 +340,24 @@ def test_names_in_place_of_a_shape_are_concluded_from_as_long_as_more_of_them_st
     assert answer is decided[-2], "the last that had more names"
 
 
+@pytest.mark.parametrize(("after", "held", "added"), [(6.906, None, False), (6.7, None, True), (6.906, "held", True)])
+def test_names_beside_a_shape_close_something_where_no_flight_is_held_out(
+    monkeypatch: pytest.MonkeyPatch, after: float, held: str | None, added: bool
+) -> None:
+    """A bend of lift beside a lift by alpha times airspeed: the gap of a T-38's flights grew from 6.74 to 6.91."""
+    gap = Gap(6.744, after, 6.16, highest=6.6)
+    monkeypatch.setattr(concluding, "step_of", lambda *given: stub(effect="CL_alpha2", gap=gap, holdout=held))
+    state: Any = stub(
+        setting=stub(floors=lambda round_: None), findings=("alpha_lag",), named=[stub(effect="alpha_lag")]
+    )
+    state.decision, state.model, state.shapes = Decision(GapVerdict.GAP_REDUCED, 1, ()), "without", "shape"
+    beside: Any = stub(round_=None, findings=("CL_alpha2",), baseline="with", shapes="shape beside it")
+    concluding._add_names(state, beside)
+    assert state.findings == (("alpha_lag", "CL_alpha2") if added else ("alpha_lag",))
+    assert (state.model, state.shapes) == (("with", "shape beside it") if added else ("without", "shape"))
+    assert [effect for effect, _ in state.decision.withdrawn] == ([] if added else ["CL_alpha2"])
+
+
 @pytest.mark.parametrize(("room", "named", "taken"), [(4, True, True), (4, False, False), (3, True, False)])
 def test_rounds_about_the_names_that_stood_beside_a_shape_may_name_what_it_stood_for(
     monkeypatch: pytest.MonkeyPatch, room: int, named: bool, taken: bool
