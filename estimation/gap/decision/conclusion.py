@@ -22,7 +22,6 @@ from estimation.gap.decision.beside import (
     without_doubted,
 )
 from estimation.gap.decision.decide import (
-    NOTHING_CLOSED,
     Decision,
     Named,
     VerdictFacts,
@@ -182,15 +181,10 @@ def _outweighs(follower: Follower | None, event: Happened) -> bool:
 
 
 def _add_names(state: _Conclusion, beside: ShapeContinuation) -> None:
-    """Add the names that stand beside a shape, and the shape found about the model with them; none of them where one closes
-    nothing and no flight is held out."""
+    """Add the names that stand beside a shape, and the shape found about the model with them."""
     floor = state.setting.floors(beside.round_)
-    new_steps = [step_of(state.setting, f, floor) for f in beside.findings]
-    idle = [(s.effect, NOTHING_CLOSED) for s in new_steps if s.holdout is None and s.gap.grows_beyond_nulls]
-    if idle:
-        state.decision = replace(state.decision, withdrawn=(*state.decision.withdrawn, *idle))
-        return
     state.findings, state.model, state.shapes = (*state.findings, *beside.findings), beside.baseline, beside.shapes
+    new_steps = (step_of(state.setting, f, floor) for f in beside.findings)
     state.named = [*state.named[: state.decision.kept], *new_steps]
     state.decision = with_names(state.decision, [s.effect for s in state.named])
 
