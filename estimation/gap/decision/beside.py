@@ -20,7 +20,7 @@ from estimation.errors import GapError
 from estimation.gap.answer.result import EffectStep, GapVerdict, Rejected
 from estimation.gap.answer.shape import Follower, LaggedTerm, SwingingTerm
 from estimation.gap.criteria import Criteria
-from estimation.gap.decision.decide import Decision, Named, as_unknown, closing_nothing
+from estimation.gap.decision.decide import Decision, as_unknown
 from estimation.gap.decision.unnamed import search_shape, standing_round
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.fit.baseline import Baseline, fit_baseline
@@ -34,7 +34,6 @@ from estimation.gap.shapes.lag_swing import find_memory, find_swing, rings
 from estimation.gap.shapes.places import ModelMotion, places_of
 from estimation.gap.shapes.search import CoefficientShape, ShapeSearch
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.measure import gaps
 from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.screen import Hypothesis
 from estimation.models.base import Signal
@@ -78,11 +77,10 @@ def names_beside(
         shape, child = shaped
         setting.tell("names beside the shape", 0.93)
         extended = _rounds_about(setting, child, room)
-        findings, idle = ((), ()) if extended is None else closing(setting, extended)
-        if extended is None or not findings:
+        if extended is None:
             return None
         bare = replace(setting, working=baseline.model, clean=baseline.clean)
-        shapeless = afresh_with(bare, findings, findings[-1].child)
+        shapeless = afresh_with(bare, extended.findings, extended.findings[-1].child)
         if shapeless is None:
             return None
         renewed = search_shape(setting, search, setting.screened(shapeless, len(search.rounds)), decision)
@@ -90,19 +88,7 @@ def names_beside(
         return None
     if renewed.shape is None or renewed.shape.fitted.increment.place != shape.fitted.increment.place:
         return None
-    return ShapeContinuation(findings, extended.rounds[-1], shapeless, renewed, (*extended.rejected, *idle))
-
-
-def closing(setting: Setting, search: SearchState) -> tuple[tuple[AcceptedEffect, ...], tuple[Rejected, ...]]:
-    """The effects of a search without the last that close nothing (`closing_nothing`), and these."""
-    if setting.prepared.holdout:
-        return search.findings, ()
-    floor, named = setting.floors(search.rounds[-1]), []
-    for f in search.findings:
-        training, held = gaps(f.parent, f.child, floor)
-        named.append(Named(f.candidate.hypothesis.label, f.candidate.score, training, held))
-    idle = closing_nothing(named)
-    return search.findings[: len(named) - len(idle)], tuple(Rejected(*name_and_reason) for name_and_reason in idle)
+    return ShapeContinuation(extended.findings, extended.rounds[-1], shapeless, renewed, extended.rejected)
 
 
 def _shaped(

@@ -13,7 +13,7 @@ from estimation.gap.answer.words import conclude, describe_step, rest_of_inputs
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision import beside as beside_shape
 from estimation.gap.decision import conclusion as concluding
-from estimation.gap.decision.beside import closing, without_doubted
+from estimation.gap.decision.beside import without_doubted
 from estimation.gap.decision.conclusion import facts_of, steps_in_words
 from estimation.gap.decision.decide import Decision, with_names
 from estimation.gap.decision.lineage import models
@@ -338,23 +338,6 @@ def test_names_in_place_of_a_shape_are_concluded_from_as_long_as_more_of_them_st
     answer = concluding.concluded(*cast(Any, (stub(steered=False), "rounds", None)))
     assert len(decided) == asked
     assert answer is decided[-2], "the last that had more names"
-
-
-@pytest.mark.parametrize(("after", "holdout", "stands"), [(6.906, (), False), (6.7, (), True), (6.906, (3,), True)])
-def test_names_beside_a_shape_close_something_where_no_flight_is_held_out(
-    monkeypatch: pytest.MonkeyPatch, after: float, holdout: tuple[int, ...], stands: bool
-) -> None:
-    """A bend of lift beside a lift by alpha times airspeed: the gap of a T-38's flights grew from 6.74 to 6.91."""
-    shown = {"alpha_lag": 6.68, "CL_alpha2": after}
-    monkeypatch.setattr(beside_shape, "gaps", lambda _, name, floor: (Gap(6.744, shown[name], 6.16, highest=6.6), None))
-    candidates = {n: stub(hypothesis=stub(label=n), score=16.6) for n in shown}
-    found: Any = stub(
-        findings=tuple(stub(candidate=candidates[n], parent=None, child=n) for n in shown), rounds=["last"]
-    )
-    setting: Any = stub(prepared=stub(holdout=holdout), floors=lambda round_: None)
-    findings, idle = closing(setting, found)
-    assert [f.child for f in findings] == (["alpha_lag", "CL_alpha2"] if stands else ["alpha_lag"])
-    assert [r.effect for r in idle] == ([] if stands else ["CL_alpha2"])
 
 
 @pytest.mark.parametrize(("room", "named", "taken"), [(4, True, True), (4, False, False), (3, True, False)])

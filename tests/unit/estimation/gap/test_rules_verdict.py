@@ -190,7 +190,7 @@ def test_only_the_last_name_is_asked_what_it_closes() -> None:
 
 
 def test_last_names_with_which_the_gap_grows_do_not_stand_where_no_flight_is_held_out() -> None:
-    """A bend of lift, score 16.6, with which the gap of a T-38's flights grew from 6.74 to 6.91, out of those of nulls."""
+    """They are significant, so that something without a name is left."""
     grown = Gap(6.744, 6.906, 6.16, highest=6.8)
     last = replace(named("CL_alpha2", 16.6), gap=grown)
     found = decide(replace(QUIET, named=(named(), last, last)), AS_SET)
