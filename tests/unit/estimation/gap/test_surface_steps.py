@@ -151,7 +151,7 @@ def test_how_far_jumps_are_off_is_estimated_from_the_flights(off: float) -> None
     plain = whitener(NoiseModel(level**2, {}), shapes)
     rng, freedom = np.random.default_rng(2), {"delta_a": 0.1, "ay": 0.1}
     flights = []
-    for _ in range(100):
+    for _ in range(20):
         moved = one.response @ np.where(own, off * rng.standard_normal(own.size), 0.1 * rng.standard_normal(own.size))
         flights.append(moved + level * rng.standard_normal((N, 2)))
     for _ in range(12):
