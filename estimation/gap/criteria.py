@@ -120,7 +120,7 @@ class Criteria:
         "set by hand with the flights through the simulated bus (2026-11-21); with all of them open a set of nothing of the own "
         "simulator in gusts was unknown (5.54 of 5.36), with 48 it was not (4.55 of 5.03), 2026-11-29")
     surface_freedom: float = criterion(0.2, "steps",
-        "scatter of a surface's path between samples that counts as one step of the flights; half of it: an output next to a jump",
+        "scatter of a surface's path between samples that counts as one step of the flights; an output at a jump has half",
         "flights at 20 Hz with servos of 35 ms show 0.2 to 0.25 (docs/gap.md, 2026-11-21)")
 
     # ---- nulls and thresholds

@@ -80,8 +80,8 @@ class SurfaceSteps:
 def usual_freedom(jumping: bool, criteria: Criteria) -> float:
     """Scatter of a displacement in steps where flights do not tell. jumping: of an output's sample next to a jump.
 
-    That is half as free as the path of a surface, for it is off only by as much as the two channels are apart in time. As free as a
-    path it left an unknown on random steps of the sticks with nothing hidden (6.35 of 5.42, in place of 5.03 of 5.40).
+    That is half as free as the path of a surface, for it is off only by as much as the two channels are apart in time. As free as
+    a path it left an unknown on random steps of the sticks with nothing hidden (6.35 of 5.42, in place of 5.03 of 5.40).
     """
     return criteria.surface_freedom * (criteria.halfway if jumping else 1.0)
 
