@@ -332,14 +332,14 @@ def _flight_fit(
     """One flight at the optimum. covariances: of its local parameters, Cramer-Rao and corrected."""
     flight = problem.flights[index]
     time, measured = flight.histories(problem.ny)
-    outputs, moved = np.full_like(measured, np.nan), np.full((flight.samples, problem.nx), np.nan)
+    outputs, states = np.full_like(measured, np.nan), np.full((flight.samples, problem.nx), np.nan)
     for segment, motion in zip(flight.segments, point.motions[index], strict=True):
-        outputs[segment.rows], moved[segment.rows] = motion.y, motion.x
+        outputs[segment.rows], states[segment.rows] = motion.y, motion.x
     names = tuple(problem.free[i] for i in problem.local)
     values = problem.parameters(unknowns, index)[problem.local]
     blind = np.zeros(len(names), bool)
     local, _ = judge_estimates(problem.model, names, values, *covariances, blind, [flight], effects)
-    states = tuple(problem.initial_state(unknowns, index, j) for j in range(len(flight.segments)))
+    initial_states = tuple(problem.initial_state(unknowns, index, j) for j in range(len(flight.segments)))
     fit = channel_fits(problem.model.output_names, measured, outputs)
     return FlightFit(
         flight.name,
@@ -348,8 +348,8 @@ def _flight_fit(
         measured,
         outputs,
         measured - outputs,
-        moved,
         states,
+        initial_states,
         local,
         fit,
         flight.notes,

@@ -43,6 +43,12 @@ class Model(ModelParts):
             f"<Model {self.name}: {len(self.free_names)} free parameters, outputs {outputs}; .equations has its text>"
         )
 
+    @property
+    def instruments(self) -> dict[str, str]:
+        """State -> the line, or the parameter of the delay, by which its instrument shows it otherwise than it is."""
+        shown = {n: self.definitions[f"{n}_measured"] for n in self.state_names if f"{n}_measured" in self.definitions}
+        return {**shown, **{n: delay for n, delay in self.output_delays.items() if n in self.state_names}}
+
     # ------------------------------------------------------------------------------------------------ new models
     def plus(
         self,
@@ -110,12 +116,6 @@ class Model(ModelParts):
             definitions[f"{output}_shown{count}"] = definitions.pop(measured)
             expression = renamed(expression, output, f"{output}_shown{count}")
         definitions[measured] = expression
-
-    @property
-    def instruments(self) -> dict[str, str]:
-        """State -> the line, or the parameter of the delay, by which its instrument shows it otherwise than it is."""
-        shown = {n: self.definitions[f"{n}_measured"] for n in self.state_names if f"{n}_measured" in self.definitions}
-        return {**shown, **{n: delay for n, delay in self.output_delays.items() if n in self.state_names}}
 
     def with_biases(self, *outputs: str, local: bool = True) -> "Model":
         """A new model with a constant instrument bias `bias_<output>` on each named output, one value per flight.

@@ -84,7 +84,7 @@ def answered(case: Case, nulls: int) -> dict[str, Any]:
     named = [s.effect for s in result.steps]
     first = next((s for s in result.steps if s.effect != "unknown"), None)
     left, limit = result.details["left"], result.details["left_threshold"]
-    near = max([*result.scores.values()], default=0.0) / result.threshold, left[0]["score"] / limit if left else 0.0
+    near = max(result.scores.values(), default=0.0) / result.threshold, left[0]["score"] / limit if left else 0.0
     return {
         "flights": case.flights,
         "criterion": case.criterion,

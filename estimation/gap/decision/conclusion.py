@@ -21,15 +21,7 @@ from estimation.gap.decision.beside import (
     stands_out,
     without_doubted,
 )
-from estimation.gap.decision.decide import (
-    Decision,
-    Named,
-    VerdictFacts,
-    as_unknown,
-    decide,
-    only_steered,
-    with_names,
-)
+from estimation.gap.decision.decide import Decision, Named, VerdictFacts, as_unknown, decide, only_steered, with_names
 from estimation.gap.decision.lineage import models
 from estimation.gap.decision.location import views
 from estimation.gap.decision.steps import (

@@ -52,11 +52,8 @@ NEEDED = ("beta", "phi", "p", "q", "r", "ay", "V", "alpha", "theta")
 
 def pitch_kinematic_model(criteria: Criteria) -> Model:
     """Flight-path reconstruction in the plane of symmetry without aerodynamics; biases and scale errors with priors."""
-    gyro, scale, accelerometer = (
-        criteria.instrument_error,
-        criteria.instrument_error,
-        criteria.instrument_error * GRAVITY,
-    )
+    gyro = scale = criteria.instrument_error  # rad/s, and a share
+    accelerometer = criteria.instrument_error * GRAVITY
     return Model(
         name="kinematic",
         title="airspeed, angle of attack and pitch attitude from measured rates and forces, no aerodynamics",
@@ -83,11 +80,8 @@ def pitch_kinematic_model(criteria: Criteria) -> Model:
 
 def kinematic_model(criteria: Criteria) -> Model:
     """Sideslip and bank from measured rates and side acceleration; biases and scale errors with priors."""
-    gyro, scale, accelerometer = (
-        criteria.instrument_error,
-        criteria.instrument_error,
-        criteria.instrument_error * GRAVITY,
-    )
+    gyro = scale = criteria.instrument_error  # rad/s, and a share
+    accelerometer = criteria.instrument_error * GRAVITY
     return Model(
         name="kinematic",
         title="sideslip and bank from measured rates and side acceleration, no aerodynamics",
